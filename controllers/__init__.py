@@ -1,1 +1,1 @@
-"""From a reference to a torque, and the MuJoCo closed loop that tries it."""
+"""Trackers, which turn a reference into efforts, and the closed-loop simulation in MuJoCo that tests them."""

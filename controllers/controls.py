@@ -1,24 +1,19 @@
-"""What can be changed while a run is watched: tracker, gains, speed; and the keys that change it."""
+"""The viewer's controls (tracker, gains, speed) and the keys that change them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from linkplan.controllers.trackers.names import TRACKERS
 
-# One press changes a gain by a quarter, and the speed by two; further than these factors nothing goes.
-_GAIN_STEP, _MOST_GAIN = 1.25, 1000.0
-_SPEED_STEP, _SLOWEST, _FASTEST = 2.0, 1e5, 0.1
-# At the end of a motion its last pose is held so long [s], to be seen, before it begins again.
+# One key press changes a gain by this factor.
+_GAIN_STEP = 1.25
+# The last pose is held this long before the motion restarts.
 HOLD_S = 0.5
-
-# GLFW's numbers of the keys that MuJoCo's viewer has no use for itself.
-_SPACE, _PERIOD, _6, _7, _8, _9 = 32, 46, 54, 55, 56, 57
-_DOWN, _UP, _HOME, _END = 264, 265, 268, 269
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controls:
-    """A tracker, factors on the gains of its problem, and how the run is shown: `slowness` times slower than real."""
+    """A tracker, factors on the problem's gains, and the display: `slowness` times slower than real time."""
 
     tracker: str
     slowness: float
@@ -26,17 +21,17 @@ class Controls:
     kd_factor: float = 1.0
     paused: bool = False
     ghost: bool = True
-    begun: int = 0  # how often it was begun again
+    begun: int = 0  # number of restarts
 
     @property
     def run(self) -> tuple[str, float, float]:
-        """What the run depends on: with another of these it is another run."""
+        """The settings that require a new simulation when they change."""
         return self.tracker, self.kp_factor, self.kd_factor
 
 
 def _gains(controls: Controls, kp_step: float, kd_step: float) -> Controls:
     def limited(factor: float) -> float:
-        found = min(max(factor, 1.0 / _MOST_GAIN), _MOST_GAIN)
+        found = min(max(factor, 1e-3), 1e3)
         return 1.0 if abs(found - 1.0) < 1e-9 else found
 
     return replace(
@@ -45,7 +40,7 @@ def _gains(controls: Controls, kp_step: float, kd_step: float) -> Controls:
 
 
 def _slower(controls: Controls, step: float) -> Controls:
-    return replace(controls, slowness=min(max(controls.slowness * step, _FASTEST), _SLOWEST))
+    return replace(controls, slowness=min(max(controls.slowness * step, 0.1), 1e5))
 
 
 def _next_tracker(controls: Controls) -> Controls:
@@ -56,34 +51,34 @@ def _again(controls: Controls) -> Controls:
     return replace(controls, kp_factor=1.0, kd_factor=1.0, paused=False, begun=controls.begun + 1)
 
 
-# A key's number: how it is called, what it does, and the function that does it.
+# GLFW's key code: name, effect, and function. MuJoCo's viewer does not use these keys itself.
 KEYS: Mapping = {
-    _6: ("6", "kp less", lambda c: _gains(c, 1 / _GAIN_STEP, 1.0)),
-    _7: ("7", "kp more", lambda c: _gains(c, _GAIN_STEP, 1.0)),
-    _8: ("8", "kd less", lambda c: _gains(c, 1.0, 1 / _GAIN_STEP)),
-    _9: ("9", "kd more", lambda c: _gains(c, 1.0, _GAIN_STEP)),
-    _PERIOD: (".", "the next tracker", _next_tracker),
-    _DOWN: ("Down", "slower", lambda c: _slower(c, _SPEED_STEP)),
-    _UP: ("Up", "faster", lambda c: _slower(c, 1 / _SPEED_STEP)),
-    _SPACE: ("Space", "stop, go on", lambda c: replace(c, paused=not c.paused)),
-    _END: ("End", "the plan's ghost", lambda c: replace(c, ghost=not c.ghost)),
-    _HOME: ("Home", "begin again, first gains", _again),
+    54: ("6", "kp less", lambda c: _gains(c, 1 / _GAIN_STEP, 1.0)),
+    55: ("7", "kp more", lambda c: _gains(c, _GAIN_STEP, 1.0)),
+    56: ("8", "kd less", lambda c: _gains(c, 1.0, 1 / _GAIN_STEP)),
+    57: ("9", "kd more", lambda c: _gains(c, 1.0, _GAIN_STEP)),
+    46: (".", "the next tracker", _next_tracker),
+    264: ("Down", "slower", lambda c: _slower(c, 2.0)),
+    265: ("Up", "faster", lambda c: _slower(c, 0.5)),
+    32: ("Space", "stop, go on", lambda c: replace(c, paused=not c.paused)),
+    269: ("End", "the plan's ghost", lambda c: replace(c, ghost=not c.ghost)),
+    268: ("Home", "begin again, first gains", _again),
 }
 
 
 def pressed(controls: Controls, key: int) -> Controls:
-    """Return the controls after a key, by GLFW's number of it; the same where the key is none of ours."""
+    """Return the controls after a key press (GLFW's key code); other keys change nothing."""
     return KEYS[key][2](controls) if key in KEYS else controls
 
 
 def advanced(at_s: float, elapsed_s: float, controls: Controls, duration_s: float) -> float:
-    """Return the motion's time [s] after some time on the wall: it goes on for ever, its end held for a moment.
+    """Return the motion's time [s] after some real time. The motion is repeated, with a pause at its end.
 
     Args:
-        at_s: the motion's time before, beyond `duration_s` while the end is held.
-        elapsed_s: on the wall.
-        controls: that hold meanwhile.
-        duration_s: of the motion.
+        at_s: the motion's previous time [s], beyond `duration_s` during the pause.
+        elapsed_s: real time since then [s].
+        controls: the present controls.
+        duration_s: the motion's duration [s].
     """
     if controls.paused:
         return at_s
@@ -91,5 +86,5 @@ def advanced(at_s: float, elapsed_s: float, controls: Controls, duration_s: floa
 
 
 def keys_said() -> str:
-    """Return every key and what it does, in one line."""
+    """Return every key and its effect as one line."""
     return "; ".join(f"{name} {does}" for name, does, _ in KEYS.values())

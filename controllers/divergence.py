@@ -1,4 +1,4 @@
-"""Runs that may diverge: their logs say so, and neither numpy nor MuJoCo does on stderr."""
+"""Suppression of numpy's and MuJoCo's warnings in runs that may diverge; the logs record the divergence."""
 
 import contextlib
 from collections.abc import Iterator
@@ -9,8 +9,8 @@ import numpy as np
 
 @contextlib.contextmanager
 def divergence_expected() -> Iterator[None]:
-    """Let arithmetic overflow and simulations blow up without warnings. Decorates what runs a feedback loop."""
-    mujoco.set_mju_user_warning(_ignore)  # MuJoCo would write a line for each into a log file
+    """Silence warnings about overflow and diverging simulations. Decorates functions that run a feedback loop."""
+    mujoco.set_mju_user_warning(_ignore)  # otherwise MuJoCo writes each warning to a log file
     try:
         with np.errstate(all="ignore"):
             yield

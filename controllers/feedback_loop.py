@@ -1,8 +1,7 @@
-"""The feedback loop, the only one: a law asked at every control instant for machines that run side by side.
+"""The feedback loop: a law is evaluated at every control instant for machines that run side by side. Written for speed.
 
-What moves the machines is a `Stepper`: MuJoCo (mujoco_plant.py) or the reduced dynamics (rigid_plant.py). Nothing of a
-machine depends on what runs beside it. One that diverges, or whose tracker fails, is frozen there and harms no other. This
-file's job is speed.
+A `Stepper` advances the machines: MuJoCo (mujoco_plant.py) or the reduced dynamics (rigid_plant.py). Results of a machine
+do not depend on the other machines. A machine that diverges, or whose tracker fails, is frozen.
 """
 
 import time
@@ -16,14 +15,14 @@ from linkplan.controllers.trackers.tracker import TrackerWithMemory
 from linkplan.models.errors import LinkplanError, ProblemError, one_line
 from linkplan.models.interrupts import check
 
-# MuJoCo calls a position or speed beyond this bad (mjMAXVAL).
+# Largest position or velocity that MuJoCo accepts (mjMAXVAL).
 LARGEST_STATE = 1e10
 
 
 class Stepper(Protocol):
-    """Machines that are moved on by control periods. The only mutable state of a simulation.
+    """Machines that are advanced by control periods: the only mutable state of a simulation.
 
-    `rows` are those that still run, a slice where all n do; `independent` the columns of a pose that a law is given.
+    `rows` are the running machines, a slice if all n run. `independent` are the columns of a pose that the law measures.
     """
 
     n: int
@@ -32,26 +31,26 @@ class Stepper(Protocol):
     n_u: int
     rows: np.ndarray | slice
     independent: np.ndarray | slice
-    lost: str  # why a machine's state is no number
+    lost: str  # the reason given for a machine with an invalid state
 
     def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
-        """Fill in the poses (r, n_q) and velocities (r, n_s) of the machines that run."""
+        """Write the poses (r, n_q) and velocities (r, n_s) of the running machines."""
         ...
 
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
-        """Move the machines on by a period under commands (r, n_u), and fill in mean efforts and actuators' speeds."""
+        """Advance the machines by a period under commands (r, n_u), and write mean efforts and actuators' speeds."""
         ...
 
     def keep(self, running: np.ndarray) -> None:
-        """Freeze all but some of the machines that run, by a mask (r,)."""
+        """Keep the running machines of a mask (r,) and freeze the others."""
         ...
 
 
 class LoopLog:
-    """The log of n machines at t instants, NaN where a machine was frozen. Filled by `run_loop`."""
+    """The log of n machines at t instants, NaN after a machine was frozen. `run_loop` fills it."""
 
     def __init__(self, instants: int, n: int, n_q: int, n_s: int, n_u: int) -> None:
-        # States and commands of an instant lie together: one sum of squares finds what is no number among them.
+        # States and commands of an instant are contiguous, so that one sum of squares detects invalid numbers.
         self.instants = np.full((instants, n, n_q + n_s + n_u), np.nan)
         self.pose, self.velocity, self.commanded = np.split(self.instants, [n_q, n_q + n_s], axis=2)
         self.applied, self.speed = np.full((instants, n, n_u), np.nan), np.full((instants, n, n_u), np.nan)
@@ -63,13 +62,13 @@ class LoopLog:
 
 @divergence_expected()
 def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: Sensing | None = None) -> LoopLog:
-    """Return the log of a law over control instants, from where the machines stand on.
+    """Return the log of a law over control instants, from the machines' present states.
 
     Args:
-        stepper: the machines, which are moved.
-        law: asked for the machines that run, at instants from 0.
-        instants: how many.
-        sensors: of the machines that run; None where all states are measured as they are.
+        stepper: the machines, which are advanced.
+        law: evaluated for the running machines, at instants from 0.
+        instants: their number.
+        sensors: of the running machines; None for exact measurements.
     """
     log = LoopLog(instants, stepper.n, stepper.n_q, stepper.n_s, stepper.n_u)
     memory = law.start(stepper.n)
@@ -78,7 +77,7 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
     logs = (log.pose, log.velocity, log.commanded, log.applied, log.speed)
     for k, (row, *logged) in enumerate(zip(log.instants.reshape(instants, -1), *logs, strict=True)):
         check()
-        # What is logged is filled in where it stands; where some machines are frozen, beside it first.
+        # Results are written directly into the log. If some machines are frozen, they are written to copies first.
         rows = stepper.rows
         here = logged if isinstance(rows, slice) else [one[rows] for one in logged]
         q, v, command, applied, speed = here
@@ -87,20 +86,15 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
         if sensors is not None:
             s, rate = measure(sensors, k, s, rate)
         begin = clock()
-        asked, memory, failed = _asked(law, k, s, rate, memory, n_u)
+        efforts, memory, failed = _efforts(law, k, s, rate, memory, n_u)
         log.asked_s[k] = clock() - begin
-        command[...] = asked
-        # A sum of squares that is small and finite leaves no state or command beyond.
+        command[...] = efforts
+        # If the sum of squares is finite and small, all states and commands are valid.
         if here is not logged or not row.dot(row) < bound:
-            sound = (np.abs(q) < LARGEST_STATE).all(axis=1) & (np.abs(v) < LARGEST_STATE).all(axis=1)
-            running = sound & np.isfinite(command).all(axis=1)
+            valid_state = (np.abs(q) < LARGEST_STATE).all(axis=1) & (np.abs(v) < LARGEST_STATE).all(axis=1)
+            running = valid_state & np.isfinite(command).all(axis=1)
             if not running.all():
-                for i in np.flatnonzero(~running):
-                    machine = np.arange(stepper.n)[rows][i]
-                    error = failed.get(int(i))
-                    said = _said(error) if error else "the tracker gave an effort that is no number"
-                    log.failure[machine], log.error[machine] = (said, error) if sound[i] else (stepper.lost, None)
-                    log.done[machine] = k
+                _log_failures(log, k, np.arange(stepper.n)[rows], running, valid_state, failed, stepper.lost)
                 stepper.keep(running)
                 rows = stepper.rows
                 here = q, v, command, applied, speed = [one[running] for one in here]
@@ -116,21 +110,38 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
     return log
 
 
+def _log_failures(
+    log: LoopLog,
+    k: int,
+    machines: np.ndarray,
+    running: np.ndarray,
+    valid_state: np.ndarray,
+    failed: dict[int, BaseException],
+    lost: str,
+) -> None:
+    """Log why the machines (r,) outside the mask `running` (r,) are frozen at instant k."""
+    for i in np.flatnonzero(~running):
+        machine, error = machines[i], failed.get(int(i))
+        reason = _failure_text(error) if error else "the tracker gave an effort that is no number"
+        log.failure[machine], log.error[machine] = (reason, error) if valid_state[i] else (lost, None)
+        log.done[machine] = k
+
+
 def states_of(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
-    """Return the poses (r, n_q) and velocities (r, n_s) of the machines that run."""
+    """Return the poses (r, n_q) and velocities (r, n_s) of the running machines."""
     n = len(np.arange(stepper.n)[stepper.rows])
     pose, velocity = np.empty((n, stepper.n_q)), np.empty((n, stepper.n_s))
     stepper.read(pose, velocity)
     return pose, velocity
 
 
-def _asked(
+def _efforts(
     law: TrackerWithMemory, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray, n_u: int
 ) -> tuple[np.ndarray, np.ndarray, dict[int, BaseException]]:
-    """Return efforts (n, n_u) and memories of machines, and what the tracker raised for some, whose efforts are NaN.
+    """Return efforts (n, n_u), the next memory, and the tracker's exceptions by machine, whose efforts are NaN.
 
-    A law that says `batched = False` is asked for one state after the other, and never twice for one instant: what it
-    keeps in itself, where it does, goes on by one instant each time.
+    A law with `batched = False` is evaluated for one state at a time, and once per instant, because it may have internal
+    state.
     """
     n = len(position)
     if n == 1 or getattr(law, "batched", True):
@@ -145,16 +156,16 @@ def _asked(
         except (Exception, SystemExit) as error:  # a user's law may raise anything
             if n == 1:
                 return np.full((1, n_u), np.nan), memory, {0: error}
-    # One after another: the others of the batch are not to suffer from what went wrong for one.
+    # One by one, so that the failure of one machine does not affect the others.
     rows = [slice(i, i + 1) for i in range(n)]
-    each = [_asked(law, k, position[row], velocity[row], memory[row], n_u) for row in rows]
+    each = [_efforts(law, k, position[row], velocity[row], memory[row], n_u) for row in rows]
     failed = {i: raised[0] for i, (_, _, raised) in enumerate(each) if raised}
     return np.concatenate([one[0] for one in each]), np.concatenate([one[1] for one in each]), failed
 
 
-def _said(error: BaseException) -> str:
-    """Return an error, or its cause, in a line: the kind of one that is not linkplan's own is half of what it says."""
+def _failure_text(error: BaseException) -> str:
+    """Return an error, or its cause, as one line; errors of other libraries with their type."""
     error = error.__cause__ or error
-    kind, said = type(error).__name__, one_line(error)
-    words = said if isinstance(error, LinkplanError) else f"{kind}: {said}" if said else kind
+    kind, text = type(error).__name__, one_line(error)
+    words = text if isinstance(error, LinkplanError) else f"{kind}: {text}" if text else kind
     return f"the tracker failed: {words}"

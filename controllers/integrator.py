@@ -1,18 +1,18 @@
-"""MuJoCo's own integrator in reduced coordinates: the exact linear map of one step about a state.
+"""The linearised map of one step of MuJoCo's integrator in reduced coordinates.
 
     x = (s, v),   x_{t+h} = A_h x_t + B_h u_t
 
-With a = A_s ds + A_v dv + B du the reduced dynamics' derivatives, and v_{t+h} = v_t + h F a, s_{t+h} = s_t + h v_{t+h}
-(MuJoCo, "Computation", Numerical integration):
+The reduced dynamics' linearisation is a = A_s ds + A_v dv + B du. A step is v_{t+h} = v_t + h F a, s_{t+h} = s_t + h v_{t+h}
+(MuJoCo, "Computation", Numerical integration), where F depends on the integrator:
 
     Euler           F = M_r^-1 Gamma^T M (M + h D)^-1 M Gamma, D the joints' damping; F = I without damping
-    implicitfast    the same, D of joints, tendons and servos, but for what couples two branches of the tree
+    implicitfast    the same, D of joints, tendons and servos, without coupling between branches of the tree
     implicit        the same with Coriolis terms
     discrete        (M_r + h D_r + h^2 K_r) F a = M_r a - h K_r v, D whole, K the springs of joints, tendons and servos
     RK4             the Taylor polynomial of the exponential to the fourth order
 
-The loop constraint is taken as hard. MuJoCo's is soft: with an impedance d it gives way by (1 - d) / d of the load, and its
-`solref` closes what opens within its time constant. `rollout.conditions` records both beside every measurement.
+The loop constraint is assumed to be rigid. MuJoCo's constraint is soft: with an impedance d it yields by (1 - d) / d of the
+load, and it closes a gap within the time constant in `solref`. `rollout.conditions` records both.
 """
 
 import mujoco
@@ -33,7 +33,7 @@ def simulator_step(
     """Return A_h (n, 2 n_s, 2 n_s) and B_h (n, 2 n_s, n_u) of one step [s] of the model's integrator about states (n, ...).
 
     Raises:
-        LinkplanError: for an integrator that is not known here.
+        LinkplanError: for an unsupported integrator.
     """
     A, B = linearise(mechanism, pose, velocity, effort)
     kind = int(mechanism.model.opt.integrator)
@@ -66,7 +66,7 @@ def simulator_step(
 
 
 def repeat(A: np.ndarray, B: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the maps (..., m, m) and (..., m, n_u) of several steps under one held input."""
+    """Return the maps (..., m, m) and (..., m, n_u) of several steps under a constant input."""
     m, n_u = B.shape[-2:]
     block = np.zeros((*A.shape[:-2], m + n_u, m + n_u))
     block[..., :m, :m], block[..., :m, m:] = A, B
@@ -88,7 +88,7 @@ def _runge_kutta(A: np.ndarray, B: np.ndarray, h: float) -> tuple[np.ndarray, np
 
 
 def _implicit_factor(mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, h: float, kind: int) -> np.ndarray:
-    """Return F (n, n_s, n_s): what the implicit damping leaves of an acceleration."""
+    """Return the factor F (n, n_s, n_s) by which implicit damping reduces an acceleration."""
     model, n, n_s = mechanism.model, len(pose), mechanism.dof
     rates = joint_rates(mechanism, pose, velocity)
     if kind == int(mujoco.mjtIntegrator.mjINT_IMPLICIT):
@@ -103,8 +103,8 @@ def _implicit_factor(mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarra
         D = _diagonal(_damping(model, rates)) + _tendon_terms(mechanism, pose, rates)[0]
         D = (D + _servo_terms(mechanism, pose, 2)) * _related(model)
     else:
-        off = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP))
-        D = _diagonal(np.zeros_like(rates) if off else _damping(model, rates))
+        disabled = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP))
+        D = _diagonal(np.zeros_like(rates) if disabled else _damping(model, rates))
     if not np.any(D):
         return np.broadcast_to(np.eye(n_s), (n, n_s, n_s))
     M = sampled(mechanism.dynamics.mass_matrix, pose)
@@ -122,9 +122,9 @@ def _diagonal(values: np.ndarray) -> np.ndarray:
 
 
 def _discrete_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return D and K (n, n_q, n_q) of the effective metric M + h D + h^2 K: joints', tendons' and servos'.
+    """Return D and K (n, n_q, n_q) of the effective metric M + h D + h^2 K, from joints, tendons and servos.
 
-    The dual solver, PGS, leaves out tendons and actuators (MuJoCo, "Numerical integration").
+    The dual solver, PGS, omits tendons and actuators (MuJoCo, "Numerical integration").
     """
     D, K = _diagonal(_damping(mechanism.model, rates)), _diagonal(_stiffness(mechanism.model, pose))
     if int(mechanism.model.opt.solver) == int(mujoco.mjtSolver.mjSOL_PGS):
@@ -136,8 +136,8 @@ def _discrete_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -
 def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarray:
     """Return sum -b B B^T (n, n_q, n_q), b a servo's bias by length (power 1) or speed (2), B its moments.
 
-    Whoever runs a servo sets its ctrl anew, so that its effort is the one asked for; but the step's inertia has its terms
-    all the same. Those of a gain that moves are left out.
+    The simulation sets a servo's ctrl at every step to obtain the commanded effort. The step's inertia still contains the
+    servo's terms. Terms of a gain that varies with length or speed are omitted.
     """
     own = np.array([max(0.0, -actuator.biases[power]) for actuator in mechanism.actuators])
     if not own.any():
@@ -147,7 +147,7 @@ def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarr
 
 
 def _tendon_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what tendons' dampers (their actuators' own among them) and springs add to D and K (n, n_q, n_q)."""
+    """Return the contributions of tendon dampers, their actuators' damping and tendon springs to D and K (n, n_q, n_q)."""
     model, n_q = mechanism.model, mechanism.n_q
     D, K = np.zeros((2, len(pose), n_q, n_q))
     owners = [(a, int(model.actuator_trnid[a, 0])) for a in range(model.nu) if int(model.actuator_trntype[a]) == _TENDON]
@@ -182,7 +182,7 @@ def _slope(a: float, poly: np.ndarray, x: float) -> float:
 
 
 def _related(model: mujoco.MjModel) -> np.ndarray:
-    """Return (nv, nv) whether of two degrees of freedom one carries the other: elsewhere the simulator drops D."""
+    """Return True (nv, nv) if one of two degrees of freedom is an ancestor of the other; the simulator drops other D."""
     related = np.eye(model.nv, dtype=bool)
     for dof in range(model.nv):
         above = int(model.dof_parentid[dof])
@@ -193,7 +193,7 @@ def _related(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _damping(model: mujoco.MjModel, rates: np.ndarray) -> np.ndarray:
-    """Return the slope (n, n_q) of the joints' damping, the actuators' own reflected by gear^2, at rates (n, n_q)."""
+    """Return the derivative (n, n_q) of the joints' damping, plus gear^2 times the actuators', at rates (n, n_q)."""
     if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER):
         return np.zeros_like(rates)
     a, (b, c) = np.array(model.dof_damping), np.array(model.dof_dampingpoly).T
@@ -208,7 +208,7 @@ def _damping(model: mujoco.MjModel, rates: np.ndarray) -> np.ndarray:
 
 
 def _stiffness(model: mujoco.MjModel, pose: np.ndarray) -> np.ndarray:
-    """Return the slope (n, n_q) of the joints' springs at poses (n, n_q), none below zero."""
+    """Return the stiffness (n, n_q) of the joints' springs at poses (n, n_q); negative values become zero."""
     if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SPRING):
         return np.zeros_like(pose)
     x = pose - model.qpos_spring[model.jnt_qposadr]

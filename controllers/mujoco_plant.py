@@ -1,7 +1,7 @@
-"""Machines in MuJoCo, moved on together on `mujoco.batch.Batch`. This file's job is speed.
+"""Machines in MuJoCo, stepped together with `mujoco.batch.Batch`. Written for speed.
 
-A command is delayed, cut at the actuators' limits and held while MuJoCo steps; logs are the same to the last bit at any
-number of machines and threads. Beside rigid_plant.py the only file that holds simulator state.
+A command is delayed, clipped to the actuators' limits and held while MuJoCo steps. Logs are identical to the last bit for
+any number of machines and threads. Only this file and rigid_plant.py hold simulator state.
 """
 
 import os
@@ -22,6 +22,7 @@ from linkplan.controllers.imperfections.servos import servo_inversion
 from linkplan.controllers.imperfections.spreading import spread
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
+from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.mechanism import Mechanism
 
@@ -31,9 +32,9 @@ _STATE_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MujocoPlant:
-    """A mechanism in MuJoCo with a feedback loop's limits, delay and masses, which all its machines share.
+    """A mechanism in MuJoCo with the effort limits, delay and masses of a feedback loop, shared by all machines.
 
-    `built` keeps the machines of the last ensemble: the trackers that run on them one after another share them.
+    `built` caches the machines of the last ensemble, so that several trackers can run on them.
     """
 
     mechanism: Mechanism
@@ -43,13 +44,16 @@ class MujocoPlant:
 
     @property
     def measured(self) -> np.ndarray:
-        """The columns of a pose that a law is given."""
+        """The columns of a pose that the law measures."""
         return self.mechanism.independent
 
     def begin(
         self, reference: SampledReference, machines: Sequence[Imperfections]
     ) -> tuple["MujocoStepper", list[str | None]]:
-        """Return the machines at the start of a reference, and why some cannot be built, which stand in for themselves."""
+        """Return the machines at the start of a reference, and the reason for each that cannot be built, else None.
+
+        The modelled plant replaces a machine that cannot be built.
+        """
         mechanism, loop, substeps = self.mechanism, self.loop, substeps_of(self.mechanism, reference.period_s)
         neutral = next((one for one in machines if as_modelled(one)), Imperfections())
         keys = [(reference, neutral if as_modelled(one) else one) for one in machines]
@@ -85,10 +89,10 @@ class MujocoPlant:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PlantAsItStands:
-    """A model as its file stands: from its own reference pose, open loops, contacts and all, at its own step.
+    """An unchanged model: it starts at the file's reference pose, with its contacts and timestep, and loops may be open.
 
-    `mechanism` is for the model, its joints and its first actuator, which drives a joint; its assembly is not used.
-    `idle_ctrl` holds constant controls of other actuators, by MuJoCo's index of the control.
+    `mechanism` supplies the model, its joints and its first actuator, which must drive a joint; its assembly is not used.
+    `idle_ctrl` holds constant controls of the other actuators, by MuJoCo's control index.
     """
 
     mechanism: Mechanism
@@ -101,21 +105,21 @@ class PlantAsItStands:
 
     @property
     def measured(self) -> np.ndarray:
-        """The column of a pose that a law is given, that of the first actuator's joint."""
+        """The column of a pose that the law measures: the first actuator's joint."""
         return np.array([self.mechanism.actuators[0].joint])
 
     def begin(
         self, reference: SampledReference, machines: Sequence[Imperfections]
     ) -> tuple["MujocoStepper", list[str | None]]:
-        """Return the model as many times as there are machines, whose imperfections it does not know.
+        """Return a copy of the model for each machine. Only the machines' drives are used.
 
         Raises:
-            LinkplanError: when the first actuator drives no joint.
+            LinkplanError: if the first actuator does not drive a joint.
         """
         mechanism, n = self.mechanism, len(machines)
         actuator, model, data = mechanism.actuators[0], mechanism.model, mujoco.MjData(mechanism.model)
         if actuator.joint is None:
-            raise LinkplanError(f"the first actuator, {actuator.name}, is to drive a joint; it acts on {actuator.target}")
+            raise LinkplanError(f"the first actuator, {actuator.name}, must drive a joint; it acts on {actuator.target}")
         pose = mechanism.q_of(data.qpos)
         one = Plant(model=model, pose=pose, rates=np.zeros(mechanism.n_q))
         periods = [reference.period_s] * n
@@ -127,19 +131,19 @@ class PlantAsItStands:
 
 
 class MujocoStepper:
-    """Machines in MuJoCo that are moved on by control periods; see `Stepper`.
+    """Machines in MuJoCo that are advanced by control periods; see `Stepper`.
 
     Args:
-        mechanism: of all machines.
+        mechanism: the mechanism of all machines.
         plants: each machine's model and start.
-        drives: of the machines.
-        substeps: simulator steps of a control period.
-        base: the plant that all machines without differences share; the first by default.
-        pushes: on the machines, or None.
-        threads: of the simulator; 0 for one for each core.
-        watched: whether closure gaps and contacts are wanted.
-        actuators: how many of the mechanism's first actuators are driven; all by default.
-        independent: the columns of a pose that a law is given; the independent coordinates by default.
+        drives: the machines' drives.
+        substeps: simulator steps per control period.
+        base: the plant of all unmodified machines; default: the first plant.
+        pushes: external forces on the machines, or None.
+        threads: simulator threads; 0 for one per core.
+        watched: record closure gaps and contacts.
+        actuators: the number of driven actuators, counted from the first; default: all.
+        independent: the columns of a pose that the law measures; default: the independent coordinates.
     """
 
     lost = DIVERGED
@@ -161,9 +165,9 @@ class MujocoStepper:
         models = [one.model for one in plants]
         model = models[0] if base is None else base.model
         driven = mechanism.actuators[:actuators]
+        measured = mechanism.independent if independent is None else independent
         self.n, self.n_u, self.rows = len(plants), len(driven), slice(None)
-        self.n_q, self.n_s = mechanism.n_q, len(mechanism.independent if independent is None else independent)
-        self.independent = _columns(mechanism.independent if independent is None else independent)
+        self.n_q, self.n_s, self.independent = mechanism.n_q, len(measured), _columns(measured)
         self.model, self.timestep_s = model, np.array([one.opt.timestep for one in models])
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
         self._servos = servo_inversion(mechanism) if actuators is None else None
@@ -172,51 +176,57 @@ class MujocoStepper:
         )
         spread(self._batch, model, models)
         bind = self._batch.bind
-        self._qpos, self._qvel, self.ctrl, self._speeds = (
-            bind(name) for name in ("qpos", "qvel", "ctrl", "actuator_velocity")
-        )
+        self._qpos, self._qvel, self.ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
         self._lengths = None if self._servos is None else bind("actuator_length")
         if pushes is not None:
             self._forces, self._efforts = bind("xfrc_applied"), bind("qfrc_applied")
         self._watch = ClosureWatch(self._batch, models) if watched else None
+        self._map_actuators(driven)
+        self._ids: np.ndarray | None = None  # of the running machines; None for all
+        self._near = np.array([one.pose for one in plants])
+        changing = pushes is not None or self._servos is not None
+        self._stretches = [(j, 1) for j in range(substeps)] if changing else stretches(drives, substeps)
+        self._start(plants)
+        self.k = 0
+
+    def _map_actuators(self, driven: Sequence[Actuator]) -> None:
+        """Set the columns of the driven actuators, and ctrl = (effort - bias) scale with scale 1 and bias 0 for servos."""
         self._channels = _columns(np.array([actuator.channel for actuator in driven], dtype=int))
         self._outputs = _columns(np.array([actuator.output for actuator in driven], dtype=int))
-        as_servo = [actuator.is_servo for actuator in driven]
-        self._scale = 1.0 / np.where(as_servo, 1.0, [actuator.gain for actuator in driven])
-        self._bias = np.where(as_servo, 0.0, [actuator.biases[0] for actuator in driven])
+        is_servo = [actuator.is_servo for actuator in driven]
+        self._scale = 1.0 / np.where(is_servo, 1.0, [actuator.gain for actuator in driven])
+        self._bias = np.where(is_servo, 0.0, [actuator.biases[0] for actuator in driven])
         self._direct = bool(np.all(self._scale == 1.0) and np.all(self._bias == 0.0)) and self._servos is None
-        self._ids: np.ndarray | None = None  # of those that run; None for all
-        self._near = np.array([one.pose for one in plants])
-        self._qpos[:] = [mechanism.qpos_of(one.pose) for one in plants]
-        self._qvel[:] = [mechanism.qvel_of(one.pose, one.rates) for one in plants]
+
+    def _start(self, plants: Sequence[Plant]) -> None:
+        """Set the machines' initial poses and rates."""
+        self._qpos[:] = [self._mechanism.qpos_of(one.pose) for one in plants]
+        self._qvel[:] = [self._mechanism.qvel_of(one.pose, one.rates) for one in plants]
         self._stage = 0
         if self._servos is not None:
             self._stage = _STATE_KNOWN
             self._batch.forward(stage=_STATE_KNOWN)
-        changing = pushes is not None or self._servos is not None
-        self._stretches = [(j, 1) for j in range(substeps)] if changing else stretches(drives, substeps)
-        self.k = 0
 
     def under_way(self, commands: np.ndarray) -> None:
-        """Let commands (p, n, n_u) have been given in the p periods before the start."""
+        """Set the commands (p, n, n_u) of the p periods before the start."""
         for command in commands:
             take(self._drives, self.k, command)
             self.k += 1
 
     def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
-        """Fill in poses and velocities of the machines that run."""
+        """Write the poses and velocities of the running machines."""
         mechanism, rows = self._mechanism, self.rows
         if mechanism.coordinates.trivial:
             pose[...], velocity[...] = self._qpos[rows], self._qvel[rows][:, self.independent]
             return
-        # One after another: rounding of ball joints' rotations must not depend on what stands beside them.
+        # One by one: the rounding of ball joints' rotations must not depend on the other machines.
         for i, (qpos, qvel) in enumerate(zip(self._qpos[rows], self._qvel[rows], strict=True)):
             pose[i] = mechanism.q_of(qpos, self._near[i])
             velocity[i] = mechanism.rates_of(pose[i], qvel)[self.independent]
         self._near = pose.copy()
 
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
-        """Move the machines on by a period under commands; speeds are those at its start."""
+        """Advance the machines by a period under commands; `speed` receives the actuators' speeds at its start."""
         drives, k, rows, servos = self._drives, self.k, self.rows, self._servos
         take(drives, k, command)
         beyond: np.ndarray | float = 0.0
@@ -226,7 +236,7 @@ class MujocoStepper:
                 length, rate = self._lengths[rows][:, self._outputs], self._speeds[rows][:, self._outputs]
                 ctrl, effort = servos.controls(effort, length, rate)
                 effort = np.minimum(np.maximum(effort, drives.clamp[..., 0]), drives.clamp[..., 1])
-                if j == 0:  # MuJoCo works them out anew after a step
+                if j == 0:  # a later step overwrites them
                     speed[...] = rate
             elif not self._direct:
                 ctrl = (effort - self._bias) * self._scale
@@ -240,32 +250,32 @@ class MujocoStepper:
             applied[...] = effort
             if servos is None:
                 speed[...] = self._speeds[rows][:, self._outputs]
-        if len(self._stretches) > 1:  # a held effort is its own mean, to the last bit
+        if len(self._stretches) > 1:  # a constant effort stays exact
             applied += beyond / self._substeps
         self.k += 1
         if self._watch is not None:
             self._watch.note()
 
     def keep(self, running: np.ndarray) -> None:
-        """Freeze all but some of the machines that run."""
+        """Keep the running machines of a mask (r,) and freeze the others."""
         self.rows = self._ids = np.arange(self.n)[self.rows][running]
         self._near = self._near[running]
         self._drives = self._drives.kept(running)
         self._pushes = None if self._pushes is None else self._pushes.kept(running)
 
     def gap_and_contacts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the largest gap [m] of tied points and the most contacts (n,) of each machine so far."""
+        """Return each machine's largest gap [m] of tied points and largest number of contacts so far, (n,) each."""
         assert self._watch is not None
         return self._watch.largest()
 
 
 def substeps_of(mechanism: Mechanism, period_s: float) -> int:
-    """Return the fewest simulator steps of a control period [s] that the model's own step allows."""
+    """Return the number of simulator steps of a control period [s], none longer than the model's own step."""
     return max(1, int(np.ceil(period_s / float(mechanism.model.opt.timestep) - 1e-9)))
 
 
 def simulation_conditions(model: mujoco.MjModel) -> dict[str, Any]:
-    """Return what a result depends on beside the loop: version, step, integrator and the loop constraints' softness."""
+    """Return the simulator settings: version, step, integrator and the loop constraints' softness."""
     active = [index for index in range(model.neq) if model.eq_active0[index]]
     return {
         "mujoco": mujoco.__version__,
@@ -277,7 +287,7 @@ def simulation_conditions(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _columns(index: np.ndarray) -> np.ndarray | slice:
-    """Return indices as a slice where they follow one another, which needs no copy."""
+    """Return consecutive indices as a slice, which avoids copies, and others unchanged."""
     first = int(index[0])
     return slice(first, first + len(index)) if np.array_equal(index, first + np.arange(len(index))) else index
 

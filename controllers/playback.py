@@ -1,4 +1,4 @@
-"""A tracked motion in MuJoCo's interactive viewer, again and again; keys change gains, tracker and speed while it plays."""
+"""A tracked motion, repeated in MuJoCo's interactive viewer; keys change gains, tracker and speed during playback."""
 
 import os
 import queue
@@ -14,17 +14,15 @@ from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 
-_FRAMES_PER_S = 60.0
-
-# Two columns of words.
+# Rows of two columns of text.
 Rows = Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Shown:
-    """A run to be shown: its instants (n,) [s] and poses (n, n_q), what is drawn beside it, and words on it.
+    """A run to be shown: its instants (n,) [s] and poses (n, n_q), additional drawings and text.
 
-    `decorate(scene, k, ghost)` adds to MuJoCo's scene what belongs to instant k; `words(k)` are rows of two columns.
+    `decorate(scene, k, ghost)` adds the drawings of instant k to MuJoCo's scene; `words(k)` returns rows of text.
     """
 
     time_s: np.ndarray
@@ -35,7 +33,7 @@ class Shown:
 
 
 def has_screen() -> bool:
-    """Return whether a window may be opened: always tried on macOS and Windows, with a display set elsewhere."""
+    """Return True on macOS and Windows, and elsewhere if a display is set."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -49,17 +47,17 @@ def play(
     seconds: float | None = None,
     camera: Callable[[object], None] | None = None,
 ) -> Controls:
-    """Show a run again and again until its window is closed (or for some seconds), and return the last controls.
+    """Repeat a run until its window is closed or the time is over, and return the last controls.
 
     Args:
-        mechanism: that is shown.
-        controls: to begin with.
-        make: gives the run of a tracker and gains; called again when a key has changed them. What it refuses is shown.
-        seconds: after which the window closes by itself.
-        camera: called with MuJoCo's camera before the first picture.
+        mechanism: the mechanism to show.
+        controls: the initial controls.
+        make: returns the run of a tracker and gains; called again after a key changed them. Its errors are shown.
+        seconds: time [s] after which the window closes; default: never.
+        camera: called with MuJoCo's camera before the first frame.
 
     Raises:
-        LinkplanError: where no window can be opened, or the first run is refused.
+        LinkplanError: if no window can be opened, or if `make` refuses the first run.
     """
     if not has_screen():
         raise LinkplanError("view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set")
@@ -103,12 +101,12 @@ def play(
                 shown.decorate(window.user_scn, k, controls.ghost)
             window.set_texts(_texts(mujoco, (*shown.words(k), *pace(controls, refused))))
             window.sync()
-            time.sleep(1.0 / _FRAMES_PER_S)
+            time.sleep(1.0 / 60.0)
     return controls
 
 
 def after_keys(controls: Controls, keys: "queue.SimpleQueue[int]") -> Controls:
-    """Return the controls after all keys that wait in a queue."""
+    """Return the controls after all key presses in a queue."""
     while True:
         try:
             controls = pressed(controls, keys.get_nowait())
@@ -117,7 +115,7 @@ def after_keys(controls: Controls, keys: "queue.SimpleQueue[int]") -> Controls:
 
 
 def pace(controls: Controls, refused: str) -> Rows:
-    """Return the rows of words on how a run is shown, and on why another was refused."""
+    """Return the rows of text on the playback speed, and on the reason if a run was refused."""
     slow = controls.slowness
     rows = [("speed", f"{slow:g}x slower" if slow >= 1 else f"{1 / slow:g}x faster")]
     if controls.paused:
@@ -126,7 +124,7 @@ def pace(controls: Controls, refused: str) -> Rows:
 
 
 def _made(make: Callable[[Controls], Shown], asked: Controls, before: Shown) -> tuple[Shown, str]:
-    """Return the run that is asked for; where it is refused, the one before and why."""
+    """Return the new run; if it is refused, the previous run and the reason."""
     try:
         return make(asked), ""
     except LinkplanError as error:
@@ -134,7 +132,7 @@ def _made(make: Callable[[Controls], Shown], asked: Controls, before: Shown) -> 
 
 
 def _texts(mujoco, rows: Rows) -> list[tuple]:
-    """Return what MuJoCo's viewer writes over its picture: rows at the upper left, keys at the lower right."""
+    """Return the overlay texts of MuJoCo's viewer: rows at the upper left, keys at the lower right."""
     labels, values = ("\n".join(column) for column in zip(*rows, strict=True))
     keys, does = ("\n".join(column) for column in zip(*[row[:2] for row in KEYS.values()], strict=True))
     return [

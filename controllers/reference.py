@@ -10,17 +10,14 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.trajectory import Trajectory
 
-# Steps of an interval at which a loop is followed over a period.
-_PER_INTERVAL = 10
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SampledReference:
     """A motion at control instants t_k = k T, for k = 0 to n - 1.
 
-    `pose` (n, n_q), `position`, `velocity`, `acceleration` (n, n_s); `effort` (n, n_u) [N.m or N] is the reduced inverse
-    dynamics' at the middle of each hold, where a held value stands for its mean. `cycle` is the number of samples after
-    which all repeats, or None.
+    `pose` (n, n_q), `position` and `velocity` (n, n_s) [rad or m, and per second]. `effort` (n, n_u) [N.m or N] comes from
+    the reduced inverse dynamics at the middle of each period, because a held effort acts like its mean. `cycle` is the
+    number of samples after which the motion repeats, or None.
     """
 
     period_s: float
@@ -44,9 +41,9 @@ class SampledReference:
 
 
 def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return position and velocity (..., n_s) at times (...), by the cubic through each two samples and their velocities.
+    """Return position and velocity (..., n_s) at times (...) [s] by cubic Hermite interpolation.
 
-    After the last sample the motion goes on at its last velocity. At a sample the values are the sample's own.
+    After the last sample the motion continues at its last velocity. At a sample the result is exact.
     """
     T = reference.period_s
     time = np.asarray(time_s, dtype=float)
@@ -65,12 +62,12 @@ def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[n
 def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, duration_s: float) -> SampledReference:
     """Return a trajectory at the control instants of a period [s] over a duration [s].
 
-    A periodic trajectory goes on; any other holds its last position at rest.
+    A periodic trajectory is repeated. Any other one holds its last position at rest.
     """
     n = max(1, round(duration_s / period_s))
     ratio = trajectory.duration_s / period_s
     cycle = round(ratio) if trajectory.periodic and abs(ratio - round(ratio)) < 1e-6 else None
-    # What repeats is worked out once.
+    # Samples of one cycle are computed once and repeated.
     once = np.arange(n if cycle is None else min(n, cycle))
     time, middle = period_s * once, period_s * (once + 0.5)
     position = trajectory.position_at(time)
@@ -92,9 +89,9 @@ def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, durati
 
 
 def pose_advance(mechanism: Mechanism, trajectory: Trajectory) -> np.ndarray:
-    """Return what all joints (n_q,) [rad] of a periodic motion go on by in a period: whole turns, 0 where they return."""
+    """Return the advance (n_q,) [rad] of all joints over a period of a periodic motion: whole turns or zero."""
     if not np.any(trajectory.advance):
         return np.zeros(mechanism.n_q)
-    time = trajectory.dense_times(_PER_INTERVAL)
+    time = trajectory.dense_times(10)
     poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
     return whole_turns(mechanism, poses[-1] - poses[0])

@@ -1,4 +1,4 @@
-"""The log of one machine's run, and the properties of the loop that it is run in."""
+"""The log of one machine's run, and the properties of its feedback loop."""
 
 from dataclasses import dataclass, field
 
@@ -6,19 +6,13 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 
-# An effort that goes from one limit to the other within this many control periods, again and again, is a limit cycle of
-# the sampled loop and not a motion; this share of all instants makes the verdict. A bang-bang plan swings once or twice.
-_SWING_PERIODS = 10
-_SWING_SHARE = 0.02
-_FEWEST_SWINGS = 6
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ControlLoop:
     """The feedback loop's properties between a tracker and the mechanism.
 
-    `effort_limit` (n_u, 2) [N.m or N] saturates; `delay_periods` whole control periods pass before a command acts;
-    `mass_factor` multiplies the payload's mass and inertia (all moving bodies' where there is no payload).
+    `effort_limit` (n_u, 2) [N.m or N] saturates commands. A command acts after `delay_periods` whole control periods.
+    `mass_factor` multiplies the payload's mass and inertia, or those of all moving bodies if there is no payload.
     """
 
     effort_limit: np.ndarray
@@ -30,11 +24,10 @@ class ControlLoop:
 class Rollout:
     """The log of a run at its control instants (n,), and the conditions of the simulation.
 
-    Angles [rad or m]; `commanded` is the tracker's output, `applied` the mean of what acted in the period, both (n, n_u)
-    [N.m or N]; `gap_m` (n,) is
-    the largest distance between two points that a closure ties, or gap of slides, `gap_rad` (n,) that of angles, empty where
-    none are tied; `finite` is False when the simulation blew up, and the log
-    ends there. `asked_s` (n,) [s] is how long the tracker took to answer, here and now; no other figure depends on it.
+    Positions are in [rad or m]. `commanded` is the tracker's output and `applied` the mean effort of the period, both
+    (n, n_u) [N.m or N]. `gap_m` (n,) is the largest distance between points or slides that a closure ties; `gap_rad` (n,)
+    is the largest gap of tied angles, empty if there are none. `finite` is False if the simulation diverged; the log ends
+    there. `asked_s` (n,) [s] is the measured computing time of the tracker.
     """
 
     tracker: str
@@ -60,30 +53,34 @@ class Rollout:
 
     @property
     def largest_gaps(self) -> tuple[float, float]:
-        """The largest closure gap of the run, [m] of points and slides, [rad] of angles."""
+        """The largest closure gaps of the run: [m] of points and slides, [rad] of angles."""
         return float(self.gap_m.max()), float(self.gap_rad.max(initial=0.0))
 
     @property
     def saturated_fraction(self) -> float:
-        """The share of control instants at which a command went beyond a limit."""
+        """The share of control instants with a command beyond a limit."""
         low, high = self.effort_limit.T
         return float(np.mean(np.any((self.commanded < low) | (self.commanded > high), axis=1)))
 
     @property
     def stable(self) -> bool:
-        """Whether the run stayed finite and no effort swung between its limits over and over."""
-        return self.finite and not any(self._swings(j) for j in range(self.applied.shape[1]))
+        """True if the run stayed finite without a limit cycle between effort limits."""
+        return self.finite and not any(self._is_limit_cycle(j) for j in range(self.applied.shape[1]))
 
-    def _swings(self, j: int) -> bool:
+    def _is_limit_cycle(self, j: int) -> bool:
+        """Return True if an effort swings between its limits at least 6 times, and at 2 % of all instants or more.
+
+        A swing is a change from one limit to the other within 10 control periods. A bang-bang plan has one or two swings.
+        """
         low, high = self.effort_limit[j]
         at = np.where(self.applied[:, j] >= high, 1, np.where(self.applied[:, j] <= low, -1, 0))
         touched = np.flatnonzero(at)
-        near = np.diff(touched) <= _SWING_PERIODS
+        near = np.diff(touched) <= 10
         count = int(np.sum(near & (at[touched[1:]] != at[touched[:-1]])))
-        return count >= max(_FEWEST_SWINGS, _SWING_SHARE * len(at))
+        return count >= max(6, 0.02 * len(at))
 
 
 def closure_gaps(mechanism: Mechanism, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest gaps at poses (n, n_q): (n,) [m] of points and slides, (n,) [rad] of angles or (0,) without any."""
+    """Return the largest gaps at poses (n, n_q): (n,) [m] of points and slides, (n,) [rad] of angles or (0,) if none."""
     gaps = mechanism.gaps_by_unit(poses)
     return gaps.get("m", np.zeros(len(poses))), gaps.get("rad", np.empty(0))

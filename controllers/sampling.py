@@ -1,10 +1,10 @@
 """Sampling of a control law: control period, simulator steps within it, and computing delay.
 
-A command computed at t_k = k T from the state read there acts from t_k + delay on and is held for a period:
+A command computed from the state at t_k = k T acts from t_k + delay and is held for one period:
 
     x_{k+1} = A x_k + B_late u_{k-d-1} + B u_{k-d}
 
-d whole periods of delay; B_late carries the share of a period during which the command before still acts.
+The delay has d whole periods. B_late belongs to the part of a period in which the previous command still acts.
 """
 
 from dataclasses import dataclass, replace
@@ -16,13 +16,11 @@ from linkplan.controllers.trackers.lqr import discretise, linearise
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 
-# Delays longer than this many periods are refused: no practical feedback loop has them.
+# Longest delay: no practical feedback loop has a longer one.
 MOST_DELAY_PERIODS = 1000
-# A delay or period that is off a whole number of simulator steps by less than this share of one is on it.
-_ON_STEP = 1e-6
-
-
-# More simulator steps than this in one control period are no feedback loop.
+# A delay this close to a whole number of simulator steps is rounded to it.
+_STEP_TOLERANCE = 1e-6
+# Most simulator steps in one control period: no practical feedback loop has more.
 MOST_SUBSTEPS = 100_000
 
 
@@ -56,12 +54,12 @@ class Sampling:
 
     @property
     def whole(self) -> int:
-        """The delay's whole periods, d."""
+        """The number d of whole periods in the delay."""
         return self.delay_steps // self.substeps
 
     @property
     def late(self) -> int:
-        """The simulator steps of a period during which the command before still acts."""
+        """The simulator steps of a period in which the previous command still acts."""
         return self.delay_steps % self.substeps
 
     @property
@@ -80,16 +78,17 @@ class Sampling:
 
 
 def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, substeps: int | None = None) -> Sampling:
-    """Return the sampling of a control period [s], in the fewest simulator steps that the model's own allows.
+    """Return the sampling of a control period [s] with the fewest simulator steps.
 
     Args:
-        mechanism: whose model says the longest simulator step.
+        mechanism: its model's timestep is the longest simulator step.
         period_s: the control period [s].
-        delay_periods: computing delay in control periods; a broken number takes simulator steps that divide it.
-        substeps: simulator steps in a period, where the model's own are not wanted.
+        delay_periods: computing delay in control periods; for a fraction the number of simulator steps is increased until
+            the delay is a whole number of them.
+        substeps: simulator steps per period; default: chosen here.
 
     Raises:
-        LinkplanError: for a period or delay that is no time, or a delay between two simulator steps.
+        LinkplanError: for an invalid period or delay, or a delay between two simulator steps.
     """
     if not (np.isfinite(period_s) and period_s > 0):
         raise LinkplanError(f"the control period is a positive number of seconds, got {period_s:g}")
@@ -102,10 +101,10 @@ def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, 
         )
     if substeps is None:
         fewest = max(1, int(np.ceil(period_s / float(mechanism.model.opt.timestep) - 1e-9)))
-        off = [abs(delay_periods * n - round(delay_periods * n)) < _ON_STEP for n in range(fewest, 20 * fewest + 1)]
-        substeps = fewest + (off.index(True) if True in off else 0)
+        fits = [abs(delay_periods * n - round(delay_periods * n)) < _STEP_TOLERANCE for n in range(fewest, 20 * fewest + 1)]
+        substeps = fewest + (fits.index(True) if True in fits else 0)
     steps = round(delay_periods * substeps)
-    if abs(delay_periods * substeps - steps) > _ON_STEP:
+    if abs(delay_periods * substeps - steps) > _STEP_TOLERANCE:
         raise LinkplanError(
             f"a delay of {delay_periods:g} control periods is not a whole number of simulator steps: a period has"
             f" {substeps} of them"
@@ -116,7 +115,7 @@ def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, 
 def simulated(
     mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A (n, m, m), B and B_late (n, m, n_u) of a period in MuJoCo's own steps about states (n, ...)."""
+    """Return A (n, m, m), B and B_late (n, m, n_u) of a period in MuJoCo's own steps, linearised about states (n, ...)."""
     A_h, B_h = simulator_step(mechanism, pose, velocity, effort, timing.timestep_s)
     A, B = repeat(A_h, B_h, timing.substeps)
     return _split(A, B, repeat(A_h, B_h, timing.substeps - timing.late)[1])
@@ -125,19 +124,19 @@ def simulated(
 def exact(
     mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the real motion under a held effort."""
+    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the continuous motion under a held effort."""
     continuous = linearise(mechanism, pose, velocity, effort)
     A, B = discretise(*continuous, timing.period_s)
     return _split(A, B, discretise(*continuous, timing.period_s - timing.late * timing.timestep_s)[1])
 
 
 def _split(A: np.ndarray, B: np.ndarray, B_new: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A, and B shared between the command that acts to the period's end and the one before it."""
+    """Return A, the new command's B and the previous command's B."""
     return A, B_new, B - B_new
 
 
 def augmented(A: np.ndarray, B: np.ndarray, B_late: np.ndarray, timing: Sampling) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (..., M, M) and B (..., M, n_u) of the state (x, u_{k-1}, ..., u_{k-memory}), its input u_k."""
+    """Return A (..., M, M) and B (..., M, n_u) for the state (x, u_{k-1}, ..., u_{k-memory}) and the input u_k."""
     m, n_u = B.shape[-2:]
     p = timing.memory
     size = m + p * n_u
@@ -165,5 +164,5 @@ def closed(A: np.ndarray, B: np.ndarray, gain: np.ndarray) -> np.ndarray:
 
 
 def spectral_radius(matrix: np.ndarray) -> np.ndarray:
-    """Return the largest size of an eigenvalue (...,) of matrices (..., M, M); below one is stable."""
+    """Return the spectral radius (...,) of matrices (..., M, M); a loop is stable below one."""
     return np.abs(np.linalg.eigvals(matrix)).max(axis=-1)

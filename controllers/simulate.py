@@ -1,4 +1,4 @@
-"""The simulation of a feedback loop: a plant, a law, a reference and the machines; a single run is an ensemble of one."""
+"""The simulation of a feedback loop from a plant, a law, a reference and machines. A single run is an ensemble of one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,15 +20,15 @@ from linkplan.models.mechanism import Mechanism
 
 
 class Plant(Protocol):
-    """What is simulated: a mechanism, and how its machines are moved."""
+    """A simulated mechanism."""
 
     @property
     def mechanism(self) -> Mechanism:
-        """The mechanism as the tracker believes it to be."""
+        """The mechanism as modelled, which the tracker uses."""
         ...
 
     def begin(self, reference: SampledReference, machines: Sequence[Imperfections]) -> tuple[Stepper, list[str | None]]:
-        """Return machines at the start of a reference, and why each that cannot be built cannot."""
+        """Return the machines at the start of a reference, and the reason for each that cannot be built, else None."""
         ...
 
 
@@ -36,12 +36,12 @@ class Plant(Protocol):
 class Ensemble:
     """The logs of n machines at their control instants, time first: (t, n, ...); NaN after a machine was frozen.
 
-    `time_s` (t, n) is each one's true time; `pose` (t, n, n_q) and `velocity` (t, n, n_s) [rad or m, and per second] are its
-    true states; `commanded` is the tracker's output, `applied` the mean of what acted in the period, both (t, n, n_u)
-    [N.m or N]; `power` (t, n) [W] the actuators' mechanical power, each one's size taken, NaN on rigid loops; `gap_m` (n,)
-    the largest distance that ever was between two points that a closure ties; `contacts` (n,) the most at an instant.
-    `done` (n,) counts the logged instants; `failure` says why one was frozen, `error` holds what the tracker raised.
-    `asked_s` (t,) [s] is how long the tracker took to answer for all machines, here and now.
+    `time_s` (t, n): true time [s]. `pose` (t, n, n_q) and `velocity` (t, n, n_s): true states [rad or m, and per second].
+    `commanded` and `applied` (t, n, n_u): the tracker's output and the mean effort of the period [N.m or N]. `power` (t, n):
+    sum of the absolute mechanical powers of the actuators [W], NaN on rigid loops. `gap_m` (n,): largest distance between
+    points that a closure ties. `contacts` (n,): largest number of contacts. `done` (n,): number of logged instants.
+    `failure`: reason why a machine was frozen. `error`: exception of the tracker. `asked_s` (t,): measured computing time
+    of the tracker for all machines [s].
     """
 
     tracker: str
@@ -61,7 +61,7 @@ class Ensemble:
 
 
 def bytes_each(mechanism: Mechanism, instants: int) -> int:
-    """Return the memory that the log of one machine takes."""
+    """Return the memory of one machine's log [bytes]."""
     return 8 * instants * (2 + mechanism.n_q + mechanism.dof + 3 * mechanism.n_u)
 
 
@@ -71,18 +71,18 @@ def simulate(
 ) -> Ensemble:
     """Return the logs of a tracker on machines over the whole reference.
 
-    Args:
-        plant: what is simulated.
-        law: the tracker; one that knows single states only is asked for each.
-        reference: the motion, sampled.
-        machines: what is wrong with each; by default one as modelled.
+    A machine that cannot be built fails before its first instant.
 
-    A machine that cannot be built is one that failed before its first instant.
+    Args:
+        plant: the simulated mechanism.
+        law: the tracker, for batches or for single states.
+        reference: the sampled motion.
+        machines: the imperfections of each machine; default: one machine as modelled.
     """
     stepper, failure = plant.begin(reference, machines)
     q, v = states_of(stepper)
     sensors = sensing([one.sensors for one in machines], q[:, stepper.independent], v, reference.period_s)
-    built = np.array([said is None for said in failure])
+    built = np.array([reason is None for reason in failure])
     if not built.all():
         stepper.keep(built)
         sensors = sensors.kept(built)
@@ -112,7 +112,7 @@ def simulate(
 def simulate_one(
     plant: MujocoPlant | PlantAsItStands, law: AnyTracker, reference: SampledReference, machine: Imperfections | None = None
 ) -> Rollout:
-    """Return the log of a tracker on one machine in MuJoCo, as modelled by default; what the tracker raises is raised."""
+    """Return the log of a tracker on one machine in MuJoCo, by default as modelled; the tracker's exception is re-raised."""
     ensemble = simulate(plant, law, reference, [machine or Imperfections()])
     if ensemble.error[0] is not None:
         raise ensemble.error[0]
@@ -120,7 +120,7 @@ def simulate_one(
 
 
 def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, reference: SampledReference) -> Rollout:
-    """Return the log of an ensemble's only machine; one whose first command is no number has that instant's."""
+    """Return the log of an ensemble's only machine. The log has at least one instant, even if the first command failed."""
     mechanism, loop = plant.mechanism, plant.loop
     kept = slice(0, max(1, int(ensemble.done[0])))
     time, pose = ensemble.time_s[kept, 0], ensemble.pose[kept, 0]

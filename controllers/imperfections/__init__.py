@@ -1,4 +1,4 @@
-"""What a real feedback loop has and a model has not: clocks, sensors, drives, friction, wrong masses and lengths, pushes.
+"""Imperfections of real feedback loops: clocks, sensors, drives, friction, errors of mass and length, pushes.
 
-In: small frozen values. Out: the simulated machine that they make of a mechanism, and its sensors and drives as arrays.
+In: small frozen values. Out: a mechanism's model with these imperfections, and its sensors and drives as arrays.
 """

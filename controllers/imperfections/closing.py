@@ -1,4 +1,4 @@
-"""The closed pose and rates of a plant that differs from its mechanism, by Newton's method on MuJoCo's own residuals."""
+"""Closed pose and rates of a plant that differs from its mechanism, by Newton's method on MuJoCo's constraint residuals."""
 
 import mujoco
 import numpy as np
@@ -6,31 +6,30 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 
-# Residuals [m or rad] below this are rounding of poses of about a metre; Newton's method gets there in a few steps.
-_CLOSED = 1e-13
-# Where rounding stops it earlier, this is still far below what a softened loop gapes.
-_GOOD_ENOUGH = 1e-9
-_MOST_STEPS = 50
+# Newton's method stops below this residual [m or rad], which is rounding for poses of about a metre.
+_ROUNDING_RESIDUAL = 1e-13
+# Largest accepted residual [m or rad], far below the gap of a soft loop.
+_MAX_RESIDUAL = 1e-9
 
 
 def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
-    """Return the closed pose (n_q,) next to a pose, its independent coordinates kept; `data` is overwritten.
+    """Return the closed pose (n_q,) near a pose with the same independent coordinates; `data` is overwritten.
 
     Raises:
-        AssemblyError: when the loop does not close there.
+        AssemblyError: if the loop does not close there.
     """
     dependent = mechanism.dependent
     q, best, residual = np.array(pose, dtype=float), np.array(pose, dtype=float), np.inf
-    for _ in range(_MOST_STEPS):
+    for _ in range(50):
         r, J = _equalities(model, data, mechanism, q)
         size = float(np.abs(r).max(initial=0.0))
         if not size < residual:
             break
         best, residual = q.copy(), size
-        if size < _CLOSED:
+        if size < _ROUNDING_RESIDUAL:
             break
         q[dependent] -= np.linalg.lstsq(J[:, dependent], r, rcond=None)[0]
-    if residual > _GOOD_ENOUGH:
+    if residual > _MAX_RESIDUAL:
         joints = zip(mechanism.independent_joints, q[mechanism.independent], strict=True)
         where = ", ".join(f"{joint.name} = {joint.said(x, 4)} {joint.unit}" for joint, x in joints)
         raise AssemblyError(
@@ -42,7 +41,7 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
 def closed_rates(
     model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray
 ) -> np.ndarray:
-    """Return rates (n_q,) whose dependent ones keep the loop closed, J q' = 0; `data` is overwritten."""
+    """Return rates (n_q,) with dependent rates that keep the loop closed, J q' = 0; `data` is overwritten."""
     _, J = _equalities(model, data, mechanism, pose)
     found, dependent = np.array(rates, dtype=float), mechanism.dependent
     found[dependent] = 0.0

@@ -1,7 +1,7 @@
-"""The drives of many simulations at once: from commands to the efforts that act. This file's job is speed.
+"""The drives of many simulations at once: from commands to applied efforts. Written for speed.
 
-Between two simulator steps an effort is its mean over the step: a delay, a lag or a push that ends within a step keeps its
-impulse. Every row is worked out by itself, so that a simulation is the same to the last bit whatever runs beside it.
+During a simulator step the applied effort is its mean over the step, so that a delay, lag or push that ends within a step
+keeps its impulse. Every row is computed independently of the others, to the last bit.
 """
 
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from linkplan.controllers.imperfections.stacking import stacked
 class Driving:
     """Drives of simulations (n,): arrays (n, n_u), but `whole`, `late` and `fraction` (n,), `low` and `high` (n_u,).
 
-    `queue` (n, p, n_u) holds the last p = `n_queued` commands. A command acts after `whole` periods, `late` simulator steps
-    and a `fraction` of one; slot k mod p of the queue holds the command of instant k. `left` is what a lag leaves over a
-    step, `mean` its mean over the step; `most` the largest change in a step; `output` the lagged effort. `punctual`: all
-    commands act at the beginning of a period; `together`: after so many of them, None where that differs. `take` and `act`
-    fill `queue` and `output`, the only arrays that change.
+    `queue` (n, p, n_u) holds the last p = `n_queued` commands; slot k mod p holds the command of instant k. A command acts
+    after `whole` periods, `late` simulator steps and a `fraction` of a step. `left` is the share of an initial difference
+    that a lag leaves after a step, `mean` its mean share over the step, `most` the largest change in a step and `output`
+    the lagged effort. `punctual`: all commands act at the beginning of a period. `together`: the common whole delay, or
+    None if delays differ. `take` and `act` change `queue` and `output` only.
     """
 
     low: np.ndarray
@@ -45,7 +45,7 @@ class Driving:
 
     @property
     def clamp(self) -> np.ndarray:
-        """The simulator's own limits (n, n_u, 2) [N.m or N]: those of the current at each machine's torque constant."""
+        """The effort limits (n, n_u, 2) [N.m or N]: the current limits times each machine's torque constant factor."""
         return np.maximum(1.0, self.factor)[:, :, None] * np.stack([self.low, self.high], axis=1)
 
     def kept(self, rows: np.ndarray) -> "Driving":
@@ -57,7 +57,7 @@ class Driving:
 def driving(
     drives: Sequence[Drives], delays: Sequence[float], timesteps_s: Sequence[float], substeps: int, limit: np.ndarray
 ) -> Driving:
-    """Return drives with delays in control periods, stepped by timesteps [s], `substeps` to a period; limits (n_u, 2)."""
+    """Return the drives for delays [control periods], timesteps [s], simulator steps per period, and limits (n_u, 2)."""
     n_u = len(limit)
 
     def of_all(name: str) -> np.ndarray:
@@ -98,9 +98,9 @@ def driving(
 
 
 def stretches(drives: Driving, substeps: int) -> list[tuple[int, int]]:
-    """Return the simulator steps of a period between which efforts may change: (first, how many).
+    """Return the runs of simulator steps with constant efforts in a period: (first step, number of steps).
 
-    The first step of a period stands alone, for what is logged at its beginning.
+    The first step of a period is a run of its own, because the log records values at its beginning.
     """
     if drives.lagged or np.any(drives.fraction):
         return [(j, 1) for j in range(substeps)]
@@ -109,7 +109,7 @@ def stretches(drives: Driving, substeps: int) -> list[tuple[int, int]]:
 
 
 def take(drives: Driving, k: int, command: np.ndarray) -> None:
-    """Let commands (n, n_u) of instant k, rounded and cut at the limits, come in to the drives."""
+    """Queue the commands (n, n_u) of instant k, rounded and clipped to the limits."""
     if drives.rounded:
         step = np.where(drives.resolution > 0, drives.resolution, 1.0)
         command = np.where(drives.resolution > 0, step * np.round(command / step), command)
@@ -117,16 +117,16 @@ def take(drives: Driving, k: int, command: np.ndarray) -> None:
     np.maximum(command, drives.low, out=slot)
     np.minimum(slot, drives.high, out=slot)
     if k == 0:
-        # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
+        # Until the first command arrives, its value acts already, as if the loop had been running before.
         drives.queue[:], drives.output[:] = slot[:, None].copy(), slot
 
 
 def act(drives: Driving, k: int, j: int) -> np.ndarray:
-    """Return the mean efforts (n, n_u) that act over simulator step j of period k."""
+    """Return the mean efforts (n, n_u) over simulator step j of period k."""
     effort = arrived(drives, k)
     if not drives.punctual:
         before = arrived(drives, k - 1)
-        share = np.minimum(np.maximum(drives.late + drives.fraction - j, 0.0), 1.0)[:, None]  # of the command before
+        share = np.minimum(np.maximum(drives.late + drives.fraction - j, 0.0), 1.0)[:, None]  # of the previous command
         effort = share * before + (1.0 - share) * effort
     if drives.lagged:
         start = drives.output

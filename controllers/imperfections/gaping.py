@@ -1,6 +1,7 @@
-"""The gap of closures and the contacts of many simulations at once, from MuJoCo's own places of what is tied.
+"""Closure gaps and contacts of many simulations at once, from MuJoCo's positions of the tied points.
 
-What MuJoCo says is copied after every step and looked at for many steps together, since each look takes longer than a step.
+MuJoCo's arrays are copied after every step and evaluated for many steps together, because an evaluation takes longer than a
+step.
 """
 
 from collections.abc import Sequence
@@ -11,16 +12,14 @@ from mujoco.batch import Batch
 
 from linkplan.controllers.trackers.linear import added
 
-# Steps that are looked at together, at the most, and the memory that their copies may take.
-_MAX_STEPS, _MAX_BYTES = 64, 1 << 23
 _CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 _FIRST, _SECOND = slice(0, 3), slice(3, 6)
 
 
 class ClosureWatch:
-    """The largest gap of tied points and the most contacts of a batch's simulations so far.
+    """The largest gap of tied points and the largest number of contacts of a batch's simulations so far.
 
-    A simulation that is stepped no more stays as it was last, which adds nothing.
+    A frozen simulation keeps its last state, which changes neither maximum.
     """
 
     def __init__(self, batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
@@ -33,26 +32,26 @@ class ClosureWatch:
         names = ["ncon", *(["site_xpos"] if self._at_sites else []), *(["xpos", "xmat"] if self._at_bodies else [])]
         self._live = {name: batch.bind(name) for name in names}
         size = sum(array.nbytes for array in self._live.values())
-        steps = max(1, min(_MAX_STEPS, _MAX_BYTES // max(size, 1)))
+        steps = max(1, min(64, 8_388_608 // max(size, 1)))  # copies of at most 8 MiB
         self._copies = {name: np.empty((steps, *array.shape), array.dtype) for name, array in self._live.items()}
         self._pairs = [(self._copies[name], array) for name, array in self._live.items()]
         self._steps, self._noted = steps, 0
         self._squares, self._contacts = np.zeros(n), np.zeros(n, dtype=int)
 
     def note(self) -> None:
-        """Take note of what the simulations' last steps left."""
+        """Copy the simulations' present positions and contacts."""
         for copies, live in self._pairs:
             copies[self._noted] = live
         self._noted += 1
         if self._noted == self._steps:
-            self._look()
+            self._evaluate()
 
     def largest(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the largest gaps [m] and the most contacts (n,) of all that was noted."""
-        self._look()
+        """Return the largest gaps [m] and numbers of contacts (n,) over all copies."""
+        self._evaluate()
         return np.sqrt(self._squares), self._contacts
 
-    def _look(self) -> None:
+    def _evaluate(self) -> None:
         noted, self._noted = self._noted, 0
         if not noted:
             return
@@ -62,7 +61,7 @@ class ClosureWatch:
             sites = copies["site_xpos"]
             self._widen(sites[:, :, model.eq_obj1id[i]] - sites[:, :, model.eq_obj2id[i]])
         for i, anchor in zip(self._at_bodies, self._anchors, strict=True):
-            # MuJoCo holds a weld's point in its second body's frame first.
+            # For a weld, MuJoCo stores the point in the second body's frame first.
             data = (_SECOND, _FIRST) if int(model.eq_type[i]) == _WELD else (_FIRST, _SECOND)
             ends = []
             for body, columns in zip((model.eq_obj1id[i], model.eq_obj2id[i]), data, strict=True):
@@ -70,6 +69,6 @@ class ClosureWatch:
                 ends.append(copies["xpos"][:, :, body] + added(turn * anchor[:, None, columns]))
             self._widen(ends[0] - ends[1])
 
-    def _widen(self, apart: np.ndarray) -> None:
-        """Take in distances (steps, n, 3) between two points."""
-        self._squares = np.fmax(self._squares, np.fmax.reduce(added(apart**2), axis=0))
+    def _widen(self, gap: np.ndarray) -> None:
+        """Update the largest gap with vectors (steps, n, 3) between two tied points."""
+        self._squares = np.fmax(self._squares, np.fmax.reduce(added(gap**2), axis=0))

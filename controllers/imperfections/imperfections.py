@@ -1,6 +1,6 @@
-"""The imperfections of one machine: small frozen values, each neutral by default, in SI units.
+"""The imperfections of one machine: small frozen values in SI units, each neutral by default.
 
-All of them belong to the plant and the loop around it. The tracker is never told.
+All of them belong to the plant and to the feedback loop. The tracker does not use them.
 """
 
 from collections.abc import Mapping
@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# A value for all joints (or actuators) at once, or one for each.
+# One value for all joints (or actuators), or an array with one for each.
 Each = float | np.ndarray
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Clock:
-    """The controller's clock: instant k comes at (k + phase) T factor, and the tracker takes it for k T.
+    """The controller's clock: instant k is at time (k + phase) T factor, while the tracker assumes k T.
 
-    `delay_periods` of computing pass before a command acts, fractions too, beside the loop's own whole periods.
+    `delay_periods` (may be a fraction) adds to the loop's own whole periods of delay.
     """
 
     period_factor: float = 1.0
@@ -28,8 +28,8 @@ class Clock:
 class Sensors:
     """Encoders on the independent joints: resolution, offset and noise (standard deviations) [rad or m, and per second].
 
-    With `velocity_filter_hz` the velocity is the measured position's difference over a period, low-pass filtered to the
-    first order; otherwise it is measured as it is. `noise_seed` makes the noise, whatever else is simulated beside it.
+    With `velocity_filter_hz`, the velocity is the first-order low-pass filtered difference quotient of the measured
+    position; otherwise it is measured directly. The noise depends on `noise_seed` only.
     """
 
     resolution: Each = 0.0
@@ -42,10 +42,10 @@ class Sensors:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Drives:
-    """The actuators: steps of the command [N.m or N], torque constant as a factor, first-order bandwidth [Hz], rate limit.
+    """The actuators: command resolution [N.m or N], torque constant factor, first-order bandwidth [Hz], rate limit.
 
-    A command is rounded to the resolution, cut at its limit, delayed, lagged, limited in rate [N.m/s or N/s], and then the
-    factor makes of it what acts: a limit is one of the current.
+    A command is rounded to the resolution, clipped to its limit, delayed, low-pass filtered, limited in rate [N.m/s or N/s]
+    and finally multiplied by the factor. The effort limit is therefore a limit of the current.
     """
 
     resolution: Each = 0.0
@@ -56,12 +56,12 @@ class Drives:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Machine:
-    """What is built otherwise than modelled.
+    """The differences between the machine and its model.
 
     `viscous` [N.m.s/rad or N.s/m] and `coulomb` [N.m or N] friction (n_q,) are added at every joint. `mass_factor`
-    multiplies the payload's mass and inertia (all moving bodies' without one); `com_shift_m` (3,) moves the payload's centre
-    of mass in its body's frame. `length_factor` scales links by body: all points fixed to it, about its own joint.
-    `loop_solref` holds the loop constraints' time constant [s] and damping ratio, in place of the model's.
+    multiplies the payload's mass and inertia, or those of all moving bodies without a payload. `com_shift_m` (3,) moves the
+    payload's centre of mass in its body's frame. `length_factor` scales the points fixed to a body about the body's joint.
+    `loop_solref` replaces the time constant [s] and damping ratio of the loop constraints.
     """
 
     viscous: Each = 0.0
@@ -74,7 +74,7 @@ class Machine:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Push:
-    """A force (3,) [N] on a body's centre of mass in world axes, or an effort [N.m or N] on a joint, for some time [s]."""
+    """A force (3,) [N] on a body's centre of mass in world axes, or an effort [N.m or N] on a joint, during a time [s]."""
 
     start_s: float
     duration_s: float
@@ -86,7 +86,7 @@ class Push:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Start:
-    """The machine's start beside the reference's: position and velocity errors of the independent joints."""
+    """The errors of initial position and velocity of the independent joints."""
 
     position_error: Each = 0.0
     velocity_error: Each = 0.0

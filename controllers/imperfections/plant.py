@@ -1,4 +1,4 @@
-"""The simulated machine: a mechanism's MuJoCo model with one machine's imperfections, and where it starts."""
+"""The simulated machine: a mechanism's MuJoCo model with one machine's imperfections, and its initial state."""
 
 import copy
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.stiffness import make_dry
 
-# MuJoCo answers a loop constraint's time constant below this many steps by taking this many.
-_LEAST_STEPS = 2.0
+# MuJoCo raises a loop constraint's time constant to at least this many timesteps.
+_MIN_TIME_CONSTANT_STEPS = 2.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Plant:
-    """A model of its own, and the closed pose (n_q,) and consistent rates (n_q,) it starts with."""
+    """A machine's own model, and its initial closed pose (n_q,) and consistent rates (n_q,)."""
 
     model: mujoco.MjModel
     pose: np.ndarray
@@ -32,12 +32,12 @@ class Plant:
 
 
 def as_modelled(one: Imperfections) -> bool:
-    """Return whether a machine is built, starts and is clocked as modelled: its plant is that of all such machines."""
+    """Return True if a machine's model, start and clock are as modelled, so that such machines can share one plant."""
     machine, start, clock = one.machine, one.start, one.clock
     numbers = (machine.viscous, machine.coulomb, start.position_error, start.velocity_error, clock.phase_periods)
     factors = (machine.mass_factor, clock.period_factor, one.drives.constant_factor)
-    otherwise = machine.com_shift_m is not None or machine.length_factor or machine.loop_solref is not None
-    if otherwise or any(bool(x) if isinstance(x, int | float) else np.any(x) for x in numbers):
+    changed = machine.com_shift_m is not None or machine.length_factor or machine.loop_solref is not None
+    if changed or any(bool(x) if isinstance(x, int | float) else np.any(x) for x in numbers):
         return False
     return all(f == 1.0 if isinstance(f, int | float) else np.all(np.equal(f, 1.0)) for f in factors)
 
@@ -48,28 +48,28 @@ def plant(
     """Return the plant of one machine.
 
     Raises:
-        LinkplanError: for a body that is not there, no payload where one is shifted, or a loop that does not close.
+        LinkplanError: for an unknown body, a shifted payload without a payload, or a loop that does not close.
     """
     machine, clock = imperfect.machine, imperfect.clock
     model = copy.deepcopy(mechanism.model)
-    data = mujoco.MjData(model)  # for all that follows: to make one takes longer than to work something out in it
+    data = mujoco.MjData(model)  # shared by all computations below, because its creation is slow
     scale_masses(model, data, loop.mass_factor * machine.mass_factor)
     timestep_s = clock.period_factor * reference.period_s / substeps
     constants = np.broadcast_to(imperfect.drives.constant_factor, (mechanism.n_u,))
     prepare(model, mechanism, timestep_s, np.maximum(1.0, constants)[:, None] * loop.effort_limit)
     model.dof_damping[:] += machine.viscous
-    _rub(model, machine)
-    _stiffen(model, machine)
+    _add_dry_friction(model, machine)
+    _set_loop_softness(model, machine)
     if machine.com_shift_m is not None or machine.length_factor:
-        _build_otherwise(model, data, machine)
+        _change_geometry(model, data, machine)
     pose, rates = start_of(model, data, mechanism, reference, imperfect)
     return Plant(model=model, pose=pose, rates=rates)
 
 
 def prepare(model: mujoco.MjModel, mechanism: Mechanism, timestep_s: float, effort_limit: np.ndarray) -> None:
-    """Make a mechanism's model, which is changed, one that is stepped by a timestep [s] under efforts (n_u, 2)."""
+    """Prepare a model for simulation with a timestep [s] and effort limits (n_u, 2); the model is modified."""
     model.opt.timestep = timestep_s
-    # A blow-up stays visible: MuJoCo would start such a simulation anew from its reference pose.
+    # By default MuJoCo resets a diverged simulation to its reference pose, which would hide the divergence.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     for actuator, (low, high) in zip(mechanism.actuators, effort_limit, strict=True):
         admit(model, actuator, low, high)
@@ -80,7 +80,7 @@ def prepare(model: mujoco.MjModel, mechanism: Mechanism, timestep_s: float, effo
 def start_of(
     model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, reference: SampledReference, imperfect: Imperfections
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the closed pose (n_q,) and consistent rates (n_q,) that a machine starts with.
+    """Return a machine's initial closed pose (n_q,) and consistent rates (n_q,).
 
     Raises:
         AssemblyError: for a loop that does not close there.
@@ -95,7 +95,7 @@ def start_of(
     if as_planned:
         gamma = np.array(mechanism.dynamics.velocity_map(reference.pose[0]))
         return reference.pose[0], gamma @ reference.velocity[0]
-    # Newton's method from the plan's own start leads anywhere where the machine's lies far from it: along the branch first.
+    # Newton's method may diverge if the machine starts far from the plan's start: follow the assembly branch first.
     poses, arrived = continue_to(mechanism, reference.pose[0], s[None])
     pose, rates = np.array(poses[0] if arrived else reference.pose[0]), np.zeros(mechanism.n_q)
     pose[mechanism.independent], rates[mechanism.independent] = s, v
@@ -104,7 +104,7 @@ def start_of(
 
 
 def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:
-    """Multiply mass and inertia in a model: the payload's, or all moving bodies'; `data` is overwritten."""
+    """Multiply mass and inertia of the payload, or of all moving bodies without one; `data` is overwritten."""
     if factor == 1.0:
         return
     bodies = [body for body in range(1, model.nbody) if model.body_weldid[body] != 0]
@@ -116,10 +116,11 @@ def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> N
 
 
 def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) -> None:
-    """Let MuJoCo's own clamps admit the loop's limits: the problem's limits stand in for the file's.
+    """Replace the model's effort limits of an actuator by the feedback loop's limits.
 
-    A servo keeps the range of its ctrl, which is one of positions or speeds.
+    A servo keeps its ctrl range, which limits positions or speeds.
     """
+    force_range = _force_range(low, high)
     index, on = actuator.index, int(model.actuator_trnid[actuator.index, 0])
     if not actuator.is_servo:
         ends = sorted((end - actuator.biases[0]) / actuator.gain for end in (low, high))
@@ -129,67 +130,69 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
             model.actuator_ctrllimited[actuator.channel] = False
     if model.actuator_forcelimited[index] or actuator.is_servo:
         model.actuator_forcelimited[index] = True
-        model.actuator_forcerange[index] = (low, high) if np.all(np.isfinite((low, high))) else (-1e30, 1e30)
+        model.actuator_forcerange[index] = force_range
     kind = int(model.actuator_trntype[index])
     if actuator.joint is not None and model.jnt_actfrclimited[on]:
-        forces = sorted((low * actuator.gear, high * actuator.gear))
-        model.jnt_actfrcrange[on] = forces if np.all(np.isfinite(forces)) else (-1e30, 1e30)
+        model.jnt_actfrcrange[on] = _force_range(*sorted((low * actuator.gear, high * actuator.gear)))
     if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
         if model.tendon_actfrclimited[on]:
-            model.tendon_actfrcrange[on] = (low, high) if np.all(np.isfinite((low, high))) else (-1e30, 1e30)
+            model.tendon_actfrcrange[on] = force_range
         for dof, arm in constant_arms(model, index).items():
             joint = int(model.dof_jntid[dof])
             if model.jnt_actfrclimited[joint] and arm:
-                # The joint's clamp is what narrowed this actuator's limit, which is held already.
+                # The actuator's limit already accounts for the joint's limit.
                 model.jnt_actfrclimited[joint] = False
 
 
-def _rub(model: mujoco.MjModel, machine: Machine) -> None:
-    """Add dry friction, hard enough to be dry."""
-    rubs = np.broadcast_to(machine.coulomb, (model.nv,)) > 0
+def _force_range(low: float, high: float) -> tuple[float, float]:
+    """Return a force range for MuJoCo, which has no infinite ranges."""
+    return (low, high) if np.isfinite(low) and np.isfinite(high) else (-1e30, 1e30)
+
+
+def _add_dry_friction(model: mujoco.MjModel, machine: Machine) -> None:
     model.dof_frictionloss[:] += machine.coulomb
-    make_dry(model, rubs)
+    make_dry(model, np.broadcast_to(machine.coulomb, (model.nv,)) > 0)
 
 
-def _stiffen(model: mujoco.MjModel, machine: Machine) -> None:
+def _set_loop_softness(model: mujoco.MjModel, machine: Machine) -> None:
     if machine.loop_solref is None:
         return
-    least = _LEAST_STEPS * float(model.opt.timestep)
+    least = _MIN_TIME_CONSTANT_STEPS * float(model.opt.timestep)
     if machine.loop_solref[0] < least * (1 - 1e-9):
         raise LinkplanError(
-            f"a loop constraint's time constant is at least {_LEAST_STEPS:g} simulator steps ({least:g} s),"
+            f"a loop constraint's time constant is at least {_MIN_TIME_CONSTANT_STEPS:g} simulator steps ({least:g} s),"
             f" got {machine.loop_solref[0]:g} s"
         )
     model.eq_solref[:] = machine.loop_solref
 
 
-def _build_otherwise(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
-    """Scale links and move the payload's centre of mass; then MuJoCo's derived constants, the closures' points kept."""
+def _change_geometry(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
+    """Scale links, move the payload's centre of mass, and update MuJoCo's derived constants except closure points."""
     for name, factor in machine.length_factor.items():
         body = body_index(model, name)
         joints = np.flatnonzero(model.jnt_bodyid == body)
         about = model.jnt_pos[joints[0]].copy() if len(joints) else np.zeros(3)
         for points in _points_of(model, body):
             points[:] = about + factor * (points - about)
-        _frames_apart(model, body)
+        _separate_frames(model, body)
     if machine.com_shift_m is not None:
         body = body_index(model, BODY_NAME)
         model.body_ipos[body] += machine.com_shift_m
-        _frames_apart(model, body)
+        _separate_frames(model, body)
     kept = model.eq_data.copy()
     mujoco.mj_setConst(model, data)
     model.eq_data[:] = kept
 
 
-def _frames_apart(model: mujoco.MjModel, body: int) -> None:
-    """Let MuJoCo work out frames that its compiler found to be the same, and that are no longer."""
+def _separate_frames(model: mujoco.MjModel, body: int) -> None:
+    """Clear the compiler's marks of coinciding frames, which no longer coincide after a change of geometry."""
     model.body_sameframe[body] = 0
     model.site_sameframe[model.site_bodyid == body] = 0
     model.geom_sameframe[model.geom_bodyid == body] = 0
 
 
 def _points_of(model: mujoco.MjModel, body: int) -> list[np.ndarray]:
-    """Return views (3,) of all points that are fixed to a body: children, sites, geoms, closures' anchors, its centre."""
+    """Return views (3,) of all points fixed to a body: children, sites, geoms, closure anchors and centre of mass."""
     places = [model.body_ipos[body]]
     places += [model.body_pos[i] for i in np.flatnonzero(model.body_parentid == body)]
     places += [model.site_pos[i] for i in np.flatnonzero(model.site_bodyid == body)]
@@ -200,7 +203,7 @@ def _points_of(model: mujoco.MjModel, body: int) -> list[np.ndarray]:
         if model.eq_type[i] == int(mujoco.mjtEq.mjEQ_CONNECT):
             ends = {int(model.eq_obj1id[i]): slice(0, 3), int(model.eq_obj2id[i]): slice(3, 6)}
         elif model.eq_type[i] == int(mujoco.mjtEq.mjEQ_WELD):
-            # MuJoCo holds the weld's point in the second body's frame, and the second body's place in the first one's.
+            # A weld stores its point in the second body's frame, then the second body's position in the first one's frame.
             ends = {int(model.eq_obj2id[i]): slice(0, 3), int(model.eq_obj1id[i]): slice(3, 6)}
         else:
             continue
@@ -213,7 +216,7 @@ def body_index(model: mujoco.MjModel, name: str) -> int:
     """Return the index of a body.
 
     Raises:
-        LinkplanError: when there is none of that name, or no payload.
+        LinkplanError: if no body has this name, or if there is no payload.
     """
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if index > 0:

@@ -1,4 +1,4 @@
-"""The pushes on many simulations at once: forces on bodies and efforts on joints, over windows in time."""
+"""Pushes on many simulations at once: forces on bodies and efforts on joints during time windows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,9 +13,9 @@ from linkplan.models.mechanism import Mechanism
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Pushing:
-    """Pushes of simulations (n, m), m the most that one has: from `start` to `end` [simulator steps] of each one's own.
+    """Pushes (n, m) on simulations, from `start` to `end` [simulator steps of each simulation]; m is the largest number.
 
-    `force` (n, m, nbody, 6) [N, N.m] acts at bodies' centres of mass, `effort` (n, m, nv) [N.m or N] on joints.
+    `force` (n, m, nbody, 6) [N, N.m] acts at the bodies' centres of mass, `effort` (n, m, nv) [N.m or N] on joints.
     """
 
     start: np.ndarray
@@ -31,7 +31,7 @@ class Pushing:
         """Return the mean forces (n, nbody, 6) and efforts (n, nv) over a simulator step."""
         share = np.maximum(np.minimum(step + 1.0, self.end) - np.maximum(float(step), self.start), 0.0)
         force, effort = np.zeros(self.force[:, 0].shape), np.zeros(self.effort[:, 0].shape)
-        for i in range(share.shape[1]):  # one after another: the order of a sum is part of its last bit
+        for i in range(share.shape[1]):  # a fixed order of summation keeps the last bit reproducible
             force += share[:, i, None, None] * self.force[:, i]
             effort += share[:, i, None] * self.effort[:, i]
         return force, effort
@@ -40,10 +40,10 @@ class Pushing:
 def pushing(
     machines: Sequence[Imperfections], plants: Sequence[Plant], mechanism: Mechanism, substeps: int
 ) -> Pushing | None:
-    """Return the pushes on machines, None where there are none at all.
+    """Return the pushes on machines, or None if no machine has one.
 
     Raises:
-        LinkplanError: for a body or joint that is not there.
+        LinkplanError: for an unknown body or joint.
     """
     n, most, model = len(machines), max((len(one.pushes) for one in machines), default=0), mechanism.model
     if most == 0:

@@ -1,6 +1,6 @@
-"""The sensors of many simulations at once: from true states to what each tracker is given. This file's job is speed.
+"""The sensors of many simulations at once: from true to measured states. Written for speed.
 
-Every row is worked out by itself, so that a simulation measures the same to the last bit whatever runs beside it.
+Every row is computed independently, so that a simulation's measurements do not depend on the others, to the last bit.
 """
 
 from collections.abc import Sequence
@@ -11,16 +11,16 @@ import numpy as np
 from linkplan.controllers.imperfections.imperfections import Sensors
 from linkplan.controllers.imperfections.stacking import stacked
 
-# Noise is drawn for so many control instants at a time.
-_BLOCK = 256
+# Control instants for which noise is drawn at a time.
+_NOISE_BLOCK_INSTANTS = 256
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Sensing:
-    """Sensors of simulations (n,) and what they remember: arrays (n, n_s), `filtered` and `pole` (n, 1).
+    """Sensors of simulations (n,) with their state: arrays (n, n_s), `filtered` and `pole` (n, 1).
 
-    `before` is the position measured last and `estimate` the velocity; `generators` make the noise, `drawn` holds the
-    present block of it (n, t, 2 n_s), t = 0 where no sensor is noisy. `measure` fills these three, all else stays.
+    `before` is the last measured position and `estimate` the last filtered velocity. `generators` make the noise; `drawn`
+    (n, t, 2 n_s) holds its present block, with t = 0 without noise. `measure` changes `before`, `estimate` and `drawn`.
     """
 
     period_s: float
@@ -65,24 +65,24 @@ def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarr
             np.random.default_rng(np.random.SeedSequence(one.noise_seed)) if noisy else None for one in sensors
         ),
         perfect=not (np.any(resolution) or np.any(offset) or np.any(noise) or np.any(filtered)),
-        drawn=np.empty((n, _BLOCK if noisy else 0, 2 * n_s)),
-        # As if the sensors had been read one period earlier, on the way to the start.
+        drawn=np.empty((n, _NOISE_BLOCK_INSTANTS if noisy else 0, 2 * n_s)),
+        # The measurement one period before the start.
         before=_rounded(position - period_s * velocity + offset, resolution),
         estimate=np.array(velocity, dtype=float),
     )
 
 
 def measure(sensing: Sensing, k: int, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return measured positions and velocities (n, n_s) at instant k for true ones."""
+    """Return the measured positions and velocities (n, n_s) at instant k."""
     if sensing.perfect:
         return position, velocity
     n_s, drawn = position.shape[1], sensing.drawn
     read, rate = position + sensing.offset, velocity
     if drawn.shape[1]:
-        if k % _BLOCK == 0:
+        if k % _NOISE_BLOCK_INSTANTS == 0:
             for block, generator in zip(drawn, sensing.generators, strict=True):
                 generator.standard_normal(out=block)
-        noise = sensing.noise * drawn[:, k % _BLOCK]
+        noise = sensing.noise * drawn[:, k % _NOISE_BLOCK_INSTANTS]
         read, rate = read + noise[:, :n_s], rate + noise[:, n_s:]
     read = _rounded(read, sensing.resolution)
     difference = (read - sensing.before) / sensing.period_s
@@ -92,6 +92,6 @@ def measure(sensing: Sensing, k: int, position: np.ndarray, velocity: np.ndarray
 
 
 def _rounded(value: np.ndarray, resolution: np.ndarray) -> np.ndarray:
-    """Return values at the nearest steps of a resolution; as they are where it is zero."""
+    """Return values rounded to a resolution; a zero resolution does not round."""
     step = np.where(resolution > 0, resolution, 1.0)
     return np.where(resolution > 0, step * np.round(value / step), value)

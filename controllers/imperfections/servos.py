@@ -1,11 +1,11 @@
-"""Servos that give the effort asked, as far as the range of their ctrl leaves it.
+"""Servos as effort sources: the ctrl value that produces a given effort, within the range of ctrl.
 
-Who runs a plan on a servo works out the ctrl that gives an effort where it stands, at every step:
+At every step the ctrl c of a servo is computed from the desired effort u, the length l and the speed l':
 
     u = gain c + bias,   gain = g0 + g1 l + g2 l',   bias = b0 + b1 l + b2 l',   c within its range.
 
-Under integrators whose steps do not know how a force changes that is a motor, which is what the simulation then has. The
-implicit ones have the slopes of a servo's force in a step's inertia, whatever its ctrl: there servos stay what they are.
+With explicit integrators such a servo is equivalent to a motor, and the simulation uses a motor. Implicit integrators add
+the derivatives of a servo's force to the step's inertia, for any ctrl, so the simulation keeps the servo.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,17 @@ import numpy as np
 from linkplan.models.actuation.actuators import FIXED, LEAST_GAIN, NO_BIAS
 from linkplan.models.mechanism import Mechanism
 
-# Integrators whose steps know nothing of how a servo's force changes.
+# Integrators that do not use the derivatives of a servo's force.
 _EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
 
 
 def stay_servos(mechanism: Mechanism) -> bool:
-    """Return whether a mechanism has servos that a simulator step tells from motors."""
+    """Return True if a mechanism has servos and an integrator that uses the derivatives of their force."""
     return any(one.is_servo for one in mechanism.actuators) and int(mechanism.model.opt.integrator) not in _EXPLICIT
 
 
 def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:
-    """Make the servos of a model, which is changed, motors whose ctrl is their effort."""
+    """Change the servos of a model into motors whose ctrl is their effort; the model is modified."""
     for actuator in mechanism.actuators:
         if actuator.is_servo:
             i = actuator.index
@@ -38,9 +38,9 @@ def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ServoInversion:
-    """What makes ctrls (n, n_u) of efforts: coefficients (n_u, 3) of gains and biases, the ends (n_u,) of ctrls' ranges.
+    """The map from efforts to ctrls (n, n_u): coefficients (n_u, 3) of gains and biases, ends (n_u,) of the ctrl ranges.
 
-    `motor` (n_u,) are the servos that the simulation has as motors: their ctrl is the effort that their range leaves.
+    `motor` (n_u,) marks servos that are simulated as motors: their ctrl is the effort that their range allows.
     """
 
     gains: np.ndarray
@@ -50,18 +50,18 @@ class ServoInversion:
     motor: np.ndarray
 
     def controls(self, effort: np.ndarray, length: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ctrls that give efforts at actuators' lengths and speeds, and the efforts that they give."""
+        """Return the ctrls for efforts (n, n_u) at the actuators' lengths and speeds, and the efforts they produce."""
         gain = self.gains[:, 0] + self.gains[:, 1] * length + self.gains[:, 2] * rate
         bias = self.biases[:, 0] + self.biases[:, 1] * length + self.biases[:, 2] * rate
-        none = np.abs(gain) <= LEAST_GAIN * np.abs(self.gains[:, 0])  # no ctrl gives an effort
-        wanted = np.where(none, 0.0, (effort - bias) / np.where(none, 1.0, gain))
-        ctrl = np.where(none, 0.0, np.minimum(np.maximum(wanted, self.low), self.high))
-        given = np.where((ctrl == wanted) & ~none, effort, gain * ctrl + bias)
+        no_gain = np.abs(gain) <= LEAST_GAIN * np.abs(self.gains[:, 0])  # ctrl has no effect on the effort
+        wanted = np.where(no_gain, 0.0, (effort - bias) / np.where(no_gain, 1.0, gain))
+        ctrl = np.where(no_gain, 0.0, np.minimum(np.maximum(wanted, self.low), self.high))
+        given = np.where((ctrl == wanted) & ~no_gain, effort, gain * ctrl + bias)
         return np.where(self.motor, given, ctrl), given
 
 
 def servo_inversion(mechanism: Mechanism) -> ServoInversion | None:
-    """Return what makes ctrls of efforts; None where each is a multiple of the other, but for a constant."""
+    """Return the map from efforts to ctrls; None if every ctrl is an affine function of its effort without limits."""
     servos = np.array([one.is_servo for one in mechanism.actuators])
     ranges = np.array([[one.control_lower, one.control_upper] for one in mechanism.actuators])
     ranges[~servos] = -np.inf, np.inf

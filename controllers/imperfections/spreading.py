@@ -1,6 +1,7 @@
-"""One batch of MuJoCo simulations with a model field of its own for each simulation, where the machines differ in it.
+"""One batch of MuJoCo simulations in which each simulation has its own copy of the model fields that differ.
 
-Whole models of their own (`Batch.set_models`) do the same at half again the time a step: each one's memory is read anew.
+Separate models (`Batch.set_models`) give the same results, but a step takes half as long again, because each model's memory
+is read separately.
 """
 
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-# All fields of a model that an imperfection changes, or that MuJoCo derives from those.
+# All model fields that an imperfection changes, and the fields that MuJoCo derives from them.
 FIELDS = (
     "body_mass", "body_inertia", "body_ipos", "body_pos", "body_sameframe", "body_subtreemass", "body_invweight0",
     "dof_M0", "dof_damping", "dof_frictionloss", "dof_solref", "dof_solimp",
@@ -21,7 +22,7 @@ FIELDS = (
 
 
 def spread(batch: Batch, base: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
-    """Give a batch of the base model each simulation's own fields, where any model's differs from the base's."""
+    """Expand every field of a batch in which some model differs from the base model."""
     unlike = [model for model in models if model is not base]
     for name in FIELDS:
         common = getattr(base, name)

@@ -1,4 +1,4 @@
-"""Settings of many machines as one array. This file's job is speed: to broadcast each takes longer than a period."""
+"""Settings of many machines as one array. Written for speed: broadcasting each one takes longer than a control period."""
 
 from collections.abc import Sequence
 

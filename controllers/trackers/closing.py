@@ -1,30 +1,34 @@
-"""The whole pose at a measured position, as an expression: trackers are given the independent joints alone."""
+"""The whole pose at measured independent positions, as a CasADi expression: trackers measure independent joints only."""
 
 import casadi as ca
 
 from linkplan.models.mechanism import Mechanism
 
-# The loop is closed by Newton along this many strides from a pose near.
-_STRIDES, _NEWTON_STEPS = 4, 2
-# How often functions of the reduced dynamics are called for that.
-CLOSING_CALLS = {"velocity_map": _STRIDES, "closure_step": _STRIDES * _NEWTON_STEPS, "independent_closure": 1}
-# A loop that is open by more than this [m] was not closed: the position is too far from the pose near.
-CLOSED_NEAR_M = 1e-6
+# Continuation steps from the near pose, each with this many Newton steps.
+_CONTINUATION_STEPS, _NEWTON_STEPS = 4, 2
+# Number of calls of functions of the reduced dynamics.
+CLOSING_CALLS = {
+    "velocity_map": _CONTINUATION_STEPS,
+    "closure_step": _CONTINUATION_STEPS * _NEWTON_STEPS,
+    "independent_closure": 1,
+}
+# Largest loop gap of a closed pose. A larger gap means that the position is too far from the near pose.
+MAX_LOOP_GAP_M = 1e-6
 
 
 def closed_near(mechanism: Mechanism, near: ca.MX, s: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Return the pose q (n_q,) at independent positions s (n_s,) on the branch of a pose near, and its loops' gap [m]."""
+    """Return the pose q (n_q,) at independent positions s (n_s,) on the assembly branch of a near pose, and the gap [m]."""
     dynamics, dependent = mechanism.dynamics, mechanism.dependent.tolist()
     independent = mechanism.independent.tolist()
     q = ca.MX(near)
     if not dependent:
         q[independent] = s
         return q, ca.MX(0)
-    for stride in range(_STRIDES):
-        onward = (s - q[independent]) / (_STRIDES - stride)
-        there = q[independent] + onward
-        q = q + dynamics.velocity_map(q) @ onward
-        q[independent] = there
+    for step in range(_CONTINUATION_STEPS):
+        change = (s - q[independent]) / (_CONTINUATION_STEPS - step)
+        target = q[independent] + change
+        q = q + dynamics.velocity_map(q) @ change
+        q[independent] = target
         for _ in range(_NEWTON_STEPS):
             q[dependent] += dynamics.closure_step(q)[1]
     return q, ca.norm_inf(dynamics.independent_closure(q))

@@ -1,9 +1,9 @@
-"""Computed torque: inverse dynamics at the measured state, under a reference acceleration that errors correct.
+"""Computed torque: inverse dynamics at the measured state, with a reference acceleration corrected by the errors.
 
     u = (Gamma^T B)^+ tau(s, v, a_ref + 2 zeta w (v_ref - v) + w^2 (s_ref - s)),   tau the reduced inverse dynamics
 
-On a mechanism that is as modelled errors obey e'' + 2 zeta w e' + w^2 e = 0 everywhere (Featherstone, Rigid Body Dynamics
-Algorithms, 2008, 1.5; Siciliano et al., Robotics, 2009, 8.5.2).
+If the mechanism is as modelled, the errors obey e'' + 2 zeta w e' + w^2 e = 0 at all poses (Featherstone, Rigid Body
+Dynamics Algorithms, 2008, 1.5; Siciliano et al., Robotics, 2009, 8.5.2).
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.closing import CLOSED_NEAR_M, closed_near
+from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M, closed_near
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped, sampled
 
@@ -22,8 +22,8 @@ from linkplan.models.poses.along import evaluated, mapped, sampled
 class ComputedTorque:
     """u = (Gamma^T B)^+ tau(s, v, a_ref + damping (v_ref - v) + stiffness (s_ref - s)).
 
-    `acceleration` (n, n_s) is what the reference's own efforts produce; `stiffness` w^2 [1/s^2] and `damping` 2 zeta w
-    [1/s]; `law` takes a pose near, s, v and a to efforts and to what the loop is open by [m].
+    `acceleration` (n, n_s): produced by the reference's own efforts. `stiffness`: w^2 [1/s^2]. `damping`: 2 zeta w [1/s].
+    `law`: function (near pose, s, v, a) -> efforts, loop gap [m].
     """
 
     reference: SampledReference
@@ -42,7 +42,7 @@ class ComputedTorque:
         s, v, a = (np.atleast_2d(x) for x in (position, velocity, acceleration))
         near = np.broadcast_to(reference.pose[k], (len(s), reference.pose.shape[1]))
         effort, gap = self._called(near, s, v, a)
-        far = ~(gap <= CLOSED_NEAR_M)
+        far = ~(gap <= MAX_LOOP_GAP_M)
         if np.any(far):
             there = np.broadcast_to(reference.position[k], s.shape)
             effort[far] = self._called(near[far], there[far], v[far], a[far])[0]
@@ -56,7 +56,7 @@ class ComputedTorque:
 def computed_torque(
     mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float
 ) -> ComputedTorque:
-    """Return the computed torque tracker of a reference, its errors' natural frequency [rad/s] and damping ratio."""
+    """Return the computed torque tracker for the errors' natural frequency [rad/s] and damping ratio."""
     acceleration = sampled(mechanism.dynamics.acceleration, reference.pose, reference.velocity, reference.effort)[:, :, 0]
     return ComputedTorque(
         reference=reference,
@@ -68,7 +68,7 @@ def computed_torque(
 
 
 def _law(mechanism: Mechanism) -> ca.Function:
-    """Return (q near, s, v, a) -> efforts (n_u,), what the loop is open by [m]."""
+    """Return the function (near pose, s, v, a) -> efforts (n_u,), loop gap [m]."""
     dynamics, n_s = mechanism.dynamics, mechanism.dof
     near = ca.MX.sym("near", mechanism.n_q)
     s, v, a = (ca.MX.sym(name, n_s) for name in "sva")

@@ -1,4 +1,4 @@
-"""Feedforward: the efforts that the reference itself needs, added to another tracker's."""
+"""Feedforward: the efforts of the reference motion, added to another tracker's efforts."""
 
 from dataclasses import dataclass
 
@@ -22,9 +22,9 @@ class Feedforward:
 
     @property
     def batched(self) -> bool:
-        """Whether the feedback takes leading batch axes."""
+        """True if the feedback accepts leading batch axes."""
         return bool(getattr(self.feedback, "batched", False))
 
     def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return efforts (..., n_u) [N.m or N]; for leading batch axes where the feedback takes them."""
+        """Return efforts (..., n_u) [N.m or N], with leading batch axes if the feedback accepts them."""
         return self.reference.effort[k] + self.feedback.effort(k, position, velocity)

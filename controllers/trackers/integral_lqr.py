@@ -1,10 +1,10 @@
-"""LQR with integral action: the position error's integral joins the state, so that a constant disturbance leaves no error.
+"""LQR with integral action: the state includes the integral of the position error, which removes steady-state errors.
 
     i_{k+1} = i_k + T C (s_ref - s_k),   u = u_ref + K_k (e_k, i_k)
 
-(Franklin, Powell & Workman, Digital Control of Dynamic Systems, 1998, 8.5). C takes the positions that are integrated: all
-where actuators move every degree of freedom, else as many as they move (`integrable`). The integral stands still while a
-command is beyond an effort limit (conditional integration; Astrom & Hagglund, Advanced PID Control, 2006, 3.5).
+(Franklin, Powell & Workman, Digital Control of Dynamic Systems, 1998, 8.5). C selects the integrated positions: all of them
+on a fully actuated mechanism, otherwise the set given by `integrable`. The integral is held while a command exceeds an
+effort limit (conditional integration; Astrom & Hagglund, Advanced PID Control, 2006, 3.5).
 """
 
 import itertools
@@ -18,16 +18,15 @@ from linkplan.controllers.trackers.lqr import Errors, Regulator, linearise, regu
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 
-# Weighed singular values below this share of the largest are zero: derivatives of the reduced dynamics are exact to 1e-12.
-_RANK = 1e-9
+# Weighted singular values below this share of the largest count as zero; the derivatives are accurate to 1e-12.
+_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class IntegralLQR:
     """u = u_ref + K_k (x_ref - x, i), gains K (n, n_u, 2 n_s + n_i); the memory is i (n, n_i) [rad.s or m.s].
 
-    `integrated` (n_i,) are the columns of s whose errors are integrated; `effort_limit` (n_u, 2) [N.m or N] is where
-    integration stops.
+    `integrated` (n_i,) are the columns of s with integrated errors. Integration stops at `effort_limit` (n_u, 2) [N.m or N].
     """
 
     reference: SampledReference
@@ -54,24 +53,24 @@ class IntegralLQR:
 def integrable(stiffness: np.ndarray, effort_map: np.ndarray) -> np.ndarray:
     """Return the columns of s whose errors can be integrated together.
 
-    With s' = 0 in s'' = A_s s + A_v s' + B u, a constant disturbance leaves no error in the outputs C s where the rest of s
-    and u can make up for it, whatever it is:
+    At rest, s'' = A_s s + A_v s' + B u = 0 with s' = 0. Any constant disturbance leaves no error in the outputs C s if the
+    other coordinates and u can compensate for it:
 
-        rank [A_s B; C 0] = n_s + n_i,
+        rank [A_s B; C 0] = n_s + n_i.
 
-    no transmission zero at s = 0 and no more outputs than inputs (Davison, The Robust Control of a Servomechanism Problem,
-    IEEE TAC 21, 1976). Otherwise no feedback makes the integrals stable. A cart-pole's cart can be kept in place, by a
-    leaning pole; its pole cannot be kept upright against a push anywhere, which takes a cart that accelerates for ever.
-    There are always as many such outputs as efforts that are independent; of several sets the one whose disturbances the
-    rest makes up for with least, in the units given.
+    The plant then has no transmission zero at zero frequency and no more outputs than inputs (Davison, The Robust Control
+    of a Servomechanism Problem, IEEE TAC 21, 1976). Otherwise no feedback stabilises the integrals. Example: a cart-pole
+    can hold its cart in place with a leaning pole. It cannot hold its pole upright against a constant push, because the
+    cart would have to accelerate for ever. The largest possible number of outputs is chosen. Among sets of this size, the
+    set with the best conditioned compensation is chosen.
 
     Args:
-        stiffness: A_s (n_s, n_s), in units of what weighs alike.
-        effort_map: B (n_s, n_u), the same.
+        stiffness: A_s (n_s, n_s), in units of equal cost.
+        effort_map: B (n_s, n_u), in the same units.
     """
     n = len(stiffness)
-    for count in range(min(n, int(np.linalg.matrix_rank(effort_map, rtol=_RANK))), 0, -1):
-        best, most = None, _RANK
+    for count in range(min(n, int(np.linalg.matrix_rank(effort_map, rtol=_RANK_TOLERANCE))), 0, -1):
+        best, most = None, _RANK_TOLERANCE
         for outputs in itertools.combinations(range(n), count):
             rest = np.concatenate([np.delete(stiffness, outputs, axis=1), effort_map], axis=1)
             sizes = np.linalg.svd(rest, compute_uv=False)
@@ -88,21 +87,22 @@ def integral_lqr(
     """Return the LQR tracker with integral action of a reference.
 
     Args:
-        mechanism: whose reduced dynamics are linearised.
-        reference: the motion, sampled.
-        errors: what weighs 1; an integral weighs 1 that a position error of 1 gathers in the integral time.
-        integral_time_s: that time [s].
+        mechanism: its reduced dynamics are linearised.
+        reference: the sampled motion.
+        errors: the errors and efforts of unit cost. The integral of a unit position error over the integral time also has
+            unit cost.
+        integral_time_s: the integral time [s].
         effort_limit: (n_u, 2) [N.m or N].
 
     Raises:
-        LinkplanError: when no stabilising gain exists, or no error can be kept at zero.
+        LinkplanError: if no stabilising gain exists, or if no error can be integrated.
     """
     plain, kept = regulator(mechanism, reference, errors)
     n, m, n_u = plain.B.shape
     n_s, half = mechanism.dof, m // 2
     steered = kept[:half]
     size = np.broadcast_to(errors.position, n_s)[steered]
-    # Where the motion rests, or a cycle's last instant: there the Riccati recursion begins.
+    # The last instant, where the Riccati recursion begins.
     last = slice(n - 1, n)
     A_c, B_c = linearise(mechanism, reference.pose[last], reference.velocity[last], reference.effort[last])
     chosen = integrable(
@@ -110,13 +110,13 @@ def integral_lqr(
     )
     if not len(chosen):
         raise LinkplanError(
-            f"lqi finds no joint of '{mechanism.name}' whose error its actuators can keep at zero where the motion ends; lqr"
-            " does without an integral"
+            f"lqi finds no joint of '{mechanism.name}' whose error its actuators can keep at zero at the end of the motion;"
+            " lqr needs no integral"
         )
     p = len(chosen)
     A, B = np.zeros((n, m + p, m + p)), np.zeros((n, m + p, n_u))
     A[:, :m, :m], B[:, :m] = plain.A, plain.B
-    # In terms of x - x_ref, as the regulator has it: the integral falls as the position rises.
+    # The regulator's state is x - x_ref, so the integral decreases with the position.
     A[:, m + np.arange(p), chosen] = -reference.period_s
     A[:, m:, m:] = np.eye(p)
     weights = np.concatenate([size, np.broadcast_to(errors.velocity, n_s)[steered], integral_time_s * size[chosen]])

@@ -1,4 +1,4 @@
-"""Small products whose every row is the same to the last bit whatever stands in the rows beside it."""
+"""Small products and sums in which each row is independent of the other rows, to the last bit."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ import numpy as np
 def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return M x (..., p) of M (..., p, m) and x (..., m), summed over m from the first column to the last.
 
-    BLAS picks its kernels, and so the order of its sums, by the size of the batch: results would differ in the last bit.
+    BLAS chooses its kernels, and so the order of summation, by the size of the batch, which changes the last bit.
     """
     total = matrix[..., 0] * vector[..., :1]
     for j in range(1, vector.shape[-1]):
@@ -15,7 +15,7 @@ def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def added(terms: np.ndarray) -> np.ndarray:
-    """Return the sums (...,) of terms (..., m), from the first to the last."""
+    """Return the sums (...,) of terms (..., m) in order from the first to the last."""
     total = terms[..., 0]
     for j in range(1, terms.shape[-1]):
         total = total + terms[..., j]

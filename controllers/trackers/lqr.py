@@ -2,9 +2,9 @@
 
     x = (s, v),   x_{k+1} = A_k x_k + B_k u_k,   u = u_ref + K_k (x_ref - x)
 
-A_k, B_k hold the reduced dynamics' derivatives at t_k over one control period (zero-order hold); K_k comes from the
-Riccati recursion backward in time (Anderson & Moore, Optimal Control, 1990, 2.4), from the stationary solution at the end
-of a motion, or over a periodic motion again and again until it repeats itself.
+A_k and B_k come from the reduced dynamics' derivatives at t_k, held over one control period (zero-order hold). K_k comes
+from the backward Riccati recursion (Anderson & Moore, Optimal Control, 1990, 2.4). It starts from the stationary solution
+at the end of the motion. For a periodic motion it is repeated until it converges to a periodic solution.
 """
 
 from dataclasses import dataclass
@@ -18,9 +18,8 @@ from linkplan.controllers.trackers.linear import times
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 
-# A periodic Riccati solution counts as found when a cycle changes it by less than this, relative; cycles before giving up.
+# Relative change over a cycle below which the periodic Riccati recursion has converged.
 _CYCLE_TOLERANCE = 1e-9
-_MAX_CYCLES = 200
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -42,9 +41,9 @@ class LQR:
 def linearise(
     mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (n, 2 n_s, 2 n_s) and B (n, 2 n_s, n_u) of x' = A x + B u about states along a motion.
+    """Return A (n, 2 n_s, 2 n_s) and B (n, 2 n_s, n_u) of x' = A x + B u about n states.
 
-    Exact derivatives of the reduced model along the closed chain; no simulator is differenced.
+    They are exact derivatives of the reduced model, without finite differences of a simulator.
     """
     n, n_s, n_u = len(pose), mechanism.dof, mechanism.n_u
     function = mechanism.dynamics.linearisation
@@ -67,10 +66,11 @@ def discretise(A: np.ndarray, B: np.ndarray, period_s: float) -> tuple[np.ndarra
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Regulator:
-    """Optimal feedback along a motion: w_k = -K_k e_k of e_{k+1} = A_k e_k + B_k w_k, for instants k = 0 to n - 1.
+    """Optimal feedback w_k = -K_k e_k for e_{k+1} = A_k e_k + B_k w_k, at instants k = 0 to n - 1.
 
-    `A` (n, m, m), `B` (n, m, n_u), `gains` K (n, n_u, m); `cost` P (n, m, m), e^T P e is the least cost from an instant on;
-    `Q` and `R` weigh a period. `after` (n,) is the instant that follows each: the next, the last again, or a cycle's first.
+    `A` (n, m, m), `B` (n, m, n_u), `gains` K (n, n_u, m). `cost` P (n, m, m): e^T P e is the optimal cost to go. `Q` and `R`
+    are the cost matrices of one period. `after` (n,) is the index of the following instant: the last instant follows
+    itself, or the first follows the last of a cycle.
     """
 
     A: np.ndarray
@@ -83,10 +83,10 @@ class Regulator:
 
 
 def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repeats: bool) -> Regulator:
-    """Return the optimal feedback of the cost sum e^T Q e + w^T R w, over a motion that ends at rest or repeats itself.
+    """Return the optimal feedback for the cost sum e^T Q e + w^T R w, over a motion that ends at rest or repeats.
 
     Raises:
-        LinkplanError: when no stabilising gain exists.
+        LinkplanError: if no stabilising gain exists.
     """
     try:
         P = scipy.linalg.solve_discrete_are(A[-1], B[-1], Q, R)
@@ -95,7 +95,7 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
     gains, cost, P_next = _backward(A, B, Q, R, P)
     cycles = 0
     while repeats and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
-        if (cycles := cycles + 1) > _MAX_CYCLES:
+        if (cycles := cycles + 1) > 200:
             raise LinkplanError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
         P = P_next
         gains, cost, P_next = _backward(A, B, Q, R, P)
@@ -106,9 +106,10 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Errors:
-    """What weighs 1 in the cost of a regulator: errors of position and of velocity, efforts.
+    """Errors and efforts of unit cost in a regulator.
 
-    Errors [rad or m, and per second] are one for all or (n_s,); efforts (n_u,) [N.m or N], as a rule their limits.
+    Position and velocity errors [rad or m, and per second] are one value for all joints or (n_s,). Efforts (n_u,) [N.m or N]
+    are usually the effort limits.
     """
 
     position: float | np.ndarray
@@ -117,9 +118,9 @@ class Errors:
 
 
 def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> tuple[Regulator, np.ndarray]:
-    """Return the optimal feedback along a reference, and the states (m,) of x = (s, v) that it acts on.
+    """Return the optimal feedback along a reference, and the indices (m,) of x = (s, v) in its state.
 
-    A passive degree of freedom, as a rod's spin between two balls, cannot be controlled: it stays out of the state.
+    A passive degree of freedom, such as the spin of a rod between two ball joints, is uncontrollable and left out.
     """
     n = repeated(reference)
     A, B = linearise(mechanism, reference.pose[:n], reference.velocity[:n], reference.effort[:n])
@@ -133,7 +134,7 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
 
 
 def repeated(reference: SampledReference) -> int:
-    """Return how many of a reference's instants differ from one another: those of a cycle, or all."""
+    """Return the number of different instants of a reference: one cycle, or all."""
     return reference.n if reference.cycle is None else min(reference.cycle, reference.n)
 
 
@@ -148,14 +149,14 @@ def lqr(
     """Return the LQR tracker of a reference.
 
     Args:
-        mechanism: whose reduced dynamics are linearised.
-        reference: the motion, sampled.
-        position_weight: position error [rad or m] that weighs 1, one for all or (n_s,).
-        velocity_weight: velocity error [rad/s or m/s] that weighs 1, one for all or (n_s,).
-        effort_weight: effort (n_u,) that weighs 1, its limit as a rule.
+        mechanism: its reduced dynamics are linearised.
+        reference: the sampled motion.
+        position_weight: position error [rad or m] of unit cost, one for all joints or (n_s,).
+        velocity_weight: velocity error [rad/s or m/s] of unit cost, one for all joints or (n_s,).
+        effort_weight: effort (n_u,) of unit cost, usually the effort limit.
 
     Raises:
-        LinkplanError: when no stabilising gain exists.
+        LinkplanError: if no stabilising gain exists.
     """
     errors = Errors(position=position_weight, velocity=velocity_weight, effort=effort_weight)
     found, kept = regulator(mechanism, reference, errors)
@@ -165,7 +166,7 @@ def lqr(
 
 
 def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the gains (n, n_u, m) of the Riccati recursion from P at the end, P (n, m, m), and P at the beginning."""
+    """Return gains (n, n_u, m), P (n, m, m) and the first P of the backward Riccati recursion from P at the end."""
     gains, cost = np.empty((len(A), B.shape[2], A.shape[1])), np.empty(A.shape)
     for k in range(len(A) - 1, -1, -1):
         BP = B[k].T @ P

@@ -1,7 +1,7 @@
-"""The names of the tracking laws: known without loading what computes them."""
+"""The names of the tracking laws, in a file of their own so that listing them loads no numerical code."""
 
 LINEAR = ("pd", "pd+ff", "lqr")
-"""Laws of one gain on the state: those that frequency responses and tuning know, and that are compared if none is named."""
+"""Linear state feedback laws: frequency responses and tuning support these, and a comparison uses them by default."""
 
 TRACKERS = (*LINEAR, "lqi", "gs-pd+ff", "ct", "mpc")
-"""All."""
+"""All tracking laws."""

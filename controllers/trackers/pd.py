@@ -15,8 +15,8 @@ from linkplan.models.poses.along import sampled
 class PD:
     """u = (Gamma^T B)^+ [kp (s_ref - s) + kd (v_ref - v)].
 
-    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m], one for all or one for each (n_s,), act on the independent joints; `map`
-    (n, n_u, n_s) takes their efforts to the actuators along the reference.
+    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m], one for all or one for each (n_s,), act on the independent joints. `map`
+    (n, n_u, n_s) converts joint efforts to actuator efforts along the reference.
     """
 
     reference: SampledReference

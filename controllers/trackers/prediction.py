@@ -1,22 +1,22 @@
-"""Motions that a tracker predicts: the reduced dynamics under held efforts from a state, and their linearisation."""
+"""Predicted motions: the reduced dynamics under held efforts from a given state, and their linearisation."""
 
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from linkplan.controllers.trackers.closing import CLOSED_NEAR_M, closed_near
+from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M, closed_near
 from linkplan.controllers.trackers.lqr import discretise
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped
 
-# How often a Runge-Kutta step asks for the motion's slope.
-FLOWS = 4
+# Evaluations of the dynamics in one Runge-Kutta step.
+RUNGE_KUTTA_STAGES = 4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Predictor:
-    """Motions over `blocks` blocks of `block_s` [s] each, one Runge-Kutta step of fourth order a block."""
+    """Motions over `blocks` blocks of `block_s` [s] each, with one fourth-order Runge-Kutta step per block."""
 
     mechanism: Mechanism
     blocks: int
@@ -28,14 +28,14 @@ class Predictor:
     def motions_of(
         self, near: np.ndarray, s: np.ndarray, v: np.ndarray, efforts: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (q, v) (r, blocks + 1, n_q + n_s) from states (r, n_s) under held efforts (r, blocks, n_u).
+        """Return (q, v) (r, blocks + 1, n_q + n_s) from states (r, n_s) under held efforts (r, blocks, n_u), and a mask.
 
-        And whether (r,) each is predicted: what stands where it is lost means nothing.
+        The mask (r,) is False for a failed prediction, whose values are meaningless.
         """
         motions, found = np.zeros((len(s), self.blocks + 1, len(near) + s.shape[1])), np.zeros(len(s), dtype=bool)
         for row, motion in enumerate(motions):
             q, gap = evaluated(self.begin, near, s[row])
-            if not gap.item() <= CLOSED_NEAR_M:
+            if not gap.item() <= MAX_LOOP_GAP_M:
                 continue
             motion[0] = np.concatenate([q.ravel(), v[row]])
             motion[1:] = evaluated(self.motion, motion[0], efforts[row].T)[0].T
@@ -43,7 +43,7 @@ class Predictor:
         return motions, found
 
     def linearised(self, motions: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return A (r, blocks, 2 n_s, 2 n_s), B (r, blocks, 2 n_s, n_u) of each block of motions, about its middle."""
+        """Return A (r, blocks, 2 n_s, 2 n_s) and B (r, blocks, 2 n_s, n_u) of each block, linearised about its middle."""
         n_q, n_s, n = self.mechanism.n_q, self.mechanism.dof, self.blocks
         middle = 0.5 * (motions[:, 1:] + motions[:, :-1])
         slopes = [np.empty((len(efforts), n, n_s, size)) for size in (n_s, n_s, efforts.shape[2])]
@@ -55,29 +55,29 @@ class Predictor:
 
 
 def held(by_s: np.ndarray, by_v: np.ndarray, by_u: np.ndarray, block_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (n, 2 n_s, 2 n_s), B (n, 2 n_s, n_u) of (s, v) over blocks [s], the acceleration's derivatives held.
+    """Return A (n, 2 n_s, 2 n_s) and B (n, 2 n_s, n_u) of (s, v) over blocks [s] with constant acceleration derivatives.
 
-    The exponential's series to its fourth order, that of the Runge-Kutta step by which motions are predicted, where it
-    converges at once; the exponential itself beside a singular pose.
+    The exponential's series is truncated at the fourth order, like the Runge-Kutta step of the prediction. If it converges
+    slowly, near a singular pose, the exact exponential is used.
     """
     n, n_s, n_u = by_u.shape
     A, B = np.zeros((n, 2 * n_s, 2 * n_s)), np.zeros((n, 2 * n_s, n_u))
     A[:, :n_s, n_s:] = np.eye(n_s)
     A[:, n_s:, :n_s], A[:, n_s:, n_s:], B[:, n_s:] = by_s, by_v, by_u
     stiff = ~((block_s**2 * np.abs(by_s).sum(axis=2) <= 1) & (block_s * np.abs(by_v).sum(axis=2) <= 1)).all(axis=1)
-    term = np.eye(2 * n_s) * block_s  # of h (1 + h A / 2 + (h A)^2 / 6 + (h A)^3 / 24)
+    term = np.eye(2 * n_s) * block_s  # terms of h (1 + h A / 2 + (h A)^2 / 6 + (h A)^3 / 24)
     total = term
     for order in (2, 3, 4):
         term = (block_s / order) * (A @ term)
         total = total + term
-    over = np.eye(2 * n_s) + A @ total, total @ B
+    A_block, B_block = np.eye(2 * n_s) + A @ total, total @ B
     if np.any(stiff):
-        over[0][stiff], over[1][stiff] = discretise(A[stiff], B[stiff], block_s)
-    return over
+        A_block[stiff], B_block[stiff] = discretise(A[stiff], B[stiff], block_s)
+    return A_block, B_block
 
 
 def predictor(mechanism: Mechanism, blocks: int, block_s: float) -> Predictor:
-    """Return what predicts a mechanism's motions over blocks of a length [s]."""
+    """Return the predictor of a mechanism's motions over blocks of a length [s]."""
     n_q, n_s = mechanism.n_q, mechanism.dof
     near, s = ca.MX.sym("near", n_q), ca.MX.sym("s", n_s)
     state, u = ca.MX.sym("state", n_q + n_s), ca.MX.sym("u", mechanism.n_u)

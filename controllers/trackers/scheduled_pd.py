@@ -1,4 +1,4 @@
-"""Gain-scheduled PD: the same bandwidth and damping ratio at every pose, from the reduced inertia there."""
+"""Gain-scheduled PD: gains proportional to the reduced inertia give the same bandwidth and damping ratio at every pose."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def scheduled_pd(mechanism: Mechanism, reference: SampledReference, natural_freq
 
     Args:
         mechanism: the mechanism.
-        reference: the motion, sampled.
+        reference: the sampled motion.
         natural_frequency: w [rad/s].
         damping_ratio: zeta.
     """

@@ -1,15 +1,14 @@
-"""What a tracker is: a pure law from a control instant and the measured state to efforts.
+"""Trackers: pure laws from a control instant and the measured state to efforts.
 
-Whatever runs a tracker asks it through `steps_of` (stepping.py), which knows all kinds:
+The feedback loop calls every tracker through `steps_of` (stepping.py). There are two kinds:
 
-* `Tracker`: `effort(k, position, velocity)`, for one state. Where the class says `batched = True`, its `effort` takes
-  leading batch axes as well, position and velocity (..., n_s) -> efforts (..., n_u); without it, states are given one by
-  one.
-* `TrackerWithMemory`: `start(n)` and `step(k, position, velocity, memory)`, always for a batch of n states, a single run
-  being a batch of one. The memory is the loop's: the law is given it and returns the next one, and keeps nothing.
+* `Tracker`: `effort(k, position, velocity)` for one state. With the class attribute `batched = True`, `effort` also accepts
+  leading batch axes: position and velocity (..., n_s) -> efforts (..., n_u). Otherwise states are passed one by one.
+* `TrackerWithMemory`: `start(n)` and `step(k, position, velocity, memory)`, always for a batch of n states. The feedback
+  loop stores the memory. The law receives it, returns the next memory and stores nothing itself.
 
-The efforts of one state must not depend on the other states of its batch, to the last bit: `times` (linear.py) multiplies
-so.
+The efforts of one state must not depend on the other states of its batch, to the last bit. `times` (linear.py) ensures
+this for products.
 """
 
 from typing import Protocol
@@ -18,7 +17,7 @@ import numpy as np
 
 
 class Tracker(Protocol):
-    """A law u = f(k, s, v), with no history, filter, saturation or delay of its own: those belong to the loop."""
+    """A law u = f(k, s, v) without history, filter, saturation or delay, which belong to the feedback loop."""
 
     @property
     def name(self) -> str:
@@ -31,7 +30,7 @@ class Tracker(Protocol):
 
 
 class TrackerWithMemory(Protocol):
-    """A law (u_k, m_k+1) = f(k, s, v, m_k) over a batch of states, its memory m held by the loop that runs it."""
+    """A law (u_k, m_k+1) = f(k, s, v, m_k) over a batch of states; the feedback loop stores the memory m."""
 
     @property
     def name(self) -> str:

@@ -1,4 +1,4 @@
-"""`linkplan batch`: many problems that vary one, planned on an engine, taken up where a process was killed.
+"""`linkplan batch`: variants of one problem, planned on an engine; an interrupted batch can be resumed.
 
-In: a batch file's problem and cases. Out: a plan's folder for each case that has one, the record of all of them, a table.
+In: a batch file's problem and cases. Out: a folder for each feasible plan, a record of all cases, and a table.
 """

@@ -1,6 +1,6 @@
-"""The unit of a batch's work: some cases in a row, each planned from the last one's solution, the first from nothing.
+"""The unit of work of a batch: a block of consecutive cases, each planned from the previous case's solution.
 
-Which cases those are depends on their number alone, so that every plan is the same whatever ran beside it.
+The blocks depend on the number of cases only, so that every plan is reproducible.
 """
 
 import io
@@ -25,18 +25,18 @@ from linkplan.planner.files.trajectory_file import read_trajectory
 from linkplan.planner.refinement.history import Say
 from linkplan.studies.output.batch_table import case_record, case_row
 
-# A block is a sixteenth of the cases within these bounds: short enough to spread and to lose, long enough that few cases
-# begin from nothing.
-_SHARES, _FEWEST, _MOST = 16, 8, 64
+# A block is a sixteenth of the cases within these bounds. Short blocks spread over workers and are soon redone; long blocks
+# reuse more solutions.
+_MIN_BLOCK_CASES, _MAX_BLOCK_CASES = 8, 64
 _CASES = "cases.json"
 _FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
-# A file of a plan on the largest mesh has some ten megabytes.
+# Largest file of a plan; on the largest mesh it has some ten megabytes.
 _MAX_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Planned:
-    """One case's answer: its row of the table, its record, why there is no plan, and the files of the plan by name."""
+    """One case's answer: its row of the table, its record, the reason if there is no plan, and the plan's files by name."""
 
     name: str
     row: list
@@ -47,7 +47,7 @@ class Planned:
 
 def cases_of(block: int, n: int) -> range:
     """Return the cases of a block of a batch of n."""
-    size = min(_MOST, max(_FEWEST, -(-n // _SHARES)))
+    size = min(_MAX_BLOCK_CASES, max(_MIN_BLOCK_CASES, -(-n // 16)))
     return range(block * size, min(n, (block + 1) * size))
 
 
@@ -60,11 +60,11 @@ def plan_block(batch: Batch, block: int, target: Path | None, parquet: bool, say
     """Return the answers of a block's cases.
 
     Args:
-        batch: the whole.
-        block: which of its blocks.
-        target: where the folders of plans will stand; None where nobody keeps them.
-        parquet: whether each has a trajectory.parquet too.
-        say: is told the case that is planned.
+        batch: the batch.
+        block: index of the block.
+        target: the final folder of the plans; None if they are not kept.
+        parquet: write a trajectory.parquet for every plan.
+        say: receives the name of each case.
     """
     part, found = cases_of(block, len(batch.cases)), []
     cases = [batch.cases[i] for i in part]
@@ -84,18 +84,18 @@ def plan_block(batch: Batch, block: int, target: Path | None, parquet: bool, say
 
 def packed(answers: list[Planned]) -> bytes:
     """Return the answers of a block as one archive."""
-    said = [{"name": a.name, "row": a.row, "record": a.record, "failure": a.failure} for a in answers]
-    room = io.BytesIO()
-    with zipfile.ZipFile(room, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(_CASES), json.dumps(said))  # undated: a clock before 1980 has no date in archives
+    records = [{"name": a.name, "row": a.row, "record": a.record, "failure": a.failure} for a in answers]
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(zipfile.ZipInfo(_CASES), json.dumps(records))  # without date: zip has no dates before 1980
         for answer in answers:
             for name, content in answer.files.items():
                 archive.writestr(zipfile.ZipInfo(f"{answer.name}/{name}"), content)
-    return room.getvalue()
+    return buffer.getvalue()
 
 
 class _Answer(Struct, frozen=True):
-    """A case's answer as it stands in the archive of its block."""
+    """A case's answer in the archive of its block."""
 
     name: str
     row: list[str | None]
@@ -104,34 +104,34 @@ class _Answer(Struct, frozen=True):
 
 
 def unpacked(path: Path, cases: Sequence[Case], place: Path | None) -> list[Planned]:
-    """Return the answers of a block from its archive, without their files: those go into folders at a place.
+    """Return the answers of a block from its archive, and write their files into folders at `place` if given.
 
     Raises:
-        PlanFileError: when the archive is damaged, of other cases, or has a plan that could not be read where it stands.
+        PlanFileError: if the archive is damaged, belongs to other cases, or holds an invalid plan.
     """
     if not path.is_file():
-        raise PlanFileError(f"'{path}' is no file; remove it, and the same command plans its cases again")
+        raise PlanFileError(f"'{path}' is not a file; remove it, and the same command plans its cases again")
     try:
         with zipfile.ZipFile(path) as archive:
-            said = msgspec.json.decode(read_member(archive, _CASES, _MAX_BYTES), type=list[_Answer])
-            if [one.name for one in said] != [case.name for case in cases]:
+            answers = msgspec.json.decode(read_member(archive, _CASES, _MAX_BYTES), type=list[_Answer])
+            if [one.name for one in answers] != [case.name for case in cases]:
                 raise ValueError("its cases are not those of the batch")
             if place is not None:
-                _unpack(archive, said, place)
-    except Exception as error:  # a zip file's parser raises a dozen kinds on damaged bytes
+                _unpack(archive, answers, place)
+    except Exception as error:  # the zip parser raises many kinds of errors on damaged files
         why = one_line(error) or type(error).__name__
         raise PlanFileError(f"'{path}' is damaged: {why}; remove it, and the same command plans its cases again") from error
-    return [Planned(name=one.name, row=one.row, record=one.record, failure=one.failure, files={}) for one in said]
+    return [Planned(name=one.name, row=one.row, record=one.record, failure=one.failure, files={}) for one in answers]
 
 
-def _unpack(archive: zipfile.ZipFile, said: Sequence[_Answer], place: Path) -> None:
-    """Write the files of plans into a folder for each case, and read those back that are read again.
+def _unpack(archive: zipfile.ZipFile, answers: Sequence[_Answer], place: Path) -> None:
+    """Write the files of plans into a folder for each case, and check that the plans can be read.
 
     Raises:
-        ValueError: when a member is no file of a case's plan, or too large.
-        PlanFileError: when a plan's files are damaged.
+        ValueError: if a member is not a file of a case's plan, or too large.
+        PlanFileError: if a plan's files are damaged.
     """
-    planned = [one.name for one in said if one.failure is None]
+    planned = [one.name for one in answers if one.failure is None]
     legal = {f"{name}/{file}" for name in planned for file in _FILES}
     if others := sorted(set(archive.namelist()) - legal - {_CASES}):
         raise ValueError(f"'{others[0][:100]}' is no file of its plans")

@@ -1,4 +1,4 @@
-"""The record of a batch, `batch.json`, as far as it is read back."""
+"""The part of a batch's record, `batch.json`, that is read back."""
 
 from pathlib import Path
 
@@ -7,12 +7,12 @@ from msgspec import Struct
 
 from linkplan.planner.files.json_record import read_record
 
-# The record of ten thousand cases has 40 MB, of which a hundredth is read.
+# Largest record; ten thousand cases have 40 MB.
 _MAX_BYTES = 64_000_000
 
 
 class CaseRecord(Struct, frozen=True):
-    """What is read of a case: what was asked, and what came of it."""
+    """A case: its settings and its result."""
 
     settings: list[str]
     status: str
@@ -24,15 +24,15 @@ class CaseRecord(Struct, frozen=True):
 
 
 class BatchRecord(Struct, frozen=True):
-    """What is read of a batch: its cases by name."""
+    """The cases of a batch by name."""
 
     cases: dict[str, CaseRecord]
 
 
 def read_batch_record(path: Path) -> dict:
-    """Return a batch's record in JSON's own types, as far as a report shows it.
+    """Return the part of a batch's record that a report shows, in JSON types.
 
     Raises:
-        PlanFileError: when the file is damaged or none of a batch.
+        PlanFileError: if the file is damaged, or is not a batch's record.
     """
     return msgspec.to_builtins(read_record(path, BatchRecord, _MAX_BYTES))

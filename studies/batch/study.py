@@ -1,4 +1,4 @@
-"""The whole of a batch: its blocks on an engine, their parts as they come, and a folder of plans in the end."""
+"""A complete batch: an engine plans its blocks, each block's results are stored, and the end result is a folder of plans."""
 
 import contextlib
 import functools
@@ -23,7 +23,7 @@ RECORD = "batch.json"
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Outcome:
-    """What came of a batch: rows of the table, a sentence for each case without a plan, and the record of all."""
+    """The results of a batch: rows of the table, a sentence for each case without a plan, and the record."""
 
     rows: list[list]
     failures: list[str]
@@ -33,19 +33,19 @@ class Outcome:
 def run_batch(
     batch: Batch, target: Path | None, say: Say, *, engine: Engine = here, parquet: bool = False, keep_records: bool = True
 ) -> Outcome:
-    """Return the outcome of a batch, and write its plans into a folder, where one is given.
+    """Return the outcome of a batch, and write its plans into a folder if one is given.
 
     Args:
         batch: the problem and its cases.
-        target: the folder, written whole when all is done; its parts stand beside it until then.
-        say: is told of the progress.
-        engine: what runs its blocks.
-        parquet: whether every plan has a trajectory.parquet.
-        keep_records: whether the outcome has the records: of ten thousand cases they are large.
+        target: the folder, written in one step at the end; until then the parts are kept next to it.
+        say: receives progress messages.
+        engine: runs the blocks.
+        parquet: write a trajectory.parquet for every plan.
+        keep_records: include the cases' records in the outcome; for ten thousand cases they are large.
 
     Raises:
-        LinkplanError: for a case that cannot be used, before any is planned.
-        PlanFileError: when the folder holds something else, or the disk refuses.
+        LinkplanError: for an invalid case, before any case is planned.
+        PlanFileError: if the folder holds something else, or cannot be written.
     """
     asked = _asked(batch, target, parquet)
     if target is None:
@@ -69,7 +69,7 @@ def run_batch(
 
 
 def _asked(batch: Batch, target: Path | None, parquet: bool) -> dict:
-    """Return all that the files of a batch depend on."""
+    """Return all inputs of a batch's files."""
     cases = {case.name: list(case.settings) for case in batch.cases}
     return {
         "problem": batch.problem,
@@ -98,7 +98,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _work(batch: Batch, target: Path | None, parquet: bool, say: Say | None, block: int, threads: int) -> list[Planned]:
-    """Return a block's answers, in whatever process this is; a solver takes one thread."""
+    """Return a block's answers; runs in any worker process, with one thread."""
     del threads
     return plan_block(batch, block, target, parquet, say or silent)
 

@@ -1,4 +1,4 @@
-"""`linkplan bode`: a loop over angles, along a motion, and over its gains.
+"""`linkplan bode`: a feedback loop at several poses, along a motion, and for ranges of gains.
 
-In: a problem or model and a tracker. Out: responses and margins at every angle, stability maps, tables and figures.
+In: a problem or model and a tracker. Out: responses and margins at every pose, stability maps, tables and figures.
 """

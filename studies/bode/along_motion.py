@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --along`: the feedback loop frozen along a plan, Floquet multipliers where it repeats."""
+"""The study behind `linkplan bode --along`: the frozen feedback loop along a plan, and Floquet multipliers if periodic."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.scan import stability
+from linkplan.studies.bode.scan import bounds_text, stability
 from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
@@ -18,16 +18,13 @@ from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.output.digits import radius_figure
 
-# Instants along the motion whose margins are worked out.
-_INSTANTS = 25
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class AlongMotion:
-    """A tracker along a plan: frozen margins at instants (m,), the largest frozen pole at all (n,), the multipliers.
+    """A tracker along a plan: frozen margins at instants (m,), the largest frozen pole at all samples (n,), the multipliers.
 
-    Margins are those of the coordinate `channels` (m,) whose loop is the worst at the instant; the instants are even ones
-    and the worst between them.
+    The margins are those of the coordinate `channels` (m,) with the worst loop at the instant. The instants are evenly
+    spaced, plus the local worst ones between them.
     """
 
     plan: Plan
@@ -42,12 +39,12 @@ class AlongMotion:
 
     @property
     def worst(self) -> int:
-        """The index, of the instants, with the least disk margin, unstable ones first."""
+        """The index of the instant with the smallest disk margin; unstable instants come first."""
         return int(np.argmin([stability(m) for m in self.margins]))
 
 
 def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
-    """Return a tracker's loop along a plan, with the plan's own gains replaced by `settings`."""
+    """Return a tracker's loop along a plan; `settings` replace the plan's gains."""
     plan = replace(plan, problem=replace(plan.problem, tracking=settings))
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     reference = sample(mechanism, trajectory, settings.period_s, trajectory.duration_s)
@@ -56,7 +53,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     gains = tracker_gains(tracker)
     say(f"{law} frozen along {plan.problem.name}: {reference.n} control instants")
     radius = frozen_radii(mechanism, reference, tracker, timing)
-    instants = np.unique(np.linspace(0, reference.n - 1, _INSTANTS).astype(int))
+    instants = np.unique(np.linspace(0, reference.n - 1, 25).astype(int))
     known: dict[int, tuple[Margins, int]] = {}
 
     def worst(k: float) -> tuple[Margins, int]:
@@ -88,7 +85,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
 
 
 def frozen_loop(mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling, k: int) -> FeedbackLoop:
-    """Return the loop of the gain of instant k about the motion's state then, as if both stayed."""
+    """Return the loop frozen at instant k: its gain and the motion's state are kept constant."""
     point = OperatingPoint(
         mechanism=mechanism, pose=reference.pose[k], velocity=reference.velocity[k], hold=reference.effort[k]
     )
@@ -96,7 +93,7 @@ def frozen_loop(mechanism, reference: SampledReference, gains: np.ndarray, timin
 
 
 def along_record(found: AlongMotion) -> dict:
-    """Return what files say of the loop along the motion."""
+    """Return the loop along the motion as a JSON record."""
     reference, joints = found.reference, found.plan.problem.mechanism.independent_joints
     return {
         "plan": found.plan.problem.name,
@@ -111,19 +108,15 @@ def along_record(found: AlongMotion) -> dict:
 
 
 def along_text(found: AlongMotion) -> str:
-    """Return the worst instant and the multipliers."""
+    """Return the worst instant and the multipliers as text."""
     k, bounds = found.instants[found.worst], found.margins[found.worst]
-    said = (
-        f"disk margin {bounds.disk_margin:.3g}"
-        if bounds.stable
-        else f"unstable, largest pole {radius_figure(bounds.spectral_radius)}"
-    )
+    text = bounds_text(bounds)
     joints = found.plan.problem.mechanism.independent_joints
     if len(joints) > 1:
-        said += f", of the loop of {joints[found.channels[found.worst]].name}"
+        text += f", of the loop of {joints[found.channels[found.worst]].name}"
     lines = [
         f"{LAW_NAMES[found.law]} at frozen instants along {found.plan.problem.name}: worst at"
-        f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is"
+        f" {1e3 * found.reference.time_s[k]:.4g} ms ({text}); the largest frozen pole is"
         f" {radius_figure(float(found.radius.max()))}"
     ]
     lines.append(

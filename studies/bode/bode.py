@@ -1,6 +1,6 @@
-"""The study behind `linkplan bode`: a tracker's loop over joint angles, predicted and measured, with its worst case."""
+"""The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from linkplan.models.poses.contacts import ContactPair
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.scan import Line, Scan, coordinate_line, judge_of, scan_line, with_room
+from linkplan.studies.bode.scan import Line, Scan, coordinate_line, judge_of, reduced_limits, scan_line
 from linkplan.studies.bode.touching import touched, touching
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
@@ -24,34 +24,30 @@ from linkplan.studies.frequency.feedback_loops import (
     feedback_loop,
     law_gain,
     operating_point,
+    refuse_above_nyquist,
 )
 from linkplan.studies.frequency.margins import Margins, frequency_grid, margins
 from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.response import Response
-from linkplan.studies.frequency.trial import MOST_PERIODS, settle_trials
+from linkplan.studies.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
-POINTS = 5
-# Over a reach, five evenly and the two next to its ends, where gains are extreme (a singular end itself has none): as
-# shares of it.
-_OVER_THE_REACH = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
-SCANNED = 41
-# A worst pose within this share of a line of one that is looked at is that one.
-_SAME = 1e-3
-# Positions tried for whether the actuators hold them.
-_LOOKED = 81
-FREQUENCIES = 20
-# Where to measure by default, from and to, in units of the crossover, and never beyond this share of the sampling rate.
-_FROM, _TO, _SHARE = 1 / 20, 40.0, 0.45
-_SLOWEST_HZ = 1.0
-# Control periods for which loops are tried that contacts disturb: a simulated contact takes ten times as long as none.
-_DISTURBED_PERIODS = 4_000
+DEFAULT_POSES = 5
+# Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
+# be singular.
+_REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
+SCAN_POSITIONS = 41
+# A worst pose closer than this share of the line to a chosen pose is that pose.
+_SAME_POSE_SHARE = 1e-3
+# Trial periods of loops with contacts. A simulated contact takes about ten times the time.
+_CONTACT_TRIAL_PERIODS = 4_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class BodePoint:
-    """The loop of one joint at one pose: predicted, tried and, where it is stable and was asked for, measured.
+    """The loop of one joint at one pose: its prediction, its stability trial in MuJoCo and its measured responses.
 
-    `measured` and `predicted` hold the responses of `feedback_loops.QUANTITIES` at the same frequencies.
+    `measured` and `predicted` hold the responses of `feedback_loops.QUANTITIES` at the same frequencies. Both are empty for
+    an unstable loop, and if no measurement was requested.
     """
 
     sampled: FeedbackLoop
@@ -65,13 +61,13 @@ class BodePoint:
 
     @property
     def point(self) -> OperatingPoint:
-        """Where."""
+        """The operating point."""
         return self.sampled.point
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class BodeStudy:
-    """A tracker's loops over several poses, and the margins over the whole reach."""
+    """A tracker's loops at several poses, and the margins over the whole reach."""
 
     mechanism: Mechanism
     law: str
@@ -83,21 +79,21 @@ class BodeStudy:
     method: str | None
     simulated_steps: int
     conditions: dict
-    contacts: tuple[ContactPair, ...] = ()  # of geoms, at the operating points by index
+    contacts: tuple[ContactPair, ...] = ()  # pairs of geoms, with the indices of the operating points where they touch
 
     @property
     def stable(self) -> bool:
-        """Whether the sampled loop is stable at every pose looked at, and MuJoCo's own run of it too."""
+        """True if the sampled loop is stable at every pose, by the model and in MuJoCo."""
         return all(point.margins.stable and point.settles_in_mujoco for point in self.points)
 
     @property
     def disputed(self) -> tuple[str, ...]:
-        """The poses at which MuJoCo's own run settles and the sampled model is unstable, or the other way round."""
+        """The poses at which the sampled model and the MuJoCo run disagree about stability."""
         return tuple(dict.fromkeys(p.point.name for p in self.points if p.margins.stable != p.settles_in_mujoco))
 
     @property
     def loop_name(self) -> str:
-        """The loop in words."""
+        """The tracker with its gains, period and delay, as text."""
         settings = self.settings
         name = self.law if self.law == "lqr" else settings.gains_said(self.mechanism.independent_joints)
         name += f" sampled every {settings.period_s:g} s"
@@ -107,20 +103,20 @@ class BodeStudy:
 
     @property
     def worst_deviation(self) -> tuple[float, float] | None:
-        """The largest difference between measured and predicted closed loops, where coherent: [dB], [deg]."""
+        """The largest difference between measured and predicted closed loops at coherent frequencies: [dB], [deg]."""
         worst = []
         for point in self.points:
             for name in ("complementary", "reference"):
                 if name in point.measured:
                     measured = point.measured[name]
                     db, deg = measured.against(point.predicted[name])
-                    seen = measured.coherence > 0.99
-                    worst.append((np.abs(db[seen]).max(initial=0.0), np.abs(deg[seen]).max(initial=0.0)))
+                    coherent = measured.coherence > 0.99
+                    worst.append((np.abs(db[coherent]).max(initial=0.0), np.abs(deg[coherent]).max(initial=0.0)))
         return None if not worst else (float(max(w[0] for w in worst)), float(max(w[1] for w in worst)))
 
     @property
     def message(self) -> str:
-        """The verdict in a sentence."""
+        """The verdict as a sentence."""
         bad = list(dict.fromkeys(p.point.name for p in self.points if not p.margins.stable))
         poses = list(dict.fromkeys(p.point.name for p in self.points))
         if bad:
@@ -133,8 +129,7 @@ class BodeStudy:
         if self.disputed:
             return (
                 f"stable by the sampled model and not in MuJoCo at {'; '.join(self.disputed)} ({len(self.disputed)} of"
-                f" {_counted(len(poses))}), by softness of the closures, contacts or limits that the model leaves out:"
-                f" {self.loop_name}"
+                f" {_counted(len(poses))}), because the model omits soft closures, contacts and limits: {self.loop_name}"
             )
         text = f"stable at {'the pose' if len(poses) == 1 else f'all {len(poses)} poses'}: {self.loop_name}"
         known = [p for p in self.points if p.margins.phase_margin_deg is not None]
@@ -160,35 +155,35 @@ def _counted(n: int) -> str:
 def default_poses(
     mechanism: Mechanism, positions: np.ndarray | None = None, effort_limit: np.ndarray | None = None
 ) -> tuple[np.ndarray, str | None]:
-    """Return positions (n, n_s) to look at, and a sentence where the actuators cannot hold all that was to be looked at.
+    """Return the default positions (n, n_s), and a note if the actuators cannot hold the whole range at rest.
 
-    For a single freedom five over given ones (m,), or seven over its reach, next to its ends too, of those that the efforts'
-    limits (n_u, 2) hold at rest; of several freedoms home.
+    With one degree of freedom: five positions over the range of `positions` (m,), or seven over the reach, restricted to
+    positions that efforts within the limits (n_u, 2) hold at rest. With several degrees of freedom: home.
     """
     if mechanism.dof != 1:
         return mechanism.home[mechanism.independent][None], None
     if positions is not None and len(positions):
-        low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, POINTS)
+        low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, DEFAULT_POSES)
     else:
-        low, high = most_of_reach(mechanism, 0)
-        shares = (np.array(_OVER_THE_REACH) - _OVER_THE_REACH[0]) / (_OVER_THE_REACH[-1] - _OVER_THE_REACH[0])
-        if turns(mechanism, 0):  # there are no ends: as many poses a turn, evenly
+        low, high = inner_reach(mechanism, 0)
+        shares = (np.array(_REACH_SHARES) - _REACH_SHARES[0]) / (_REACH_SHARES[-1] - _REACH_SHARES[0])
+        if turns_fully(mechanism, 0):  # there are no ends: the same number of poses, evenly over a turn
             high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
-    looked = np.linspace(low, high, _LOOKED)
-    held = np.array([is_held(mechanism, np.array([position]), effort_limit) for position in looked])
-    if held.all() or not held.any():  # where none is held, the first one's refusal says why
+    tried = np.linspace(low, high, 81)
+    held = np.array([is_held(mechanism, np.array([position]), effort_limit) for position in tried])
+    if held.all() or not held.any():  # if none can be held, the caller's `operating_point` gives the reason
         return (low + shares * (high - low))[:, None], None
-    kept, unheld, joint = looked[held], looked[~held], mechanism.independent_joints[0]
+    kept, unheld, joint = tried[held], tried[~held], mechanism.independent_joints[0]
     return kept[(shares * (len(kept) - 1)).round().astype(int)][:, None], (
-        f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}; of"
-        f" {len(looked)} from {joint.said(low, 4)} to {joint.said(high, 4)}, the actuators cannot hold {len(unheld)} at"
-        f" rest, between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
+        f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}: the"
+        f" actuators cannot hold {len(unheld)} of {len(tried)} positions from {joint.said(low, 4)} to {joint.said(high, 4)}"
+        f" at rest, all between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
     )
 
 
 def is_held(mechanism: Mechanism, position: np.ndarray, effort_limit: np.ndarray | None) -> bool:
-    """Return whether the actuators hold a position (n_s,) with some of their limits' range left to either side."""
-    inside = with_room(mechanism.effort_limit if effort_limit is None else effort_limit)
+    """Return True if the actuators hold a position (n_s,) with a reserve to both limits."""
+    inside = reduced_limits(mechanism.effort_limit if effort_limit is None else effort_limit)
     try:
         operating_point(mechanism, position, inside)
     except LinkplanError:
@@ -196,20 +191,20 @@ def is_held(mechanism: Mechanism, position: np.ndarray, effort_limit: np.ndarray
     return True
 
 
-def turns(mechanism: Mechanism, coordinate: int) -> bool:
-    """Return whether a coordinate is a hinge that nothing stops in a whole turn."""
+def turns_fully(mechanism: Mechanism, coordinate: int) -> bool:
+    """Return True if a coordinate is a hinge that can make a full turn."""
     return mechanism.independent_joints[coordinate].kind == "hinge" and reach(mechanism, coordinate).turns_fully
 
 
-def most_of_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
-    """Return what lies next to the ends of a joint's reach; of one that nothing stops, a whole turn about home."""
+def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
+    """Return a joint's reach [rad or m] without 1 % at each end; for an unlimited joint, a full turn about home."""
     can = reach(mechanism, coordinate)
     low, high = can.lower.position, can.upper.position
     home = float(mechanism.home[mechanism.independent[coordinate]])
     if can.turns_fully or not np.isfinite(high - low):
         half = np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.extent_m
         return home - half, home + half
-    return low + _OVER_THE_REACH[0] * (high - low), low + _OVER_THE_REACH[-1] * (high - low)
+    return low + _REACH_SHARES[0] * (high - low), low + _REACH_SHARES[-1] * (high - low)
 
 
 def bode_study(
@@ -222,77 +217,54 @@ def bode_study(
     law: str = "pd",
     setup: Setup | None = None,
     frequency_hz: np.ndarray | None = None,
-    scanned: int = SCANNED,
+    scanned: int = SCAN_POSITIONS,
     line: Line | None = None,
 ) -> BodeStudy:
     """Return a tracker's loops at independent positions (n, n_s) [rad or m].
 
-    Margins are least over continuous lines, too: along `line`, of which the worst pose is then among those looked at, or
-    over the reach of each coordinate.
+    Margins are also scanned along continuous lines: along `line`, whose worst pose is then added to the positions, or over
+    the reach of each coordinate.
 
     Args:
-        mechanism: of which every freedom has its actuator.
-        positions: where to look.
+        mechanism: with one actuator for each degree of freedom.
+        positions: the poses.
         settings: gains, period and delay.
         effort_limit: (n_u, 2) [N.m or N].
-        say: hears about progress.
+        say: receives progress messages.
         law: pd, pd+ff or lqr.
-        setup: how to measure; None measures nothing.
-        frequency_hz: where to measure; None for twenty about the crossover.
+        setup: settings of the measurement; None measures nothing.
+        frequency_hz: (m,) to measure at; None for twenty around the crossover.
         scanned: positions of the coarse scan of a line; 0 for none.
-        line: what the poses stand for: a motion, or a reach, whose worst pose belongs to the answer; None where the poses
-            themselves were asked for.
+        line: the motion or reach that the positions sample; None if the user gave the poses.
 
     Raises:
-        LinkplanError: for a pose that cannot be held, or frequencies beyond Nyquist.
+        LinkplanError: for a pose that cannot be held, or frequencies above the Nyquist frequency.
     """
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     if frequency_hz is not None:
-        _refuse_frequencies(frequency_hz, timing)
+        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), timing.period_s)
     positions = np.atleast_2d(positions)
     for position in positions:
-        operating_point(mechanism, position, effort_limit)  # refuses what cannot be held before any work
-    lines: list[tuple[int | None, Line]] = []
-    if scanned:
-        own = 0 if mechanism.dof == 1 else None
-        lines = _reach_lines(mechanism, positions) if line is None else [(own, line)]
+        operating_point(mechanism, position, effort_limit)  # refuses a pose that cannot be held before any work
+    lines = _scan_lines(mechanism, positions, line) if scanned else []
     scans = tuple(_scans(mechanism, lines, settings, effort_limit, timing, law, scanned, say))
     if line is not None:
         positions = _with_worst(positions, scans)
-    where = [operating_point(mechanism, position, effort_limit) for position in positions]
-    loops, ideal = [], []
-    for point in where:
-        say(f"predicted at {point.name}")
-        gain = law_gain(point, law, settings, effort_limit)
-        loops.append(feedback_loop(point, gain, timing, SIMULATED))
-        ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
+    loops, ideal = _predicted(mechanism, positions, settings, effort_limit, timing, law, say)
     pairs = touching(mechanism, loops)
-    disturbed = touched(pairs, len(loops))
-    trials = _settles(loops, disturbed, effort_limit)
+    in_contact = touched(pairs, len(loops))
+    trials = _settles(loops, in_contact, effort_limit)
+    stable = [i for i, loop in enumerate(loops) if loop.stable and not in_contact[i]]
     points, steps, conditions = [], 0, {}
     for channel in range(mechanism.dof):
         bounds = [margins(loop, channel) for loop in loops]
-        measured: list[dict[str, Response]] = [{} for _ in loops]
-        stable = [i for i, loop in enumerate(loops) if loop.stable and not disturbed[i]]
+        measured: dict[int, dict[str, Response]] = {}
         if setup is not None and stable:
             at = default_frequencies([bounds[i] for i in stable], timing) if frequency_hz is None else frequency_hz
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
-            for i, responses in zip(stable, taken.responses, strict=True):
-                measured[i] = responses
-        for i, (loop, line) in enumerate(zip(loops, ideal, strict=True)):
-            points.append(
-                BodePoint(
-                    sampled=loop,
-                    continuous=line,
-                    channel=channel,
-                    margins=bounds[i],
-                    continuous_margins=margins(line, channel),
-                    settles_in_mujoco=bool(trials[i]),
-                    measured=measured[i],
-                    predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in measured[i].items()},
-                )
-            )
+            measured = dict(zip(stable, taken.responses, strict=True))
+        points += _channel_points(channel, loops, ideal, bounds, trials, measured)
     return BodeStudy(
         mechanism=mechanism,
         law=law,
@@ -308,18 +280,56 @@ def bode_study(
     )
 
 
-def _settles(loops: Sequence[FeedbackLoop], disturbed: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
-    """Return which loops (n,) settle in MuJoCo; those that contacts disturb never calm down, and are tried for less long."""
+def _predicted(mechanism, positions: np.ndarray, settings: Tracking, effort_limit, timing: Sampling, law: str, say):
+    """Return the sampled and the continuous loops at positions (n, n_s)."""
+    loops, ideal = [], []
+    for position in positions:
+        point = operating_point(mechanism, position, effort_limit)
+        say(f"predicted at {point.name}")
+        gain = law_gain(point, law, settings, effort_limit)
+        loops.append(feedback_loop(point, gain, timing, SIMULATED))
+        ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
+    return loops, ideal
+
+
+def _channel_points(
+    channel: int,
+    loops: Sequence[FeedbackLoop],
+    ideal: Sequence[FeedbackLoop],
+    bounds: Sequence[Margins],
+    trials: np.ndarray,
+    measured: Mapping[int, dict[str, Response]],
+) -> list[BodePoint]:
+    """Return one joint's results at all poses, from its sampled and continuous loops and the responses by pose index."""
+    points = []
+    for i, (loop, continuous) in enumerate(zip(loops, ideal, strict=True)):
+        responses = measured.get(i, {})
+        points.append(
+            BodePoint(
+                sampled=loop,
+                continuous=continuous,
+                channel=channel,
+                margins=bounds[i],
+                continuous_margins=margins(continuous, channel),
+                settles_in_mujoco=bool(trials[i]),
+                measured=responses,
+                predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in responses.items()},
+            )
+        )
+    return points
+
+
+def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
+    """Return True for each loop (n,) that settles in MuJoCo. Loops in contact never come to rest: their trial is short."""
     settles = np.zeros(len(loops), dtype=bool)
-    for those, periods in ((~disturbed, MOST_PERIODS), (disturbed, _DISTURBED_PERIODS)):
-        if those.any():
-            some = [loops[i] for i in np.flatnonzero(those)]
-            settles[those] = settle_trials(some, effort_limit, periods).settles
+    for chosen, periods in ((~in_contact, MAX_TRIAL_PERIODS), (in_contact, _CONTACT_TRIAL_PERIODS)):
+        if chosen.any():
+            settles[chosen] = settle_trials([loops[i] for i in np.flatnonzero(chosen)], effort_limit, periods).settles
     return settles
 
 
 def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort_limit, timing, law: str, count: int, say):
-    """Yield the margins along lines: of the coordinate that a line is of, of every one's where it is of a motion."""
+    """Yield the margins along lines: a coordinate's line for that coordinate's loop, a motion's line for all loops."""
     for coordinate, line in lines:
         say(f"margins over {line.name} from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}")
         for channel in range(mechanism.dof) if coordinate is None else [coordinate]:
@@ -334,49 +344,46 @@ def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort
                 yield Scan(channel=channel, line=line, positions=positions, margins=found)
 
 
-def _reach_lines(mechanism: Mechanism, positions: np.ndarray) -> list[tuple[int | None, Line]]:
-    """Return the line over the reach of each coordinate, as far as positions (n, n_s) go too; the others as at the first."""
+def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) -> list[tuple[int | None, Line]]:
+    """Return the lines to scan, with their coordinate or None for a motion.
+
+    By default there is a line for each coordinate over its reach and all positions (n, n_s). The other coordinates are as
+    in the first position.
+    """
+    if line is not None:
+        return [(0 if mechanism.dof == 1 else None, line)]
     lines: list[tuple[int | None, Line]] = []
     for channel in range(mechanism.dof):
-        low, high = most_of_reach(mechanism, channel)
+        low, high = inner_reach(mechanism, channel)
         ends = min(low, positions[:, channel].min()), max(high, positions[:, channel].max())
         lines.append((channel, coordinate_line(mechanism, channel, *map(float, ends), positions[0])))
     return lines
 
 
 def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
-    """Return positions (n, n_s), the worst of each scan among them where it is none yet."""
+    """Return positions (n, n_s) with the worst of each scan added, unless it is already present."""
     for scan in scans:
         s = scan.line.at(scan.positions[scan.worst])
-        if np.abs(positions - s).max(axis=1).min() > _SAME * max(1e-9, np.ptp(scan.line.states, axis=0).max()):
+        if np.abs(positions - s).max(axis=1).min() > _SAME_POSE_SHARE * max(1e-9, np.ptp(scan.line.states, axis=0).max()):
             positions = np.vstack([positions, s])
     if positions.shape[1] == 1:
         positions = positions[np.argsort(positions[:, 0])]
     return positions
 
 
-def default_frequencies(bounds: Sequence[Margins], timing: Sampling, count: int = FREQUENCIES) -> np.ndarray:
-    """Return frequencies (n,) [Hz] about the loops' crossovers, up to 0.45 of the sampling rate."""
+def default_frequencies(bounds: Sequence[Margins], timing: Sampling, count: int = 20) -> np.ndarray:
+    """Return frequencies (count,) [Hz] from 1/20 to 40 times the loops' crossovers, up to 0.45 of the sampling rate.
+
+    They start at 1 Hz or below.
+    """
     crossings = [f for m in bounds if m.crossover_hz for f in (m.crossover_hz, *m.other_crossovers_hz)]
     crossings = crossings or [0.05 / timing.period_s]
-    high = min(_SHARE / timing.period_s, _TO * max(crossings))
-    low = min(crossings) * _FROM
-    low = min(max(low, min(_SLOWEST_HZ, min(crossings) / 4)), 0.1 * high)
+    high = min(0.45 / timing.period_s, 40.0 * max(crossings))
+    low = min(max(min(crossings) / 20, min(1.0, min(crossings) / 4)), 0.1 * high)
     return np.geomspace(low, high, count)
 
 
-def _refuse_frequencies(frequency_hz: np.ndarray, timing: Sampling) -> None:
-    frequency = np.asarray(frequency_hz, dtype=float)
-    if not (frequency.size and np.all(np.isfinite(frequency)) and frequency.min() > 0):
-        raise LinkplanError("frequencies are positive numbers of hertz")
-    if frequency.max() > timing.nyquist_hz * (1 + 1e-9):
-        raise LinkplanError(
-            f"{frequency.max():.6g} Hz is above the Nyquist frequency, {timing.nyquist_hz:.6g} Hz at a control period of"
-            f" {timing.period_s:g} s"
-        )
-
-
 def response_curves(loop: FeedbackLoop, channel: int, quantities: Sequence[str] = tuple(QUANTITIES)) -> dict[str, Response]:
-    """Return a loop's predicted responses on the dense grid, for figures."""
+    """Return a loop's predicted responses on a dense frequency grid, for figures."""
     grid = frequency_grid(loop.timing.period_s)[::2]
     return {quantity: loop.response(quantity, grid, channel) for quantity in quantities}

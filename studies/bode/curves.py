@@ -1,4 +1,4 @@
-"""What figures and pages draw of a loop's responses: from which frequency on, phases by whole turns, |S| along a line."""
+"""Data for figures of a loop's responses: the lowest frequency drawn, unwrapped phases, and |S| along a line."""
 
 import numpy as np
 
@@ -8,35 +8,32 @@ from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, 
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
 
-# Curves begin this many times below the lowest frequency measured.
-_BELOW = 5.0
-
 
 def lowest_hz(entry: BodePoint) -> float:
-    """Return the lowest frequency worth drawing [Hz]."""
+    """Return the lowest frequency [Hz] drawn: a fifth of the lowest measured one, or a hundredth of the crossover."""
     if entry.measured:
-        return float(next(iter(entry.measured.values())).frequency_hz[0]) / _BELOW
+        return float(next(iter(entry.measured.values())).frequency_hz[0]) / 5.0
     crossing = entry.margins.crossover_hz or entry.continuous_margins.crossover_hz
     return (crossing or 0.05 / entry.sampled.timing.period_s) / 100.0
 
 
-def turned(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndarray:
-    """Return a phase [deg] by whole turns: an open loop's to half a turn about -180 deg where its gain crosses one."""
+def shifted_phase(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndarray:
+    """Return a phase [deg] shifted by full turns: within half a turn of -180 deg at an open loop's crossover, else of 0."""
     if quantity != "loop":
         return phase - 360.0 * np.round(phase[0] / 360.0)
     crossing = int(np.argmin(np.abs(np.log(np.abs(gain)))))
     return phase - 360.0 * np.round((phase[crossing] + 180.0) / 360.0)
 
 
-def turned_beside(response: Response, frequency_hz: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Return a measured response's phase [deg] by whole turns next to a predicted one (m,) at frequencies (m,) [Hz]."""
+def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """Return a measured phase [deg], shifted by full turns to the predicted phase (m,) at frequencies (m,) [Hz]."""
     near = np.interp(np.log(response.frequency_hz), np.log(frequency_hz), phase)
     measured = np.degrees(np.angle(response.gain))
     return measured + 360.0 * np.round((near - measured) / 360.0)
 
 
 def sensitivity_along(study: BodeStudy, scan: Scan, every: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies (m,) [Hz] and |S| (m, n) [dB] along a scan's n positions; not a number where it is unstable."""
+    """Return frequencies (m,) [Hz] and |S| (m, n) [dB] at a scan's n positions; NaN where the loop is unstable."""
     grid = frequency_grid(study.timing.period_s)[::every]
     grid = grid[grid >= min((lowest_hz(entry) for entry in study.points), default=grid[0])]
     limit = study.effort_limit

@@ -1,4 +1,4 @@
-"""Figure of a tracked loop along a motion: frozen margins, and how a disturbance dies away, predicted and measured."""
+"""Figure of a tracked loop along a motion: frozen margins, and the decay of a disturbance, predicted and measured."""
 
 from pathlib import Path
 
@@ -7,12 +7,9 @@ import numpy as np
 from linkplan.studies.bode.along_motion import AlongMotion
 from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, page
 
-# What is left of a disturbance is not drawn below this: the simulator cannot show it.
-_ROUNDING = 1e-12
-
 
 def along_figure(found: AlongMotion, path: Path) -> None:
-    """Draw the frozen margins over time, and the decay over a cycle where the motion repeats."""
+    """Draw the frozen margins over time and, for a periodic motion, the decay over a cycle."""
     columns = 1 if found.floquet is None else 2
     with page(path, rows=1, columns=columns, size=(6.2 * columns, 4.2)) as axes:
         draw_frozen(axes[0, 0], found)
@@ -40,11 +37,11 @@ def draw_frozen(axes, found: AlongMotion) -> None:
 
 
 def draw_decay(axes, found: AlongMotion) -> None:
-    """Draw what is left of the worst disturbance over a cycle: predicted, and measured in MuJoCo while it can be seen."""
+    """Draw the remaining share of the worst disturbance over a cycle: predicted, and measured while above rounding."""
     cycle = found.floquet
-    shown = slice(0, cycle.seen + 1)
+    shown = slice(0, cycle.last_visible_sample + 1)
     time = 1e3 * cycle.time_s
-    axes.semilogy(time, np.where(cycle.size >= _ROUNDING, cycle.size, np.nan), color=BLUE, linewidth=1.6, label="predicted")
+    axes.semilogy(time, np.where(cycle.size >= 1e-12, cycle.size, np.nan), color=BLUE, linewidth=1.6, label="predicted")
     axes.semilogy(time[shown], cycle.measured_size[shown], color=ORANGE, linestyle="--", linewidth=1.6, label="MuJoCo")
     axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1.0)
     axes.set_xlabel("time [ms]")

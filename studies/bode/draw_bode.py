@@ -1,4 +1,4 @@
-"""Figures of loops' frequency responses: prediction and measurement on one plot, with what is between them below."""
+"""Figures of loops' frequency responses: prediction and measurement in one plot, with their difference below."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
-from linkplan.studies.bode.curves import lowest_hz, sensitivity_along, turned, turned_beside
+from linkplan.studies.bode.curves import lowest_hz, measured_phase, sensitivity_along, shifted_phase
 from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
@@ -25,13 +25,8 @@ from linkplan.studies.output.drawing import (
     wrapped,
 )
 
-# Margins have so many times their largest as their axis.
-_ROOM = 1.08
-# Letters of a line of the title.
-_TITLE = 110
-# What is drawn of a Nyquist curve: the square about the origin, in units of the critical point's distance, or so many times
-# as far as the nearest point of a curve that stays outside of it.
-_NYQUIST, _FAR, _SEEN = 2.5, 30.0, 1.3
+# Nyquist curves are not drawn beyond this gain.
+_MAX_NYQUIST_GAIN = 30.0
 
 
 def save_bode(study: BodeStudy, place: Path) -> None:
@@ -48,9 +43,9 @@ def save_bode(study: BodeStudy, place: Path) -> None:
 
 
 def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | None = None) -> Figure:
-    """Return the figure of open and closed loop at every pose, saved at `path` where one is given.
+    """Return the figure of open and closed loop at every pose, saved at `path` if given.
 
-    Predictions are lines, measurements dots, and their differences stand below.
+    Predictions are lines, measurements are dots, and the lower plots show the differences.
     """
     reference = "reference" if study.law == "pd" else "reference+ff"
     titles = {"loop": "open loop L", reference: f"{reference.replace('+', ' with ')} to angle"}
@@ -75,7 +70,7 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | Non
         figure = axes[0, 0].figure
         bottom_legend(axes[0, 0])
         how = "line: predicted, sampled; dotted: continuous" + (f"; dots: MuJoCo, {study.method}" if measured else "")
-        title = wrapped(f"{study.mechanism.name}, {study.law}: {study.message}", _TITLE)
+        title = wrapped(f"{study.mechanism.name}, {study.law}: {study.message}", 110)
         figure.suptitle(f"{title}\n{how}", fontsize=10.5)
     return figure
 
@@ -88,20 +83,20 @@ def draw_response(axes, entry: BodePoint, quantity: str, colour: str, style: str
     for loop, look, width in ((entry.sampled, style, 1.3), (entry.continuous, ":", 0.9)):
         curve = response_curves(loop, entry.channel, [quantity])[quantity]
         shown = curve.frequency_hz >= lowest
-        frequency, phase = curve.frequency_hz[shown], turned(curve.phase_deg[shown], curve.gain[shown], quantity)
+        frequency, phase = curve.frequency_hz[shown], shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
         label = name if loop is entry.sampled else None
         axes[0].semilogx(frequency, curve.db[shown], color=colour, linestyle=look, linewidth=width, label=label)
         axes[1].semilogx(frequency, phase, color=colour, linestyle=look, linewidth=width)
         phases[look] = frequency, phase
     if quantity in entry.measured:
         response = entry.measured[quantity]
-        phase = turned_beside(response, *phases[style])
+        phase = measured_phase(response, *phases[style])
         axes[0].semilogx(response.frequency_hz, response.db, "o", color=colour, markersize=3.5)
         axes[1].semilogx(response.frequency_hz, phase, "o", color=colour, markersize=3.5)
 
 
 def _looks(entries: Sequence[BodePoint]) -> list[tuple[str, str]]:
-    """Return a colour and a line style for each pose: where the colours begin again, the next style."""
+    """Return a colour and a line style for each pose; the style changes when the colours repeat."""
     return [(SERIES[k % len(SERIES)], STYLES[k // len(SERIES) % len(STYLES)]) for k in range(len(entries))]
 
 
@@ -110,28 +105,29 @@ def _name(entry: BodePoint) -> str:
 
 
 def draw_difference(axes, entry: BodePoint, quantity: str, colour: str) -> None:
-    """Draw measured less predicted, in dB (axes[0]) and degrees (axes[1]); open marks where the coherence is below 0.99."""
+    """Draw measured minus predicted in dB (axes[0]) and degrees (axes[1]); marks are open if the coherence is below 0.99."""
     if quantity not in entry.measured:
         return
     response = entry.measured[quantity]
     for cell, values in zip(axes, response.against(entry.predicted[quantity]), strict=True):
-        seen = response.coherence > 0.99
-        cell.semilogx(response.frequency_hz[seen], values[seen], "o-", color=colour, markersize=3.0, linewidth=0.8)
-        cell.semilogx(response.frequency_hz[~seen], values[~seen], "o", color=colour, markersize=3.0, fillstyle="none")
+        good = response.coherence > 0.99
+        cell.semilogx(response.frequency_hz[good], values[good], "o-", color=colour, markersize=3.0, linewidth=0.8)
+        cell.semilogx(response.frequency_hz[~good], values[~good], "o", color=colour, markersize=3.0, fillstyle="none")
 
 
 def nyquist_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> None:
-    """Draw the open loop in the complex plane, with the critical point, the unit circle and the least disk margin's disk."""
+    """Draw the open loop in the complex plane, with the critical point, the unit circle and the smallest disk margin."""
     with page(path, size=(6.4, 6.4)) as axes:
         cell = axes[0, 0]
         turn = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
         cell.plot(turn.real, turn.imag, color=GREY, linestyle=":", linewidth=1.0)
         cell.plot([-1], [0], "+", color=BLACK, markersize=11, markeredgewidth=2)
-        side = _NYQUIST
+        side = 2.5
         for (colour, style), entry in zip(_looks(entries), entries, strict=True):
             gain = entry.sampled.gains("loop", frequency_grid(study.timing.period_s), entry.channel)
-            side = max(side, _SEEN * min(float(np.abs(gain).min()), _FAR))  # of every curve the part next to the origin
-            gain = np.where(np.abs(gain) < _FAR, gain, np.nan)  # no chord across a resonance
+            # The plot shows the part of every curve that is closest to the origin.
+            side = max(side, 1.3 * min(float(np.abs(gain).min()), _MAX_NYQUIST_GAIN))
+            gain = np.where(np.abs(gain) < _MAX_NYQUIST_GAIN, gain, np.nan)  # no straight line across a resonance
             cell.plot(gain.real, gain.imag, color=colour, linestyle=style, linewidth=1.2, label=_name(entry))
             if "loop" in entry.measured:
                 points = entry.measured["loop"].gain
@@ -161,7 +157,7 @@ def nyquist_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -
 
 
 def _disk(alpha: float, turn: np.ndarray) -> np.ndarray:
-    """Return the edge of the disk that L keeps out of: |S - 1/2| = 1 / alpha, S = 1 / (1 + L)."""
+    """Return the boundary |S - 1/2| = 1 / alpha, S = 1 / (1 + L), of the disk that L avoids."""
     if alpha >= 2:
         alpha = 1.999
     return 1.0 / (0.5 + turn / alpha) - 1.0
@@ -204,7 +200,7 @@ def _mark_peak(cell, curve: Response, quantity: str, colour: str) -> None:
 
 
 def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
-    """Draw the sensitivity over position and frequency as a heat map, and the margins over position, the worst marked."""
+    """Draw the sensitivity over position and frequency as a heat map, and the margins over position."""
     joint, line = study.mechanism.independent_joints[scan.channel], scan.line
     positions = np.array([line.shown(x) for x in scan.positions])
     grid, heat = sensitivity_along(study, scan)
@@ -234,7 +230,7 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
         lost = positions[[not bounds.stable for bounds in scan.margins]]
         if lost.size:
             lower.plot(lost, np.zeros(lost.size), "x", color=RED, label="unstable", clip_on=False)
-        lower.set_ylim(0.0, max(10.0, _ROOM * highest))
+        lower.set_ylim(0.0, max(10.0, 1.08 * highest))
         lower.set_ylabel("margin [deg]")
         lower.set_xlabel(f"{line.name} [{line.unit}]")
         outside_legend(lower)

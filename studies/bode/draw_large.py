@@ -1,4 +1,4 @@
-"""Figure of large signals: the closed loop against amplitude, the describing function, the feasible-amplitude curve."""
+"""Figure of large signals: the closed loop's gain for several amplitudes, the describing function, feasible amplitudes."""
 
 from pathlib import Path
 
@@ -9,19 +9,19 @@ from linkplan.studies.output.drawing import BLACK, GREY, ORANGE, RED, SERIES, ou
 
 
 def large_figure(study: LargeStudy, path: Path) -> None:
-    """Draw the three side by side."""
+    """Draw the three plots side by side."""
     with page(path, rows=1, columns=3, size=(14.5, 4.8)) as axes:
         draw_large_gain(axes[0, 0], study)
         draw_describing(axes[0, 1], study)
         draw_feasible(axes[0, 2], study)
         figure = axes[0, 0].figure
         figure.suptitle(
-            f"{study.curve.point.mechanism.name} at {study.curve.point.name}: past the effort limit", fontsize=10.5
+            f"{study.curve.point.mechanism.name} at {study.curve.point.name}: beyond the effort limit", fontsize=10.5
         )
 
 
 def draw_large_gain(axes, study: LargeStudy) -> None:
-    """Draw the reference response's gain for every amplitude: dots measured, lines harmonic balance."""
+    """Draw the reference response's gain for every amplitude: dots are measured, lines are harmonic balance."""
     signals = study.signals
     for j, (colour, multiple) in enumerate(zip(SERIES * 2, signals.multiples, strict=False)):
         axes.semilogx(signals.frequency_hz, 20 * np.log10(np.abs(signals.predicted[:, j])), color=colour, linewidth=1.1)
@@ -40,7 +40,7 @@ def draw_large_gain(axes, study: LargeStudy) -> None:
 
 
 def draw_describing(axes, study: LargeStudy) -> None:
-    """Draw applied over commanded against the command, beside python-control's describing function."""
+    """Draw applied over commanded effort as a function of the command, with python-control's describing function."""
     signals = study.signals
     ratio = signals.command / signals.room
     known = np.isfinite(ratio)
@@ -56,7 +56,7 @@ def draw_describing(axes, study: LargeStudy) -> None:
 
 
 def draw_feasible(axes, study: LargeStudy) -> None:
-    """Draw the feasible-amplitude curve over frequency, and the points tried: hollow within the limit, full past it."""
+    """Draw the feasible-amplitude curve over frequency and the measured points: hollow if unsaturated, full if saturated."""
     curve, signals = study.curve, study.signals
     joint = curve.point.mechanism.independent_joints[curve.channel]
     shown = joint.shown(1.0)

@@ -1,23 +1,23 @@
-"""Figure of a stability map: stable gains over all angles, contours of the phase margin, MuJoCo's own points."""
+"""Figure of a stability map: gains that are stable at all poses, contours of the phase margin, MuJoCo's results."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from linkplan.studies.bode.map_study import BESIDE, MapStudy
+from linkplan.studies.bode.map_study import TRIAL_GAIN_SHARE, MapStudy
 from linkplan.studies.output.drawing import BLACK, BLUE, ORANGE, RED, page
 
 _CONTOURS_DEG = (15, 30, 45, 60)
 
 
 def map_figure(study: MapStudy, path: Path, marked: Sequence[tuple[str, float, float]] | None = None) -> None:
-    """Draw the map beside the stable damping gains over the angle.
+    """Draw the map, and next to it the stable damping gains over the joint's position.
 
     Args:
-        study: what to draw.
-        path: where to save.
-        marked: (name, kp, kd) of gains to show; the study's own by default.
+        study: the map study.
+        path: the image file.
+        marked: (name, kp, kd) of gains to mark; default: the study's own.
     """
     marked = [("these gains", study.kp, study.kd)] if marked is None else marked
     with page(path, rows=1, columns=2, size=(12.0, 5.4), gridspec_kw={"width_ratios": [1.25, 1]}) as axes:
@@ -31,7 +31,7 @@ def map_figure(study: MapStudy, path: Path, marked: Sequence[tuple[str, float, f
 
 
 def draw_map(axes, study: MapStudy, marked) -> None:
-    """Draw the plane of gains: stable at every angle, phase margins, and what MuJoCo did beside the border."""
+    """Draw the plane of gains: the region stable at every pose, phase margins, and MuJoCo's results near the border."""
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
     force = "N.m" if joint.kind == "hinge" else "N"
@@ -46,7 +46,7 @@ def draw_map(axes, study: MapStudy, marked) -> None:
         if enough.size:
             place = found.kd[enough[0]], found.kp[row]
             axes.text(*place, f"{level:g} deg", rotation=45, fontsize=8, color=BLUE, ha="center", va="bottom")
-    axes.plot([], [], color=RED, linewidth=1.8, label="predicted stability boundary, worst angle")
+    axes.plot([], [], color=RED, linewidth=1.8, label="predicted stability boundary, worst pose")
     axes.plot([], [], color=BLUE, linewidth=0.9, label="least phase margin")
     if found.trials is not None:
         tried = np.array([(kp, kd) for kp, kd, _ in found.tried])
@@ -69,7 +69,7 @@ def draw_map(axes, study: MapStudy, marked) -> None:
 
 
 def draw_critical(axes, study: MapStudy, marked) -> None:
-    """Draw the largest stable damping gain over the angle, and the marked ones."""
+    """Draw the largest stable damping gain over the joint's position, and the marked gains."""
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
     at = np.array([joint.shown(point.state[0]) for point in found.points])
@@ -78,9 +78,9 @@ def draw_critical(axes, study: MapStudy, marked) -> None:
     axes.plot(at, high, color=RED, linewidth=1.8, label=f"largest stable kd at kp = {study.kp:g}")
     if not found.timing.delay_steps:
         axes.plot(at, 2 * inertia / found.timing.period_s, color=BLACK, linestyle=":", linewidth=1.2, label="2 J / T")
-    for column, share in enumerate((1 - BESIDE, 1 + BESIDE)):
+    for column, share in enumerate((1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE)):
         for settles, marker in ((True, "o"), (False, "x")):
-            which = study.beside[:, column] == settles
+            which = study.settles_near_border[:, column] == settles
             axes.plot(at[which], share * high[which], marker, color=BLACK, markersize=5)
     axes.fill_between(at, high, max(np.nanmax(high), *[kd for _, _, kd in marked]) * 3, color=RED, alpha=0.18, linewidth=0)
     for (name, _, kd), style in zip(marked, ("-", "-.", ":", "--"), strict=False):

@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --large`: a feedback loop past its effort limit, and the feasible amplitudes."""
+"""The study behind `linkplan bode --large`: a feedback loop beyond its effort limit, and the feasible amplitudes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from linkplan.studies.frequency.feasible import FeasibleCurve, curve_rows, defau
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LargeStudy:
-    """Large signals about one pose, and the feasible-amplitude curve about it."""
+    """Large-signal responses and the feasible-amplitude curve at one pose."""
 
     signals: LargeSignals
     curve: FeasibleCurve
 
 
 def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], None] = silent) -> LargeStudy:
-    """Return the large signals of a bode study's middle pose.
+    """Return the large-signal responses at the middle one of a bode study's stable poses.
 
     Args:
-        study: of which a stable pose is taken, the one nearest to the middle.
-        limits: of the planner, for the curve; the model's where there are none.
-        say: hears about progress.
+        study: the bode study.
+        limits: the planner's limits for the curve; default: the model's.
+        say: receives progress messages.
 
     Raises:
-        LinkplanError: where no pose is stable, or the actuator has no limit.
+        LinkplanError: if no pose is stable, or the actuator has no limit.
     """
     stable = [entry for entry in study.points if entry.margins.stable and entry.channel == 0]
     if not stable:
@@ -57,33 +57,33 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
 
 
 def large_study_record(study: LargeStudy) -> dict:
-    """Return what files say of the large signals."""
+    """Return the large signals as a JSON record."""
     record = large_record(study.signals)
     clean = {k: _none(v) if isinstance(v, np.ndarray) and v.ndim == 2 else v for k, v in record.items()}
     return clean | {"feasible": list(curve_rows(study.curve))}
 
 
 def _none(values: np.ndarray) -> list:
-    """Return a table with None where nothing was tried."""
+    """Return a table with None in place of NaN."""
     return [[float(x) if np.isfinite(x) else None for x in row] for row in values]
 
 
 def large_text(study: LargeStudy) -> str:
-    """Return how the describing function does, and points of the feasible curve."""
+    """Return the accuracy of the describing function, and points of the feasible curve, as text."""
     signals, curve = study.signals, study.curve
     joint = curve.point.mechanism.independent_joints[curve.channel]
     cut = signals.saturated > 0.05
     lines = [f"large signals at {curve.point.name}:"]
     if np.any(cut):
-        off = np.abs(np.abs(signals.describing[cut]) / signals.describing_predicted[cut] - 1).max()
+        deviation = np.abs(np.abs(signals.describing[cut]) / signals.describing_predicted[cut] - 1).max()
         gain = np.abs(20 * np.log10(np.abs(signals.measured[cut] / signals.predicted[cut]))).max()
         lines.append(
-            f"past the limit ({int(cut.sum())} points) the measured describing function is within {100 * off:.2g} % of the"
-            f" saturation's, and the closed loop within {gain:.2g} dB of harmonic balance"
+            f"past the limit ({int(cut.sum())} points) the measured describing function is within {100 * deviation:.2g} % of"
+            f" the saturation's, and the closed loop within {gain:.2g} dB of harmonic balance"
         )
     for a, f, reason in list(zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True))[
         :: max(1, len(curve.amplitude) // 6)
     ]:
-        said = f"can be followed up to {f:.4g} Hz" if f > 0 else "cannot be followed at any frequency"
-        lines.append(f"amplitude {joint.shown(a):.3g} {joint.unit} {said} ({reason})")
+        verdict = f"can be followed up to {f:.4g} Hz" if f > 0 else "cannot be followed at any frequency"
+        lines.append(f"amplitude {joint.shown(a):.3g} {joint.unit} {verdict} ({reason})")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --map`: stable gains at all angles, their boundary tried in MuJoCo, longest period."""
+"""The study behind `linkplan bode --map`: stable gains at all poses, checked in MuJoCo, and the longest control period."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,23 +21,20 @@ from linkplan.studies.frequency.trial import settle_trials
 from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.output.tables import table
 
-ANGLES = 9
-# Gains tried in MuJoCo lie this share to either side of the stability boundary.
-BESIDE = 0.02
-_GRID = 48
-# The map reaches from a thousandth of the largest stable gain to a few times it, so that the boundary runs through it.
-_BELOW, _BEYOND = 1e-3, 4.0
+# Gains simulated in MuJoCo lie this share above and below the stability boundary.
+TRIAL_GAIN_SHARE = 0.02
+_GRID_POINTS = 48
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MapStudy:
-    """A stability map, the stable kd (low, high) at the study's kp for each angle (n, 2), the longest control period [s].
+    """A stability map, the stable kd (low, high) at the study's kp for each pose (n, 2), the longest control period [s].
 
-    `longest_s` is None where the gains are unstable however short the period, and infinite where none is too long.
+    `longest_s` is None if the gains are unstable at any period, and infinite if they are stable at any period.
     """
 
     found: StabilityMap
-    beside: np.ndarray  # (n, 2) whether MuJoCo settles a share below and above the largest stable kd of each angle
+    settles_near_border: np.ndarray  # (n, 2): MuJoCo settles just below and just above each pose's largest stable kd
     kp: float
     kd: float
     critical: np.ndarray
@@ -47,9 +44,9 @@ class MapStudy:
 
 
 def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
-    """Return the map about a bode study's gains, over nine angles from its first pose to its last.
+    """Return the map around a bode study's gains, at nine positions from its first pose to its last.
 
-    Angles between them at which the largest stable kd is least are added.
+    Positions between them with a local minimum of the largest stable kd are added.
 
     Raises:
         LinkplanError: for a mechanism of more than one degree of freedom.
@@ -58,7 +55,7 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     refuse_several_freedoms(mechanism, "a stability map")
     own_kp, own_kd = (float(gain[0]) for gain in settings.gains(mechanism.independent_joints))
     at = [float(entry.point.state[0]) for entry in study.points]
-    positions = np.linspace(min(at), max(at), ANGLES if len(at) > 1 else 1)
+    positions = np.linspace(min(at), max(at), 9 if len(at) > 1 else 1)
 
     def point_at(x: float) -> OperatingPoint:
         return operating_point(mechanism, np.array([x]), study.effort_limit)
@@ -66,7 +63,7 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     def largest(x: float) -> float:
         try:
             return _critical(point_at(x), own_kp, study.timing)[1]
-        except LinkplanError:  # a stretch between poses that are held may not be
+        except LinkplanError:  # poses between two held ones may not be held
             return np.inf
 
     if len(positions) > 1:
@@ -74,12 +71,12 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     points = [point_at(x) for x in positions]
     critical = np.array([_critical(point, own_kp, study.timing) for point in points])
     inertia = np.array([float(point.inertia[0, 0]) for point in points])
-    bearable = 2 * inertia.max() / settings.period_s
-    most = _BEYOND * max(bearable, own_kd)
-    kd = np.geomspace(_BELOW * bearable, most, _GRID)
-    stiff = inertia / settings.period_s**2  # what kp is to be compared with
-    asked = [own_kp] if own_kp > 0 else []
-    kp = np.geomspace(min(*asked, 1e-4 * stiff.min(), stiff.min()) / 3, max(*asked, 5 * stiff.max(), stiff.max()) * 2, _GRID)
+    # 2 J / T is the largest stable kd without delay, and J / T^2 the natural scale of kp.
+    largest_kd = 2 * inertia.max() / settings.period_s
+    kd = np.geomspace(1e-3 * largest_kd, 4.0 * max(largest_kd, own_kd), _GRID_POINTS)
+    scale = inertia / settings.period_s**2
+    own = [own_kp] if own_kp > 0 else []
+    kp = np.geomspace(min([*own, 1e-4 * scale.min()]) / 3, max([*own, 5 * scale.max()]) * 2, _GRID_POINTS)
     found = stability_map(points, study.timing, kp, kd, study.effort_limit, say)
     delay = study.timing.delay_steps / study.timing.substeps
     try:
@@ -88,10 +85,10 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         )
     except LinkplanError:
         longest, where = None, None
-    say("gains on both sides of the stability boundary at every angle, in MuJoCo")
+    say("gains on both sides of the stability boundary at every pose, in MuJoCo")
     return MapStudy(
         found=found,
-        beside=_beside(points, own_kp, critical[:, 1], study.timing, study.effort_limit),
+        settles_near_border=_settles_near_border(points, own_kp, critical[:, 1], study.timing, study.effort_limit),
         kp=own_kp,
         kd=own_kd,
         critical=critical,
@@ -108,23 +105,23 @@ def _critical(point: OperatingPoint, kp: float, timing) -> tuple[float, float]:
         return np.nan, np.nan
 
 
-def _beside(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:
-    """Return whether MuJoCo settles (n, 2) at a share below and above critical gains (n,); above all where there is none."""
-    kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - BESIDE, 1 + BESIDE])
+def _settles_near_border(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:
+    """Return whether MuJoCo settles (n, 2) just below and just above the critical kd (n,); kd = 1 if there is none."""
+    kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE])
     loops = [pd_loop(point, kp, value, timing) for point, pair in zip(points, kd, strict=True) for value in pair]
     return settle_trials(loops, effort_limit).settles.reshape(-1, 2)
 
 
 def agreement(found: StabilityMap) -> tuple[int, int]:
-    """Return how many gains tried in MuJoCo do as the sampled model says, and how many were tried."""
+    """Return the number of simulated gains for which MuJoCo agrees with the sampled model, and the number simulated."""
     if found.trials is None:
         return 0, 0
-    said = [pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried]
-    return int(np.sum(np.array(said) == found.trials.settles)), len(said)
+    predicted = [pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried]
+    return int(np.sum(np.array(predicted) == found.trials.settles)), len(predicted)
 
 
 def map_record(study: MapStudy) -> dict:
-    """Return what files say of the map."""
+    """Return the map as a JSON record."""
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
     right, tried = agreement(found)
@@ -141,7 +138,7 @@ def map_record(study: MapStudy) -> dict:
                 "settles_above_in_mujoco": bool(above),
             }
             for p, (low, high), (below, above) in zip(
-                found.points, np.nan_to_num(study.critical, nan=0.0), study.beside, strict=True
+                found.points, np.nan_to_num(study.critical, nan=0.0), study.settles_near_border, strict=True
             )
         ],
         "longest_period_s": study.longest_s if study.longest_s is not None and np.isfinite(study.longest_s) else None,
@@ -155,7 +152,7 @@ def map_record(study: MapStudy) -> dict:
 
 
 def map_text(study: MapStudy) -> str:
-    """Return the critical damping gains, the longest period, and what MuJoCo says."""
+    """Return the stable damping gains, the longest period and the agreement with MuJoCo as text."""
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
     rows = [
@@ -176,5 +173,5 @@ def map_text(study: MapStudy) -> str:
             f"{gains} needs a control period below {1e3 * study.longest_s:.4g} ms"
             f" ({1e-3 / study.longest_s:.4g} kHz), for {study.longest_at.name}"
         )
-    lines.append(f"at {right} of {tried} gains next to the stability boundary MuJoCo settles or not as predicted")
+    lines.append(f"MuJoCo agrees with the prediction at {right} of {tried} gains next to the stability boundary")
     return "\n".join(lines)

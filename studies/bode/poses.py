@@ -1,4 +1,4 @@
-"""The poses at which a loop is looked at: those asked for, or by default some over the motion or the reach."""
+"""The poses at which a loop is analysed: the requested ones, or by default poses over the motion or the reach."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,21 +10,16 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
-from linkplan.studies.bode.bode import POINTS, default_poses, is_held, most_of_reach, turns
+from linkplan.studies.bode.bode import DEFAULT_POSES, default_poses, inner_reach, is_held, turns_fully
 from linkplan.studies.bode.scan import Line, coordinate_line, motion_line
 from linkplan.studies.frequency.feedback_loops import require_actuated
-
-# A reference is looked at so many times over its period for the ends of its motion.
-_SAMPLES = 181
-# Instants of a motion of several freedoms: its line's nodes.
-_INSTANTS = 61
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LoopPoses:
-    """Independent positions (n, n_s) [rad or m], a sentence on their choice where that matters, the line they stand for.
+    """Independent positions (n, n_s) [rad or m], a note on their choice, and the line that they sample.
 
-    `line` is None where the poses themselves were asked for, or are home alone.
+    `line` is None if the poses were requested, or if home is the only pose.
     """
 
     positions: np.ndarray
@@ -38,21 +33,24 @@ def loop_poses(
     effort_limit: np.ndarray,
     asked: Sequence[Mapping[str, float]] = (),
 ) -> LoopPoses:
-    """Return the poses to look at.
+    """Return the poses to analyse.
 
     Args:
-        mechanism: of which every freedom has its actuator.
-        problem: over whose motion the default poses lie, where there is one.
-        effort_limit: (n_u, 2) [N.m or N], which is to hold the default poses.
-        asked: positions [rad or m] by joint, home for those that are not named; none for the default.
+        mechanism: with one actuator for each degree of freedom.
+        problem: the default poses cover its motion, if given.
+        effort_limit: (n_u, 2) [N.m or N]; efforts within it must hold the default poses.
+        asked: positions [rad or m] by joint for each pose, home for other joints; empty for the default poses.
 
     Raises:
-        ProblemError: for a joint that follows from others, or a mechanism with a freedom that nothing drives.
+        ProblemError: for a dependent joint.
+        LinkplanError: for a mechanism without one actuator per degree of freedom.
     """
     require_actuated(mechanism)
     if not asked:
         return (
-            _along_motion(mechanism, problem, effort_limit) if mechanism.dof > 1 else _one(mechanism, problem, effort_limit)
+            _along_motion(mechanism, problem, effort_limit)
+            if mechanism.dof > 1
+            else _over_reach(mechanism, problem, effort_limit)
         )
     names = [joint.name for joint in mechanism.independent_joints]
     home = dict(zip(names, mechanism.home[mechanism.independent], strict=True))
@@ -64,41 +62,41 @@ def loop_poses(
     return LoopPoses(positions=np.array([[{**home, **pose}[name] for name in names] for pose in asked]))
 
 
-def _one(mechanism: Mechanism, problem: PlanningProblem | None, effort_limit: np.ndarray) -> LoopPoses:
-    """Return default poses of a single freedom, over the motion or most of the reach, and the line between their ends."""
+def _over_reach(mechanism: Mechanism, problem: PlanningProblem | None, effort_limit: np.ndarray) -> LoopPoses:
+    """Return default poses for one degree of freedom, over the motion or the reach, and the line between their ends."""
     ends = _motion_range(problem)
     positions, note = default_poses(mechanism, ends, effort_limit)
     low, high = float(positions.min()), float(positions.max())
-    if ends is None and note is None and turns(mechanism, 0):
-        low, high = most_of_reach(mechanism, 0)
+    if ends is None and note is None and turns_fully(mechanism, 0):
+        low, high = inner_reach(mechanism, 0)
     line = coordinate_line(mechanism, 0, low, high, positions[0]) if low < high else None
     return LoopPoses(positions=positions, note=note, line=line)
 
 
 def _along_motion(mechanism: Mechanism, problem: PlanningProblem | None, effort_limit: np.ndarray) -> LoopPoses:
-    """Return default poses of several freedoms: along a problem's reference or smooth path, home without one."""
+    """Return default poses for several degrees of freedom: along a problem's reference or smooth path, else home."""
     home = LoopPoses(positions=mechanism.home[mechanism.independent][None])
     if problem is None:
         return home
     try:
         guess = first_guess(problem, start_pose_of(problem))
-    except LinkplanError:  # a problem that cannot begin is for `plan` to explain
+    except LinkplanError:  # `linkplan plan` explains why a problem has no initial guess
         return home
-    time = np.linspace(0.0, guess.duration_s, _INSTANTS)
+    time = np.linspace(0.0, guess.duration_s, 61)
     path = guess.position(time)
     held = np.array([is_held(mechanism, s, effort_limit) for s in path])
-    if not held.any():  # the first one's refusal says why
+    if not held.any():  # the caller's `operating_point` gives the reason
         return LoopPoses(positions=path[:1])
     kept = np.flatnonzero(held)
-    positions = path[kept[np.linspace(0, len(kept) - 1, POINTS).round().astype(int)]]
+    positions = path[kept[np.linspace(0, len(kept) - 1, DEFAULT_POSES).round().astype(int)]]
     note = f"poses are taken along the path of {problem.name}, at equal times"
     if not held.all():
-        note += f", where the actuators hold them at rest: not at {int((~held).sum())} of {len(held)} instants"
+        note += f"; the actuators cannot hold the path at rest at {int((~held).sum())} of {len(held)} instants"
     return LoopPoses(positions=np.unique(positions, axis=0), note=note, line=motion_line(time, path))
 
 
 def _motion_range(problem: PlanningProblem | None) -> np.ndarray | None:
-    """Return the ends of a problem's motion (2,) [rad or m]; None without one, or of more than one freedom."""
+    """Return the ends (2,) [rad or m] of a problem's motion; None without a motion or with several degrees of freedom."""
     if problem is None or problem.mechanism.dof != 1:
         return None
     motion, reference = problem.motion, problem.reference
@@ -106,5 +104,5 @@ def _motion_range(problem: PlanningProblem | None) -> np.ndarray | None:
         return np.array([motion.start[0], motion.goal[0]])
     if reference is None:
         return None
-    values = reference.derivative(np.linspace(0.0, reference.period_s, _SAMPLES))[:, 0]
+    values = reference.derivative(np.linspace(0.0, reference.period_s, 181))[:, 0]
     return np.array([values.min(), values.max()])

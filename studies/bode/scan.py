@@ -1,4 +1,4 @@
-"""Margins over a continuous coordinate: scanned, every local minimum of stability, gain and phase margin refined."""
+"""Margins along a continuous line: a scan, with every local minimum of the disk, gain and phase margin refined."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,22 +12,21 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
+from linkplan.studies.output.digits import radius_figure
 
-# A parameter below this share of its line is zero to people: where a figure is least is found to the root of rounding.
-_NOTHING = 1e-6
-# What an actuator is to have left beside what holds a default pose, of its range: room for a loop to answer in.
-_ROOM = 0.05
-# The figures whose local minima are refined beside that of stability.
-_LEAST = ("gain_margin_db", "phase_margin_deg")
+# A parameter below this share of its line is shown as zero: a minimum is only found to the square root of rounding.
+_ZERO_SHARE = 1e-6
+# Share of its effort range that an actuator keeps in reserve at a default pose, so that the loop can respond.
+_EFFORT_RESERVE = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Line:
-    """A continuous line of positions s (n_s,) [rad or m], by a coordinate's position or by the time along a motion [s]."""
+    """A continuous line of positions s (n_s,) [rad or m]. Its parameter is a coordinate's position or the time [s]."""
 
     name: str
     unit: str
-    factor: float  # of what people are shown, in `unit`, over the line's own parameter
+    factor: float  # from the line's parameter to the shown number in `unit`
     low: float
     high: float
     nodes: np.ndarray  # (m,) parameters, increasing
@@ -38,20 +37,20 @@ class Line:
         return np.array([np.interp(x, self.nodes, column) for column in self.states.T])
 
     def shown(self, x: float) -> float:
-        """Return a parameter in the unit for people."""
+        """Return a parameter in the line's display unit."""
         return float(self.factor * x)
 
     def said(self, x: float, digits: int = 4) -> str:
-        """Return a parameter as people read it: what is rounding of zero is zero."""
-        return f"{0.0 if abs(x) < _NOTHING * (self.high - self.low) else self.shown(x):.{digits}g}"
+        """Return a parameter as text, with rounding errors of zero shown as zero."""
+        return f"{0.0 if abs(x) < _ZERO_SHARE * (self.high - self.low) else self.shown(x):.{digits}g}"
 
     def place(self, x: float) -> str:
-        """Return a parameter for people."""
+        """Return a parameter as text with name and unit."""
         return f"{self.name} = {self.said(x, 4)} {self.unit}"
 
 
 def coordinate_line(mechanism: Mechanism, channel: int, low: float, high: float, others: np.ndarray) -> Line:
-    """Return the line of a coordinate from one position to another [rad or m], the others as in `others` (n_s,)."""
+    """Return the line of a coordinate from low to high [rad or m], with the other coordinates as in `others` (n_s,)."""
     joint = mechanism.independent_joints[channel]
     states = np.tile(np.asarray(others, dtype=float), (2, 1))
     states[:, channel] = low, high
@@ -74,7 +73,7 @@ def motion_line(time_s: np.ndarray, positions: np.ndarray) -> Line:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scan:
-    """Margins of one coordinate's loop along a line: parameters (n,), the margins at each, every local worst among them."""
+    """Margins of one coordinate's loop along a line at parameters (n,), which include every local minimum."""
 
     channel: int
     line: Line
@@ -82,23 +81,26 @@ class Scan:
     margins: tuple[Margins, ...]
 
     def column(self, name: str) -> np.ndarray:
-        """Return a figure (n,) of the margins, not a number where it is none."""
+        """Return one figure (n,) of the margins, NaN where it is None."""
         return np.array([np.nan if getattr(m, name) is None else getattr(m, name) for m in self.margins], dtype=float)
 
     @property
     def worst(self) -> int:
-        """The index of the worst margins: unstable before stable, then by the disk margin."""
+        """The index of the worst margins: unstable ones first, then the smallest disk margin."""
         return int(np.argmin([stability(m) for m in self.margins]))
 
     def least(self, name: str) -> tuple[float, int] | None:
-        """Return the least of a figure along the line, and its index; None where it is nowhere known."""
+        """Return the smallest value of a figure along the line and its index, or None if there is no value."""
         values = np.where(np.isnan(self.column(name)), np.inf, self.column(name))
         k = int(np.argmin(values))
         return (float(values[k]), k) if np.isfinite(values[k]) else None
 
 
 def stability(found: Margins | None) -> float:
-    """Return the disk margin, or 1 - |pole| below zero of an unstable loop: both vanish at the border; infinite for none."""
+    """Return the disk margin of a stable loop, or 1 - |pole| < 0 of an unstable one. Both are zero at the border.
+
+    The result is infinite for `None` and for a stable loop without a disk margin.
+    """
     if found is None:
         return np.inf
     if found.stable:
@@ -109,9 +111,10 @@ def stability(found: Margins | None) -> float:
 def scan_line(
     judge: Callable[[float], Margins | None], low: float, high: float, count: int
 ) -> tuple[np.ndarray, tuple[Margins, ...]]:
-    """Return places (n,) from low to high, increasing, and the margins there; where `judge` has none the place is left out.
+    """Return increasing parameters (n,) from low to high, and the margins there; parameters without margins are omitted.
 
-    `count` places are even, the others are the local minima of stability and, where all is stable, of gain and phase margin.
+    `count` parameters are evenly spaced. The others are the local minima of `stability` and, if all loops are stable, of
+    the gain and the phase margin.
     """
     known: dict[float, Margins | None] = {}
 
@@ -123,7 +126,7 @@ def scan_line(
     even = np.linspace(low, high, count)
     places = {float(x) for x in even} | set(local_minima(lambda x: stability(at(x)), even))
     if all(m is None or m.stable for m in known.values()):
-        for name in _LEAST:
+        for name in ("gain_margin_db", "phase_margin_deg"):
 
             def figure(x: float, name: str = name) -> float:
                 value = None if (m := at(x)) is None else getattr(m, name)
@@ -134,25 +137,32 @@ def scan_line(
     return np.array(kept), tuple(m for x in kept if (m := at(x)) is not None)
 
 
-def with_room(effort_limit: np.ndarray) -> np.ndarray:
-    """Return limits (n_u, 2) within which a pose is to be held, so that a loop about it has room to answer in."""
+def reduced_limits(effort_limit: np.ndarray) -> np.ndarray:
+    """Return effort limits (n_u, 2) reduced by a reserve at both ends; infinite limits stay."""
     limit = np.array(effort_limit, dtype=float)
-    room = _ROOM * np.diff(limit, axis=1).ravel()
-    return np.where(np.isfinite(room)[:, None], limit + np.outer(np.where(np.isfinite(room), room, 0.0), [1.0, -1.0]), limit)
+    reserve = _EFFORT_RESERVE * np.diff(limit, axis=1).ravel()
+    return limit + np.outer(np.where(np.isfinite(reserve), reserve, 0.0), [1.0, -1.0])
+
+
+def bounds_text(bounds: Margins) -> str:
+    """Return the disk margin of a stable loop or the largest pole of an unstable one, as text."""
+    if bounds.stable:
+        return f"disk margin {bounds.disk_margin:.3g}"
+    return f"unstable, largest pole {radius_figure(bounds.spectral_radius)}"
 
 
 def judge_of(
     mechanism: Mechanism, settings: Tracking, effort_limit: np.ndarray, timing: Sampling, law: str, channels: Sequence[int]
 ) -> Callable[[np.ndarray], list[Margins] | None]:
-    """Return what gives the margins of coordinates' loops at positions (n_s,), None where no effort holds them."""
-    inside = with_room(effort_limit)
+    """Return the function from positions (n_s,) to the margins of the channels' loops, or None if no effort holds them."""
+    inside = reduced_limits(effort_limit)
 
     def judge(s: np.ndarray) -> list[Margins] | None:
         try:
             point: OperatingPoint = operating_point(mechanism, s, inside)
             loop = feedback_loop(point, law_gain(point, law, settings, effort_limit), timing)
             return [margins(loop, channel, refine=False) for channel in channels]
-        except LinkplanError:  # a stretch that cannot be held, or not be stabilised, has no margins
+        except LinkplanError:  # the pose cannot be held, or LQR has no stabilising gain
             return None
 
     return judge

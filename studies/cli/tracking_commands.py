@@ -85,7 +85,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
 
 
 def _save_tracking(arguments: argparse.Namespace, comparison, said: dict, place: Path, document: dict | None = None) -> None:
-    from linkplan.studies.compare.document import KP, document_record
+    from linkplan.studies.compare.document import DOCUMENT_KP, document_record
     from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
     from linkplan.studies.compare.time_series import save_time_series
     from linkplan.studies.report.reports import comparison_report
@@ -97,6 +97,6 @@ def _save_tracking(arguments: argparse.Namespace, comparison, said: dict, place:
     save_time_series(comparison, place, parquet=arguments.parquet)
     comparison_figure(comparison, place / f"{name}.png")
     if document:
-        document_figure(document, KP, place / "desired_and_actual.png")
-    section = document_section(document, document_record(document), KP) if document else None
+        document_figure(document, DOCUMENT_KP, place / "desired_and_actual.png")
+    section = document_section(document, document_record(document), DOCUMENT_KP) if document else None
     save_report(comparison_report(comparison, section), place, page=arguments.report)

@@ -1,4 +1,4 @@
-"""The study behind `linkplan compare` and `track`: trackers side by side on one plan, as modelled and with a mismatch."""
+"""The study behind `linkplan compare` and `track`: trackers on one plan, with the modelled and a changed mechanism."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -28,19 +28,17 @@ from linkplan.planner.planning import silent
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.run_time import RunTime, run_time
-from linkplan.studies.compare.user_tracker import Asked, users_tracker
+from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
 
-# Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
-FEWEST_SAMPLES = 10
-# Pairs of geoms that a sentence names.
-_NAMED = 3
-# More control instants than this take a gigabyte to log, and minutes; more of the simulator's steps take an hour.
-MOST_INSTANTS, MOST_STEPS = 2e6, 1e8
+# Fewest control periods in a motion. With fewer, tracking errors depend on sampling more than on the tracker.
+_MIN_CONTROL_PERIODS = 10
+# Most control instants, whose log takes a gigabyte, and most simulator steps, which take an hour.
+_MAX_INSTANTS, _MAX_STEPS = 2e6, 1e8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Mismatch:
-    """A way in which the simulated machine differs from the model that the plan and trackers know."""
+    """The differences between the simulated machine and the model of the plan and the trackers."""
 
     name: str
     mass_factor: float
@@ -49,19 +47,19 @@ class Mismatch:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Comparison:
-    """Runs of the trackers on one plan: nominal, and under a mismatch."""
+    """Runs of the trackers on one plan: as modelled, and with a mismatch."""
 
     plan: Plan
     nominal: dict[str, Rollout]
     mismatch: Mismatch | None
     mismatched: dict[str, Rollout]
-    title: str = "nominal"  # of the first side
-    stem: str = "nominal"  # of its files
+    title: str = "nominal"  # of the first group of runs
+    stem: str = "nominal"  # of the first group's file names
     run_time: dict[str, RunTime] = field(default_factory=dict)
 
 
 def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: int = 1) -> Mismatch:
-    """Return the mismatch of a factor on the payload (all moving masses where there is none) and a further delay."""
+    """Return the mismatch with a factor on the payload (or all moving masses without one) and an additional delay."""
     what = "payload" if plan.problem.mechanism.payload is not None else "moving masses"
     delay = f"{delay_periods} control period{'s' if delay_periods != 1 else ''} of delay"
     return Mismatch(
@@ -70,10 +68,10 @@ def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: int = 
 
 
 def mismatch_of(plan: Plan, mass_factor: object, delay_periods: object) -> Mismatch | None:
-    """Return the mismatch of a factor on masses and a further delay, or None where both leave the machine as modelled.
+    """Return the mismatch of a factor on masses and an additional delay, or None if neither changes the machine.
 
     Raises:
-        ProblemError: when the factor is no positive number, or the delay no whole number of control periods.
+        ProblemError: if the factor is not positive, or the delay is not a whole number of control periods.
     """
     factor = number(mass_factor, "mass_factor", positive=True)
     delay = whole(delay_periods, "delay_periods", 0, MOST_DELAY_PERIODS)
@@ -84,18 +82,18 @@ def tracking_reference(plan: Plan) -> SampledReference:
     """Return the plan sampled at its problem's control period, over the problem's tracking duration or its own.
 
     Raises:
-        ProblemError: when the control period is too long for the motion.
+        ProblemError: if the control period is too long for the motion, or so short that the run is too long.
     """
     settings, trajectory = plan.problem.tracking, plan.trajectory
     duration = settings.duration_s or trajectory.duration_s
-    if trajectory.duration_s < FEWEST_SAMPLES * settings.period_s:
+    if trajectory.duration_s < _MIN_CONTROL_PERIODS * settings.period_s:
         raise ProblemError(
-            f"tracking.period_s = {settings.period_s:g} s leaves fewer than {FEWEST_SAMPLES} control instants in a motion of"
-            f" {trajectory.duration_s:.4g} s; at most {trajectory.duration_s / FEWEST_SAMPLES:.2g} s"
+            f"tracking.period_s = {settings.period_s:g} s leaves fewer than {_MIN_CONTROL_PERIODS} control instants in a"
+            f" motion of {trajectory.duration_s:.4g} s; at most {trajectory.duration_s / _MIN_CONTROL_PERIODS:.2g} s"
         )
     instants = duration / settings.period_s
     steps = instants * max(1.0, settings.period_s / float(plan.problem.mechanism.model.opt.timestep))
-    for many, what, most in ((instants, "control instants", MOST_INSTANTS), (steps, "simulator steps", MOST_STEPS)):
+    for many, what, most in ((instants, "control instants", _MAX_INSTANTS), (steps, "simulator steps", _MAX_STEPS)):
         if many > most:
             raise ProblemError(
                 f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what};"
@@ -104,11 +102,11 @@ def tracking_reference(plan: Plan) -> SampledReference:
     return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
 
 
-def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> AnyTracker:
+def build_tracker(asked: TrackerLike, plan: Plan, reference: SampledReference) -> AnyTracker:
     """Return a tracker for a plan: a built-in one by its name, or a user's own.
 
     Raises:
-        ProblemError: for an unknown name, or what is no tracker.
+        ProblemError: for an unknown name, or an object that is not a tracker.
     """
     if not isinstance(asked, str):
         return users_tracker(asked, plan.problem.mechanism, reference)
@@ -141,11 +139,11 @@ def _errors(plan: Plan) -> Errors:
 
 
 def _frequency(plan: Plan) -> tuple[float, float]:
-    """Return the natural frequency [rad/s] and the damping ratio of errors."""
+    """Return the natural frequency [rad/s] and the damping ratio of the errors."""
     return 2 * np.pi * plan.problem.tracking.bandwidth_hz, plan.problem.tracking.damping_ratio
 
 
-# How each built-in tracker is made of a plan and its reference.
+# The constructor of each built-in tracker, from a plan and its reference.
 BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
     "pd": _pd,
     "pd+ff": lambda plan, reference: Feedforward(reference=reference, feedback=_pd(plan, reference)),
@@ -171,26 +169,28 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
 }
 
 
-def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None, reference: SampledReference | None = None) -> Rollout:
-    """Return one tracker's run on a plan, under a mismatch if one is given; `reference` is the plan's, if at hand."""
+def track(
+    plan: Plan, asked: TrackerLike, mismatch: Mismatch | None = None, reference: SampledReference | None = None
+) -> Rollout:
+    """Return one tracker's run on a plan, optionally with a mismatch; `reference` is the sampled plan, if available."""
     reference = tracking_reference(plan) if reference is None else reference
     return simulate_one(_plant(plan, mismatch), build_tracker(asked, plan, reference), reference)
 
 
 def compare(
-    plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent, asked: Sequence[Asked] = LINEAR
+    plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent, asked: Sequence[TrackerLike] = LINEAR
 ) -> Comparison:
-    """Return several trackers' runs on a plan, nominal and under a mismatch.
+    """Return several trackers' runs on a plan, as modelled and with a mismatch.
 
     Raises:
-        ProblemError: for an unknown tracker, two of one name, or none.
+        ProblemError: for an unknown tracker, equal names, or no tracker.
     """
     reference = tracking_reference(plan)
     built = [build_tracker(one, plan, reference) for one in asked]
     trackers = {tracker.name: tracker for tracker in built}
     if len(trackers) < max(1, len(built)):
         names = ", ".join(tracker.name for tracker in built)
-        raise ProblemError(f"trackers that are compared are one or more with names of their own, got {names or 'none'}")
+        raise ProblemError(f"a comparison needs one or more trackers with different names, got {names or 'none'}")
     cases = [None] if mismatch is None else [None, mismatch]
     runs: list[dict[str, Rollout]] = [{}, {}]
     for case, results in zip(cases, runs, strict=False):
@@ -212,12 +212,12 @@ def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
     return MujocoPlant(mechanism=problem.mechanism, loop=loop)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a run that diverged has errors without end
+@np.errstate(over="ignore", invalid="ignore")  # a diverged run has infinite errors
 def rollout_record(plan: Plan, rollout: Rollout) -> dict:
-    """Return a run's figures by name, their units in the names."""
+    """Return a run's metrics; the names contain the units."""
     mechanism = plan.problem.mechanism
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)  # no tracker has a hand in a spin
+    steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)  # passive degrees of freedom are uncontrollable
     names = [actuator.name for actuator in mechanism.actuators]
     record = {}
     for unit, which, factor in (("deg", hinge & steered, 180 / np.pi), ("m", ~hinge & steered, 1.0)):
@@ -241,13 +241,13 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
 
 
 def gap_units(plan: Plan) -> tuple[bool, bool]:
-    """Return whether closure gaps are lengths, and whether angles; lengths, all zero, where there is no closure."""
+    """Return (True if some closure gap is a length, True if some is an angle); (True, False) without closures."""
     units = {closure.unit for closure in plan.problem.mechanism.closures}
     return units != {"rad"}, "rad" in units
 
 
 def gap_note(plan: Plan, rollout: Rollout) -> str | None:
-    """Return the sentence on the closure gap of a run and what it does to the joints, None where it is small."""
+    """Return the sentence on a run's closure gap and its effect on the joints, or None if the gap is small."""
     mechanism = plan.problem.mechanism
     if not (rollout.finite and gap_sentence(mechanism, *rollout.largest_gaps)):
         return None
@@ -255,28 +255,28 @@ def gap_note(plan: Plan, rollout: Rollout) -> str | None:
 
 
 def contact_note(plan: Plan, rollout: Rollout) -> str | None:
-    """Return the sentence on contacts that acted in a run and that its plan leaves out, None where there were none."""
+    """Return the sentence on contacts in a run that its plan omits, or None if there were none."""
     met = plan.certificate.contacts if plan.certificate is not None else ()
     if not (rollout.contacts and met):
         return None
-    pairs = ", ".join(who(meeting).removeprefix("geoms ") for meeting in met[:_NAMED])
-    more = f" and {len(met) - _NAMED} more pairs" if len(met) > _NAMED else ""
-    told = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in met[:_NAMED]))
+    pairs = ", ".join(who(meeting).removeprefix("geoms ") for meeting in met[:3])
+    more = f" and {len(met) - 3} more pairs" if len(met) > 3 else ""
+    exclusions = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in met[:3]))
     return (
-        f"contacts of {pairs}{more} push in MuJoCo, at up to {rollout.contacts} points together; plans know no contact"
-        f" force, and loops gape where their links push each other; {told} in the model's <contact> lets links pass side by"
+        f"contacts of {pairs}{more} push in MuJoCo, at up to {rollout.contacts} points together; plans have no contact"
+        f" forces, and these forces open the kinematic loops; {exclusions} in the model's <contact> lets links pass side by"
         " side"
     )
 
 
 def _gap_share(plan: Plan, rollout: Rollout) -> float:
-    """Return a run's largest gap as a share of the mechanism's extent, an angle as it is."""
+    """Return a run's largest gap: a length divided by the mechanism's extent, or an angle [rad]."""
     gap_m, gap_rad = rollout.largest_gaps
     return max(gap_m / plan.problem.mechanism.extent_m, gap_rad)
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return the sentences on contacts that act, and on the closure gap of the nominal run that gapes most, if any does."""
+    """Return the sentences on contacts and on the largest closure gap of the nominal runs, if there are any."""
     runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
@@ -284,7 +284,7 @@ def comparison_notes(comparison: Comparison) -> list[str]:
 
 
 def comparison_record(comparison: Comparison) -> dict:
-    """Return what `linkplan compare --json` says."""
+    """Return the JSON record of `linkplan compare`."""
     plan = comparison.plan
     trajectory = plan.trajectory
 

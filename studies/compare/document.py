@@ -1,4 +1,4 @@
-"""The source document's experiment: its sinusoid under PD, as printed and on the mended knee, for both of its gain sets."""
+"""The source document's experiment: a sinusoid under PD with two gain sets, on the printed and on the corrected model."""
 
 from collections.abc import Callable
 
@@ -13,54 +13,52 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.reference import Sine
 
-KP = 200.0
+DOCUMENT_KP = 200.0
 KD = (1.0, 10.0)
-DURATION_S = 2.0
+_DURATION_S = 2.0
 AS_PRINTED, MENDED = "as printed", "mended"
-# The document holds its second actuator's control here; its gain of 1 makes 0.1 N of it.
-_IDLE_CTRL = 0.1
 
 
 def is_the_documents(plan: Plan) -> bool:
-    """Return whether a plan is the document's experiment: its sinusoid, followed exactly, on the bare mended knee."""
+    """Return True if a plan is the document's experiment: its sinusoid, tracked exactly, on the knee without a payload."""
     problem = plan.problem
     return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and problem.motion.kind == "track"
 
 
 def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
-    """Return the runs of the mended model, by (model, KD), on the plan of the document's sinusoid."""
+    """Return the runs of the corrected model by (model, KD), on the plan of the document's sinusoid."""
     mechanism, runs = plan.problem.mechanism, {}
     plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=plan.problem.limits.effort))
-    reference = sample(mechanism, plan.trajectory, float(mechanism.model.opt.timestep), DURATION_S)
+    reference = sample(mechanism, plan.trajectory, float(mechanism.model.opt.timestep), _DURATION_S)
     for kd in KD:
-        say(f"{MENDED}, KP = {KP:g}, KD = {kd:g}")
-        runs[MENDED, kd] = simulate_one(plant, pd(mechanism, reference, KP, kd), reference)
+        say(f"{MENDED}, KP = {DOCUMENT_KP:g}, KD = {kd:g}")
+        runs[MENDED, kd] = simulate_one(plant, pd(mechanism, reference, DOCUMENT_KP, kd), reference)
     return runs
 
 
 def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
-    """Return the runs of the document's model as it was printed, by (model, KD)."""
+    """Return the runs of the document's model as printed, by (model, KD)."""
     source, runs = load_mechanism("optimus-knee-source"), {}
     driven = source.actuators[0].channel
-    plant = PlantAsItStands(
-        mechanism=source, idle_ctrl={channel: _IDLE_CTRL for channel in range(source.model.nu) if channel != driven}
-    )
+    # The document sets the control of its second actuator to 0.1, which gives a constant force of 0.1 N.
+    idle = {channel: 0.1 for channel in range(source.model.nu) if channel != driven}
+    plant = PlantAsItStands(mechanism=source, idle_ctrl=idle)
     period_s = float(source.model.opt.timestep)
-    time = period_s * np.arange(round(DURATION_S / period_s))
+    time = period_s * np.arange(round(_DURATION_S / period_s))
     position, velocity = sine.derivative(time, 0), sine.derivative(time, 1)
     reference = SampledReference(
         period_s=period_s, time_s=time, pose=position, position=position, velocity=velocity,
         effort=np.zeros_like(position), cycle=None,
     )  # fmt: skip
     for kd in KD:
-        say(f"{AS_PRINTED}, KP = {KP:g}, KD = {kd:g}")
-        law = PD(reference=reference, kp=KP, kd=kd, map=np.ones((reference.n, 1, 1)))
+        say(f"{AS_PRINTED}, KP = {DOCUMENT_KP:g}, KD = {kd:g}")
+        law = PD(reference=reference, kp=DOCUMENT_KP, kd=kd, map=np.ones((reference.n, 1, 1)))
         runs[AS_PRINTED, kd] = simulate_one(plant, law, reference)
     return runs
 
 
 def document_record(runs: dict[tuple[str, float], Rollout]) -> list[dict]:
-    """Return the runs' figures: error, loop gap over the second half, contacts, share of the time at the limit."""
+    """Return the runs' metrics: error, loop gap over the second half, contacts, share of the time at the limit."""
     rows = []
     for (model, kd), rollout in runs.items():
         error = np.degrees(rollout.error[:, 0])
@@ -68,7 +66,7 @@ def document_record(runs: dict[tuple[str, float], Rollout]) -> list[dict]:
         rows.append(
             {
                 "model": model,
-                "kp": KP,
+                "kp": DOCUMENT_KP,
                 "kd": kd,
                 "rms_error_deg": float(np.sqrt(np.mean(error**2))),
                 "steady_gap_mean_m": float(rollout.gap_m[half:].mean()),

@@ -1,4 +1,4 @@
-"""Figures of tracking runs: trackers side by side, and the source document's own figure."""
+"""Figures of tracking runs: a comparison of trackers, and the source document's figure."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,18 +10,15 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.studies.compare.compare import Comparison
 from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, SERIES, TRACKER_COLOURS, outside_legend, page
 
-# Pages of more rows than this have lower ones.
-_TALL = 4
-# Widths of the first tracker's lines and of the last one's, in points.
-_WIDEST, _THINNEST = 3.2, 1.1
+_THIN_LINE_PT = 1.1
 _LIMIT = {"color": GREY, "linestyle": ":", "linewidth": 1.2}
 
 
 def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figure:
-    """Return the figure of every tracker's motion, error and effort, saved at `path` where one is given.
+    """Return the figure of every tracker's motion, error and effort, saved at `path` if given.
 
-    Every independent joint has its motion and its error, every dependent joint its motion, every actuator its effort.
-    Nominal runs are to the left, those under the mismatch to the right.
+    It shows the motion and error of every independent joint, the motion of every dependent joint and the effort of every
+    actuator. The left column has the runs as modelled, the right column those with the mismatch.
     """
     cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
@@ -29,7 +26,7 @@ def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figur
     mechanism = comparison.plan.problem.mechanism
     moved, pushed = mechanism.independent_joints, mechanism.actuators
     rows = 2 * len(moved) + len(mechanism.dependent) + len(pushed)
-    height = 2.5 if rows <= _TALL else 1.9
+    height = 2.5 if rows <= 4 else 1.9
     with page(path, rows=rows, columns=len(cases), size=(5.6 * len(cases), height * rows), sharex="col") as axes:
         for column, (title, runs) in enumerate(cases):
             cells = iter(axes[:, column])
@@ -49,7 +46,7 @@ def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figur
 
 
 def _colour(runs: Mapping[str, Rollout], name: str) -> str:
-    """Return a tracker's colour: its own, or of those that no built-in tracker has, in order."""
+    """Return a tracker's colour: fixed for a built-in tracker, else the next unused one."""
     others = [other for other in runs if other not in TRACKER_COLOURS]
     taken = {TRACKER_COLOURS[other] for other in runs if other in TRACKER_COLOURS}
     left = [colour for colour in SERIES if colour not in taken] or SERIES
@@ -57,13 +54,13 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> str:
 
 
 def _look(runs: Mapping[str, Rollout], name: str) -> dict:
-    """Return a tracker's colour and width: the later ones are thinner, and leave to be seen what they lie upon."""
+    """Return a tracker's colour and line width; later lines are thinner, so that the lines below stay visible."""
     place = list(runs).index(name) / max(1, len(runs) - 1)
-    return {"color": _colour(runs, name), "linewidth": _WIDEST + place * (_THINNEST - _WIDEST)}
+    return {"color": _colour(runs, name), "linewidth": 3.2 + place * (_THIN_LINE_PT - 3.2)}
 
 
 def draw_tracking(axes, runs: Mapping[str, Rollout], joint, k: int = 0) -> None:
-    """Draw the k-th independent joint's motion: desired dashed, actual solid."""
+    """Draw the k-th independent joint's motion: desired (dashed) and actual (solid)."""
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
         axes.plot(rollout.time_s, factor * rollout.position[:, k], **_look(runs, name), label=name)
@@ -82,17 +79,17 @@ def draw_following(axes, runs: Mapping[str, Rollout], joint, index: int) -> None
 
 
 def draw_tracking_error(axes, runs: Mapping[str, Rollout], joint, k: int = 0) -> None:
-    """Draw the size of the k-th independent joint's error, logarithmic: trackers differ by orders of magnitude."""
+    """Draw the absolute error of the k-th independent joint on a logarithmic axis."""
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
         error = np.maximum(np.abs(factor * rollout.error[:, k]), 1e-7)
-        axes.semilogy(rollout.time_s, error, color=_colour(runs, name), linewidth=_THINNEST)
+        axes.semilogy(rollout.time_s, error, color=_colour(runs, name), linewidth=_THIN_LINE_PT)
     axes.set_ylim(bottom=1e-5)
     axes.set_ylabel(f"|error of {joint.name}| [{joint.unit}]")
 
 
 def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator, k: int = 0) -> None:
-    """Draw the k-th actuator's applied effort, and its limits where it comes near them."""
+    """Draw the k-th actuator's applied effort, and its limits if the effort comes close to them."""
     peak = 0.0
     for name, rollout in runs.items():
         axes.plot(rollout.time_s, rollout.applied[:, k], **_look(runs, name))
@@ -104,12 +101,12 @@ def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator, k: int = 0)
 
 
 def document_figure(runs: Mapping[tuple[str, float], Rollout], kp: float, path: Path) -> None:
-    """Draw the source document's figure: desired dashed, actual solid, in degrees.
+    """Draw the source document's figure: desired (dashed) and actual (solid) angle [deg].
 
     Args:
-        runs: by (model's title, kd): a column for each model, a row for each kd.
+        runs: by (model's title, kd), with a column for each model and a row for each kd.
         kp: the common proportional gain.
-        path: where to save.
+        path: the image file.
     """
     titles = list(dict.fromkeys(title for title, _ in runs))
     gains = list(dict.fromkeys(kd for _, kd in runs))
@@ -133,7 +130,7 @@ def document_figure(runs: Mapping[tuple[str, float], Rollout], kp: float, path: 
 
 
 def draw_desired_and_actual(axes, rollout: Rollout) -> None:
-    """Draw the first independent joint's desired angle dashed and its actual angle solid [deg]."""
+    """Draw the first independent joint's desired angle (dashed) and actual angle (solid) [deg]."""
     axes.plot(rollout.time_s, np.degrees(rollout.position[:, 0]), color=ORANGE, linewidth=1.2, label="actual")
     axes.plot(
         rollout.time_s, np.degrees(rollout.reference[:, 0]), color=BLUE, linestyle="--", linewidth=1.6, label="desired"

@@ -1,4 +1,4 @@
-"""What a tracker needs at run time: numbers to remember, numbers stored for every instant, operations, microseconds."""
+"""The computing cost of a tracker: memory, stored numbers, floating-point operations and measured time."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,9 @@ from linkplan.controllers.trackers.computed_torque import ComputedTorque
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.integral_lqr import IntegralLQR
 from linkplan.controllers.trackers.lqr import LQR
-from linkplan.controllers.trackers.mpc import BLOCKS, MPC
+from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
 from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.prediction import FLOWS
+from linkplan.controllers.trackers.prediction import RUNGE_KUTTA_STAGES
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker
 from linkplan.models.mechanism import Mechanism
@@ -21,12 +21,12 @@ from linkplan.models.mechanism import Mechanism
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunTime:
-    """A tracker's needs in a control period; None where it is not a built-in one's and so not known.
+    """A tracker's cost in a control period; None if unknown, for a tracker that is not built in.
 
-    `remembered` numbers go from one period to the next; `stored` ones are a control instant's of the plan: reference, gains.
-    `operations` are floating-point ones of the law; `operations_at_limit` those where efforts are predicted to meet a limit,
-    the quadratic program's own beside them. `median_us` and `percentile90_us` [us] are this implementation's, one state at
-    a time, on the machine that ran it: figures to compare trackers by, which no result depends on.
+    `remembered`: numbers kept from one period to the next. `stored`: numbers stored for each control instant of the plan
+    (reference, gains). `operations`: floating-point operations of the law. `operations_at_limit`: the same if efforts are
+    predicted to reach a limit, without the iterations of the quadratic program. `median_us` and `percentile90_us` [us]:
+    measured times of this implementation for one state.
     """
 
     remembered: int
@@ -42,7 +42,7 @@ class RunTime:
 
 
 def run_time(tracker: AnyTracker, mechanism: Mechanism, rollout: Rollout) -> RunTime:
-    """Return what a tracker needs, its times those of a run."""
+    """Return a tracker's cost, with the times of a run."""
     stored, free, at_limit = _counted(tracker, mechanism)
     times = 1e6 * rollout.asked_s
     return RunTime(
@@ -56,7 +56,7 @@ def run_time(tracker: AnyTracker, mechanism: Mechanism, rollout: Rollout) -> Run
 
 
 def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int | None, int | None]:
-    """Return the numbers stored an instant, and the operations of a period away from limits and at one."""
+    """Return the numbers stored per instant, and the operations of a period without and with a limit reached."""
     n_s, n_u, n_q = mechanism.dof, mechanism.n_u, mechanism.n_q
     state, dynamics = 2 * n_s, mechanism.dynamics
     if isinstance(tracker, Feedforward):
@@ -78,10 +78,10 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
         free = 7 * n_s + closing + _size(dynamics.effort_map) + _size(dynamics.inverse_dynamics) + 2 * n_u * n_s
         return state + n_s + n_q, free, free
     if isinstance(tracker, MPC):
-        m, n, many = len(tracker.kept), BLOCKS, BLOCKS * n_u
+        m, n, many = len(tracker.kept), HORIZON_BLOCKS, HORIZON_BLOCKS * n_u
         free = state + 2 * n_u * m + many * (2 * m + 1)
-        predicted = closing + n * (FLOWS * _size(dynamics.flow) + _size(dynamics.linearisation))
-        # Responses of states to efforts, and the Hessian of a cost that weighs every state.
+        predicted = closing + n * (RUNGE_KUTTA_STAGES * _size(dynamics.flow) + _size(dynamics.linearisation))
+        # The state responses to efforts, and the Hessian of the cost.
         program = m * m * n_u * n * (n - 1) + 2 * many * many * n * m + 2 * n * m * many * m
         stored = state + n_q + n_u + m * m + n_u * m * (1 + n) + n_u
         return stored, free, free + predicted + program
@@ -89,5 +89,5 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
 
 
 def _size(function: ca.Function) -> int:
-    """Return the operations of an expression's function."""
+    """Return the number of operations of a CasADi function."""
     return int(function.n_instructions()) if function.is_a("SXFunction") else int(function.n_nodes())

@@ -1,4 +1,4 @@
-"""Tracking runs as tables: one row for each control instant, units in the heads, as CSV for people and NPZ for programs."""
+"""Tracking runs as CSV, NPZ and Parquet tables: one row for each control instant, with units in the column names."""
 
 from pathlib import Path
 
@@ -11,11 +11,11 @@ from linkplan.studies.compare.compare import Comparison
 
 
 def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]:
-    """Return a run's columns (n,) under heads that carry their units.
+    """Return a run's columns (n,) by name, with units in the names.
 
-    time_s; of each independent joint O its desired position, its own and the error (O_ref_deg, O_deg, O_error_deg) and its
-    speed; every dependent joint's position; of each actuator the effort commanded and the effort that acted
-    (act_O_commanded_Nm, act_O_applied_Nm); closure_gap_m, and closure_gap_rad where angles are tied.
+    The columns are time_s; the desired position, position, error and velocity of each independent joint (O_ref_deg, O_deg,
+    O_error_deg, O_deg_s); the position of each dependent joint; the commanded and applied effort of each actuator
+    (act_O_commanded_Nm, act_O_applied_Nm); closure_gap_m; and closure_gap_rad if angles are tied.
     """
     found = {"time_s": rollout.time_s}
     for k, joint in enumerate(mechanism.independent_joints):
@@ -36,9 +36,9 @@ def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]
 
 
 def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = False) -> list[str]:
-    """Write every run of a comparison into a folder and return the files' names: nominal-pd.csv, mismatch-pd.npz, ...
+    """Write every run of a comparison into a folder and return the file names: nominal-pd.csv, mismatch-pd.npz, ...
 
-    With `parquet` the same columns are in nominal-pd.parquet, ..., too.
+    With `parquet`, Parquet files are written too.
     """
     names = []
     for side, runs in ((comparison.stem, comparison.nominal), ("mismatch", comparison.mismatched)):

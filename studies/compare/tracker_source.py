@@ -1,4 +1,4 @@
-"""What a user's own tracker is written in: the files that results depend on, and their hash. Nothing is run to find them."""
+"""The source files of a user's tracker, which results depend on, and their hash. The files are not executed."""
 
 import ast
 import contextlib
@@ -14,21 +14,21 @@ from pathlib import Path
 
 from linkplan.models.errors import LinkplanError, ProblemError
 
-# Where installed packages say what trackers they have.
+# The entry point group of trackers in installed packages.
 ENTRY_POINTS = "linkplan.trackers"
-# Folders of installed packages: what stands beside a module there is somebody else's.
+# Folders of installed packages: other modules in these folders do not belong to the tracker.
 _INSTALLED = ("site-packages", "dist-packages")
 
 
 def module_of(text: str) -> str:
-    """Return the module of a tracker "module:object", or of an installed package's tracker of that name."""
+    """Return the module of a tracker "module:object", or of an installed package's tracker with this name."""
     if ":" in text:
         return text.split(":", 1)[0]
     return entry_points(group=ENTRY_POINTS)[text].value.split(":", 1)[0]
 
 
 def look_here() -> None:
-    """Let modules be looked for in the working folder first."""
+    """Put the working folder first on Python's module search path."""
     here = os.getcwd()
     if sys.path[:1] not in ([here], [""]):
         with contextlib.suppress(ValueError):
@@ -38,23 +38,23 @@ def look_here() -> None:
 
 
 def source_files(module: str) -> dict[str, Path]:
-    """Return the files of a module by name: its own, and those of its package or beside it that it imports.
+    """Return the files of a module by module name: its own, and imported ones from its package or folder.
 
     Raises:
-        ProblemError: when there is no such module.
+        ProblemError: if Python does not find the module.
     """
     look_here()
     found: dict[str, Path] = {}
     first = _file_of(module)
     if first is None:
-        raise ProblemError(f"module '{module}' of a tracker is no file that Python finds")
+        raise ProblemError(f"Python does not find the module '{module}' of a tracker")
     top = module.partition(".")[0]
-    beside = None if any(part in _INSTALLED for part in first.parts) else first.parent
+    folder = None if any(part in _INSTALLED for part in first.parts) else first.parent
     left = [module]
     while left:
         name = left.pop()
         path = _file_of(name)
-        if name in found or path is None or not (name.partition(".")[0] == top or path.parent == beside):
+        if name in found or path is None or not (name.partition(".")[0] == top or path.parent == folder):
             continue
         found[name] = path
         left += _imported(path, name)
@@ -62,7 +62,7 @@ def source_files(module: str) -> dict[str, Path]:
 
 
 def source_hash(text: str) -> str:
-    """Return the hash of all that a tracker is written in."""
+    """Return the hash of a tracker's source files."""
     digest = hashlib.sha256(text.encode())
     for name, path in sorted(source_files(module_of(text)).items()):
         digest.update(f"\n{name}\n".encode() + path.read_bytes())
@@ -70,10 +70,10 @@ def source_hash(text: str) -> str:
 
 
 def refuse_other_sources(hashes: Mapping[str, str]) -> None:
-    """Refuse to go on where a tracker is not written as it was when an experiment began.
+    """Refuse trackers whose source has changed since an experiment began.
 
     Raises:
-        LinkplanError: naming the first that is not.
+        LinkplanError: with the name of the first changed tracker.
     """
     for text, known in hashes.items():
         if source_hash(text) != known:
@@ -83,7 +83,7 @@ def refuse_other_sources(hashes: Mapping[str, str]) -> None:
 
 
 def _file_of(module: str) -> Path | None:
-    """Return where a module would be loaded from now, whatever is loaded under its name; None where it is no file."""
+    """Return the file from which a module would be imported now, or None if there is none."""
     places, spec = None, None
     for depth in range(1, module.count(".") + 2):
         spec = PathFinder.find_spec(".".join(module.split(".")[:depth]), places)
@@ -94,11 +94,11 @@ def _file_of(module: str) -> Path | None:
 
 
 def _imported(path: Path, module: str) -> Iterator[str]:
-    """Yield the names of modules that a file may import; none of one that is no Python text."""
+    """Yield the names of modules that a Python file may import."""
     try:
         tree = ast.parse(path.read_bytes())
     except (SyntaxError, ValueError):
-        return  # loading it will say why
+        return  # the import reports the error
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):

@@ -1,4 +1,4 @@
-"""A user's own tracker beside the built-in ones: what it may be, and a check of what it gives at every instant."""
+"""Trackers written by users: how they are specified and loaded, and a check of their efforts at every instant."""
 
 import contextlib
 import functools
@@ -20,24 +20,24 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.studies.compare.tracker_source import ENTRY_POINTS, look_here, module_of, source_files
 
-# A built-in name, a law, or what makes a law of the reference that it is to follow.
-Asked = str | AnyTracker | Callable[[SampledReference], AnyTracker]
+# A built-in name, a law, or a function from the reference to a law.
+TrackerLike = str | AnyTracker | Callable[[SampledReference], AnyTracker]
 
-# Characters of a user's object or error that a refusal quotes.
+# Characters of a user's object or error that a message quotes.
 _QUOTED_CHARACTERS = 300
-# A name stands in those of files, which have 255 bytes at the most.
+# Longest name of a tracker: it is part of file names, which have at most 255 bytes.
 _LONGEST_NAME = 50
-# What the modules of trackers held when they were loaded: in a process that lives on their files may change.
+# Contents of the trackers' modules at import: the files may change during a long-lived process.
 _loaded_from: dict[str, bytes] = {}
 
 
-def tracker_named(text: str) -> Asked:
-    """Return a built-in tracker's name, an installed package's tracker of that name, or what "module:object" names.
+def tracker_named(text: str) -> TrackerLike:
+    """Return a built-in tracker's name, an installed package's tracker of that name, or the object of "module:object".
 
-    Modules are looked for in the working folder too.
+    The module search path includes the working folder.
 
     Raises:
-        ProblemError: when there is none.
+        ProblemError: for an unknown tracker.
     """
     text = known_tracker(text)
     if text in TRACKERS:
@@ -48,7 +48,7 @@ def tracker_named(text: str) -> Asked:
 
 
 def known_tracker(text: str) -> str:
-    """Return the name of a tracker, refused where it is none; a "module:object" is not loaded yet.
+    """Return the checked name of a tracker; a "module:object" is not loaded yet.
 
     Raises:
         ProblemError: for an unknown name.
@@ -61,12 +61,12 @@ def known_tracker(text: str) -> str:
 
 @contextlib.contextmanager
 def users_code(name: str, doing: str) -> Iterator[None]:
-    """Turn whatever a user's code raises into a refusal that names the tracker.
+    """Turn every exception of a user's code into an error that names the tracker.
 
-    SystemExit among it: the command would end with the tracker's exit code, its result lost.
+    SystemExit is included, because it would end the command with the tracker's exit code and lose the result.
 
     Raises:
-        ProblemError: "tracker 'name' does this: KindOfError: its text"
+        ProblemError: "tracker 'name' fails here: KindOfError: its text"
     """
     try:
         yield
@@ -78,28 +78,28 @@ def users_code(name: str, doing: str) -> Iterator[None]:
 
 
 def _text_of(thing: object) -> str:
-    """Return the beginning of a user's object as one line; its kind where its own text raises."""
+    """Return the beginning of a user's object as one line, or its type if its conversion to text fails."""
     try:
-        said = one_line(thing)
+        text = one_line(thing)
     except KeyboardInterrupt:
         raise
     except BaseException:
-        said = f"<{type(thing).__name__}>"
-    return said if len(said) <= _QUOTED_CHARACTERS else f"{said[:_QUOTED_CHARACTERS]} ..."
+        text = f"<{type(thing).__name__}>"
+    return text if len(text) <= _QUOTED_CHARACTERS else f"{text[:_QUOTED_CHARACTERS]} ..."
 
 
-def _loaded(text: str, load: Callable[[], Any]) -> Asked:
+def _loaded(text: str, load: Callable[[], Any]) -> TrackerLike:
     with users_code(text, "cannot be loaded"):
         _forget_older(text)
         return load()
 
 
 def _forget_older(text: str) -> None:
-    """Let a tracker's modules be loaded anew where one of their files has changed since."""
+    """Remove a tracker's modules from `sys.modules` if one of their files has changed since the import."""
     try:
         content = {name: path.read_bytes() for name, path in source_files(module_of(text)).items()}
     except (ProblemError, OSError):
-        return  # loading it will say why
+        return  # the import reports the error
     if any(name in sys.modules and _loaded_from.get(name, held) != held for name, held in content.items()):
         for name in content:
             sys.modules.pop(name, None)
@@ -111,19 +111,19 @@ def _object_of(module: str, name: str) -> Any:
     return functools.reduce(getattr, name.split("."), importlib.import_module(module))
 
 
-def trackers_named(text: str) -> list[Asked]:
-    """Return the trackers of a list "pd+ff, mpc, laws:Mine"; "all" are the built-in ones."""
+def trackers_named(text: str) -> list[TrackerLike]:
+    """Return the trackers of a list such as "pd+ff, mpc, laws:Mine"; "all" means all built-in trackers."""
     if text.strip() == "all":
         return list(TRACKERS)
     names = [name for name in text.split(",") if name.strip()]
     if not names:
-        raise ProblemError(f"trackers are names with commas between them, or all; got '{text}'")
+        raise ProblemError(f"trackers are names separated by commas, or all; got '{text}'")
     return [tracker_named(name) for name in names]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class CheckedTracker:
-    """A user's law whose efforts are checked: one number for each actuator, for each state where it is `batched`."""
+    """A user's law with a check that it returns one number for each actuator (and each state, if `batched`)."""
 
     law: Tracker
     name: str
@@ -134,7 +134,7 @@ class CheckedTracker:
         """Return efforts (..., n_u) [N.m or N].
 
         Raises:
-            ProblemError: when the law raises, or gives anything but one number for each actuator.
+            ProblemError: if the law raises, or does not return one number for each actuator.
         """
         with users_code(self.name, f"fails at control instant {k}"):
             given = self.law.effort(k, position, velocity)
@@ -143,7 +143,7 @@ class CheckedTracker:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class CheckedMemory:
-    """A user's law with a memory, its efforts checked."""
+    """A user's law with a memory, with a check of its efforts."""
 
     law: TrackerWithMemory
     name: str
@@ -161,7 +161,7 @@ class CheckedMemory:
         """Return efforts (n, n_u) [N.m or N] and the next memory (n, n_m).
 
         Raises:
-            ProblemError: when the law raises, gives anything but one number for each actuator, or another memory.
+            ProblemError: if the law raises, does not return one number for each actuator, or changes the memory's shape.
         """
         with users_code(self.name, f"fails at control instant {k}"):
             given, after = self.law.step(k, position, velocity, memory)
@@ -174,7 +174,7 @@ class CheckedMemory:
 def _checked(given: object, name: str, states: tuple[int, ...], actuators: tuple[str, ...]) -> np.ndarray:
     effort = None
     with contextlib.suppress(ProblemError), users_code(name, "gives no numbers"), warnings.catch_warnings():
-        warnings.simplefilter("error")  # of complex numbers numpy drops the imaginary part
+        warnings.simplefilter("error")  # numpy only warns when it drops an imaginary part
         effort = np.array(given, dtype=float)
     wanted = (*states, len(actuators))
     if effort is None or effort.shape != wanted:
@@ -187,7 +187,7 @@ def _checked(given: object, name: str, states: tuple[int, ...], actuators: tuple
 
 
 def _is_law(thing: object) -> bool:
-    """Return whether a thing is a law: it has effort, or start and step. Attributes are the user's code, too."""
+    """Return True for an object with `effort`, or with `start` and `step`. Attribute access may run the user's code."""
     with users_code(type(thing).__name__, "cannot be used"):
         return _has(thing, "effort") or _has(thing, "start", "step")
 
@@ -197,15 +197,15 @@ def _has(thing: object, *methods: str) -> bool:
 
 
 def knows_batches(law: AnyTracker) -> bool:
-    """Return whether a law is asked for many states at once."""
+    """Return True if a law accepts many states at once."""
     return isinstance(law, CheckedMemory) or bool(getattr(law, "batched", False))
 
 
 def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReference) -> CheckedTracker | CheckedMemory:
-    """Return a user's tracker for a reference: the law itself, or what a function (or class) makes of the reference.
+    """Return a user's tracker for a reference: the law itself, or the result of a function or class of the reference.
 
     Raises:
-        ProblemError: when it is no tracker: a name and `effort(k, position, velocity)`, or `start` and `step`.
+        ProblemError: if it does not have a name and `effort(k, position, velocity)`, or `start` and `step`.
     """
     law: Any = asked
     made_by = _text_of(getattr(asked, "__name__", type(asked).__name__))
@@ -226,7 +226,7 @@ def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReferen
         name, batched, remembers = getattr(law, "name", None), bool(getattr(law, "batched", False)), not _has(law, "effort")
     if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME:
         raise ProblemError(
-            f"a tracker's name is a word of {_LONGEST_NAME} characters at the most, for tables, figures and files; tracker"
+            f"a tracker's name has at most {_LONGEST_NAME} printable characters, for tables, figures and files; tracker"
             f" '{made_by}' has {_text_of(name)!r}"
         )
     actuators = tuple(actuator.name for actuator in mechanism.actuators)

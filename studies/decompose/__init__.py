@@ -1,4 +1,4 @@
-"""`linkplan decompose`: where each tracker's error comes from, split among causes that are switched on one after another.
+"""`linkplan decompose`: the causes of each tracker's error, found by switching causes on one after another.
 
-In: a plan, trackers, imperfections. Out: signed parts of each tracker's rms error that add up to it, a table, a figure.
+In: a plan, trackers, imperfections. Out: signed parts that add up to each tracker's rms error, a table, a figure.
 """

@@ -1,4 +1,4 @@
-"""The study behind `linkplan decompose`: where each tracker's error on a plan comes from."""
+"""The study behind `linkplan decompose`: the causes of each tracker's error on a plan."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -12,18 +12,18 @@ from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.values import whole
-from linkplan.studies.compare.user_tracker import Asked
-from linkplan.studies.decompose.ladder import RUNGS, climb
+from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.studies.decompose.ladder import RUNGS, run_ladder
 from linkplan.studies.decompose.shares import Shares, shares_of
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of, imperfections_asked
 
-# Machines that are simulated where something of theirs is random; more than the most are an experiment's.
-SAMPLES, MOST_SAMPLES = 16, 1000
+# Machines that are simulated by default and at most, if something is random. For more, use an experiment.
+DEFAULT_SAMPLES, MOST_SAMPLES = 16, 1000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class TrackerShares:
-    """One tracker's error in each unit ("deg", "m"), over the machines on which no rung was lost; why others were."""
+    """The parts of one tracker's error by unit ("deg", "m"), over the machines without a failure, and the failures."""
 
     name: str
     shares: Mapping[str, Shares]
@@ -33,53 +33,53 @@ class TrackerShares:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Decomposition:
-    """Where the errors of trackers on one plan come from."""
+    """The causes of the errors of trackers on one plan."""
 
     experiment: Experiment
     trackers: tuple[TrackerShares, ...]
 
     @property
     def plan(self) -> Plan:
-        """The plan that is tracked."""
+        """The tracked plan."""
         return self.experiment.plan
 
     @property
     def found(self) -> bool:
-        """Whether every tracker's error could be split on some machine."""
+        """True if every tracker has at least one machine without a failure."""
         return all(one.machines for one in self.trackers)
 
 
 def decompose(
     plan: Plan,
-    asked: Sequence[Asked] = LINEAR,
-    samples: int = SAMPLES,
+    asked: Sequence[TrackerLike] = LINEAR,
+    samples: int = DEFAULT_SAMPLES,
     seed: int = 0,
     say: Callable[[str], None] = silent,
 ) -> Decomposition:
-    """Return where the errors of trackers on a plan come from.
+    """Return the causes of the errors of trackers on a plan.
 
     Args:
-        plan: with a motion, and the imperfections of its problem (the default ones where it has none).
+        plan: with a motion, and the imperfections of its problem (default imperfections if it has none).
         asked: the trackers.
-        samples: machines that are drawn; a single one where nothing is random.
+        samples: number of random machines; one machine if nothing is random.
         seed: of all random numbers.
-        say: is told of the progress.
+        say: receives progress messages.
 
     Raises:
-        ProblemError: for imperfections or trackers that cannot be used, two trackers of one name, or none.
+        ProblemError: for invalid imperfections or trackers, equal names, or no tracker.
         LinkplanError: for a mechanism that batches cannot simulate.
     """
     whole(samples, "samples", 1, MOST_SAMPLES)
     if not asked:
-        raise ProblemError("trackers whose errors are decomposed are one or more, got none")
+        raise ProblemError("a decomposition needs one or more trackers, got none")
     experiment = experiment_of(plan, Settings(samples=samples, seed=seed))
     if not any(factor.spread.random or "noise" in factor.key for factor in experiment.section.factors):
         experiment = replace(experiment, values=experiment.values[:1])
     found: list[TrackerShares] = []
     for one in asked:
-        ladder = climb(experiment, one)
+        ladder = run_ladder(experiment, one)
         if any(ladder.tracker == other.name for other in found):
-            raise ProblemError(f"trackers whose errors are decomposed have names of their own, got '{ladder.tracker}' twice")
+            raise ProblemError(f"a decomposition needs trackers with different names, got '{ladder.tracker}' twice")
         kept = np.array([failed is None for failed in ladder.failure])
         say(f"{ladder.tracker}: {int(kept.sum())} of {len(kept)} machines")
         found.append(
@@ -94,7 +94,7 @@ def decompose(
 
 
 def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
-    """Return the indices of the independent joints that a tracker has a hand in, by their unit."""
+    """Return the indices of the controllable independent joints, by their unit."""
     mechanism = experiment.plan.problem.mechanism
     steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)
     units = np.array([joint.unit for joint in mechanism.independent_joints])
@@ -108,12 +108,12 @@ def _by_unit(experiment: Experiment, errors: np.ndarray) -> dict[str, Shares]:
 
 
 def decomposition_record(found: Decomposition) -> dict:
-    """Return what `linkplan decompose --json` says: every part by its name, in the unit of its error."""
+    """Return the JSON record of `linkplan decompose`: every part by its name, in the unit of its error."""
     experiment = found.experiment
     mechanism, joints = experiment.plan.problem.mechanism, joints_by_unit(experiment)
     names = [joint.name for joint in mechanism.independent_joints]
 
-    def said(unit: str, shares: Shares) -> dict:
+    def shares_record(unit: str, shares: Shares) -> dict:
         each = {names[j]: dict(zip(RUNGS, shares.of_joints[:, i], strict=True)) for i, j in enumerate(joints[unit].tolist())}
         return {
             "rms_error": shares.rms,
@@ -138,7 +138,7 @@ def decomposition_record(found: Decomposition) -> dict:
                 one.name: {
                     "machines": one.machines,
                     "failures": dict(one.failures),
-                    **{unit: said(unit, shares) for unit, shares in one.shares.items()},
+                    **{unit: shares_record(unit, shares) for unit, shares in one.shares.items()},
                 }
                 for one in found.trackers
             },

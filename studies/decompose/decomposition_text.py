@@ -1,4 +1,4 @@
-"""What `linkplan decompose` prints: causes down, trackers across, in tables of eighty columns."""
+"""The text output of `linkplan decompose`: tables of eighty columns with causes as rows and trackers as columns."""
 
 import math
 
@@ -6,12 +6,12 @@ from linkplan.studies.decompose.decompose import Decomposition
 from linkplan.studies.decompose.ladder import RUNGS
 from linkplan.studies.output.tables import folded, table
 
-# Figures of the whole error; its parts have as many decimals, so that a column can be added up.
-_FIGURES = 4
+# Significant digits of the rms error. Its parts have the same number of decimals, so that a column adds up.
+_TOTAL_DIGITS = 4
 
 
 def decomposition_text(found: Decomposition) -> str:
-    """Return the parts of every tracker's rms error, a table for each unit, and what the machines are."""
+    """Return the parts of every tracker's rms error as a table for each unit, and notes."""
     experiment = found.experiment
     n, period = experiment.n, experiment.reference.period_s
     machines = "1 machine" if n == 1 else f"{n} machines, seed {experiment.settings.seed}"
@@ -23,26 +23,28 @@ def decomposition_text(found: Decomposition) -> str:
         labels = [*(text.partition(":")[0] for text in RUNGS.values()), "rms error"]
         rows = [[label, *cells] for label, *cells in zip(labels, *columns, strict=True)]
         lines += ["", table([f"switched on [{unit}]", *ours], rows)]
-    lines += ["", *(folded(said) for said in notes(found))]
+    lines += ["", *(folded(note) for note in notes(found))]
     return "\n".join(lines)
 
 
 def notes(found: Decomposition) -> list[str]:
-    """Return how the parts are to be read, and why machines were left out."""
-    said = ["What is switched on stays on. The parts add up to the rms error; a negative one takes error away."]
+    """Return an explanation of the parts, and the reasons for omitted machines."""
+    found_notes = ["Each cause stays switched on. The parts add up to the rms error; a negative part reduces it."]
     for one in found.trackers:
-        said += [f"{one.name}, {n} of {found.experiment.n} machines left out: {why}" for why, n in one.failures.items()]
-    return said
+        found_notes += [
+            f"{one.name}, {n} of {found.experiment.n} machines left out: {why}" for why, n in one.failures.items()
+        ]
+    return found_notes
 
 
 def whole_column(values: list[float]) -> list[str]:
-    """Return numbers with as many decimals as give the last of them, the whole, its figures; an exact zero as "0"."""
+    """Return numbers as text with the decimals that the last number, the total, needs; an exact zero is "0"."""
     whole = abs(values[-1])
-    decimals = max(0, _FIGURES - 1 - math.floor(math.log10(whole))) if whole > 0 else 0
-    form = f".{_FIGURES - 2}e" if decimals > 2 * _FIGURES else f".{decimals}f"
+    decimals = max(0, _TOTAL_DIGITS - 1 - math.floor(math.log10(whole))) if whole > 0 else 0
+    form = f".{_TOTAL_DIGITS - 2}e" if decimals > 2 * _TOTAL_DIGITS else f".{decimals}f"
     return ["0" if value == 0 else _unsigned_zero(f"{value:{form}}") for value in values]
 
 
 def _unsigned_zero(text: str) -> str:
-    """Return a number's text without the sign that its digits do not have."""
+    """Return a number's text without the minus sign of a rounded zero."""
     return text.lstrip("-") if float(text) == 0 else text

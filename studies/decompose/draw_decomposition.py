@@ -1,4 +1,4 @@
-"""The figure of a decomposition: for each tracker a bar for each cause, each beginning where the one before it ends."""
+"""The figure of a decomposition: a waterfall chart of the causes for each tracker."""
 
 from pathlib import Path
 
@@ -10,17 +10,11 @@ from linkplan.studies.decompose.ladder import RUNGS
 from linkplan.studies.decompose.shares import Shares
 from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, page
 
-_COLUMNS = 3
-# Room beside the bars for their numbers, as a share of the width that the bars take.
-_ROOM = 0.28
-# A part that takes less than this share of the width has no number.
-_SHOWN = 1e-3
-
 
 def decomposition_figure(found: Decomposition, path: Path | None = None) -> Figure:
-    """Return the figure of every tracker's parts, saved at `path` where one is given; each panel has its own scale."""
+    """Return the figure of every tracker's parts, saved at `path` if given; each panel has its own scale."""
     panels = [(one.name, unit, shares) for one in found.trackers for unit, shares in one.shares.items()]
-    columns = max(1, min(_COLUMNS, len(panels)))
+    columns = max(1, min(3, len(panels)))
     rows = max(1, -(-len(panels) // columns))
     with page(path, rows, columns, (1.5 + 3.2 * columns, 2.5 * rows + 0.5), sharey=True) as axes:
         for axis, (name, unit, shares) in zip(axes.flat, panels, strict=False):
@@ -35,7 +29,7 @@ def decomposition_figure(found: Decomposition, path: Path | None = None) -> Figu
 
 
 def draw_parts(axis, shares: Shares, unit: str) -> None:
-    """Draw the parts of a rms error as bars, each from where the one before it ends; the whole below them."""
+    """Draw the parts of a rms error as a waterfall of bars, with the total at the bottom."""
     ends = np.cumsum(shares.parts)
     starts = ends - shares.parts
     labels = [*(text.partition(":")[0] for text in RUNGS.values()), "rms error"]
@@ -47,9 +41,9 @@ def draw_parts(axis, shares: Shares, unit: str) -> None:
     width = max(high - low, 1e-300)
     right = np.maximum([*starts, 0.0], [*ends, shares.rms])
     for place, value, end in zip(places, [*shares.parts, shares.rms], right, strict=True):
-        if abs(value) > _SHOWN * width:
+        if abs(value) > 1e-3 * width:
             axis.annotate(f"{value:.2g}", (end, place), (3, 0), textcoords="offset points", va="center", fontsize=8)
-    axis.set_xlim(low - 0.02 * width, high + _ROOM * width)
+    axis.set_xlim(low - 0.02 * width, high + 0.28 * width)  # with space for the numbers
     axis.set_yticks(places, labels)
     axis.set_ylim(len(labels) - 0.5, -0.5)
     axis.grid(visible=False, axis="y")

@@ -1,7 +1,7 @@
-"""The ladder from the ideal feedback loop to the real one: what is switched on, and the error that is left on each rung.
+"""The ladder from the ideal to the real feedback loop: each rung switches on one more cause of error.
 
-The first rungs stand on the rigid kinematic loop, the reduced dynamics integrated tightly; the later ones in MuJoCo, on
-machines with more and more of their imperfections. What is switched on stays on.
+The first rungs simulate the rigid kinematic loop with accurately integrated reduced dynamics. The later rungs simulate
+MuJoCo machines with more and more imperfections.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker, TrackerWithMemory
 from linkplan.models.errors import ProblemError
 from linkplan.studies.compare.compare import build_tracker
-from linkplan.studies.compare.user_tracker import Asked
+from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.experiment.experiment import Experiment
 
 RUNGS: Mapping[str, str] = {
@@ -30,17 +30,17 @@ RUNGS: Mapping[str, str] = {
     "model": "model error: masses, lengths, friction, start, pushes",
     "limits": "effort limits",
 }
-"""What is switched on, in this order."""
+"""The causes in the order in which they are switched on."""
 
-# Continuous control is stood for by control periods that are so many times shorter.
-FINER = 5
-# A feedforward that is complete to this share of the largest effort, at so many instants, lacks nothing.
-_COMPLETE, _LOOKED_AT = 1e-9, 33
+# Continuous control is approximated by a control period that is shorter by this factor.
+_PERIOD_DIVISOR = 5
+# A feedforward with a smaller relative error is complete.
+_FEEDFORWARD_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Ladder:
-    """One tracker's errors s_ref - s (n_rungs, t, n, n_s) [rad or m] on the rungs, and why a machine has none."""
+    """One tracker's errors s_ref - s (n_rungs, t, n, n_s) [rad or m] on the rungs, and the reasons for failed machines."""
 
     tracker: str
     errors: np.ndarray
@@ -49,7 +49,7 @@ class Ladder:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Completed:
-    """A law with the efforts (t, n_u) [N.m or N] added that it lacks on the reference itself."""
+    """A law plus the efforts (t, n_u) [N.m or N] that complete its feedforward on the reference."""
 
     law: TrackerWithMemory
     lacking: np.ndarray
@@ -69,11 +69,11 @@ class Completed:
         return effort + self.lacking[k], after
 
 
-def climb(experiment: Experiment, asked: Asked) -> Ladder:
-    """Return a tracker's errors on all rungs of a plan's ladder, for all machines of an experiment.
+def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
+    """Return a tracker's errors on all rungs, for all machines of an experiment.
 
     Raises:
-        ProblemError: for a tracker that cannot be had at another control period.
+        ProblemError: for a tracker that cannot be built for another control period.
     """
     plan, reference, loop = experiment.plan, experiment.reference, experiment.loop
     mechanism, n = plan.problem.mechanism, experiment.n
@@ -101,17 +101,17 @@ def climb(experiment: Experiment, asked: Asked) -> Ladder:
             found.append(_errors(plant, tracker, reference, these))
     for rung, (_, failed) in zip(RUNGS, found, strict=True):
         for i in range(n):
-            said = failed[i if len(failed) > 1 else 0]
-            if failure[i] is None and said is not None:
-                failure[i] = f"lost when {RUNGS[rung].partition(':')[0]} came in: {said}"
+            reason = failed[i if len(failed) > 1 else 0]
+            if failure[i] is None and reason is not None:
+                failure[i] = f"lost after {RUNGS[rung].partition(':')[0]} was switched on: {reason}"
     t, n_s = reference.position.shape
     errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in found])
     return Ladder(tracker=law.name, errors=errors, failure=tuple(failure))
 
 
-# Errors (t, n or 1, n_s), and why each run failed.
+# Errors (t, n or 1, n_s), and the reason for each failed run.
 _Found = tuple[np.ndarray, Sequence[str | None]]
-# What the keys of [imperfections] belong to; all others are the model's errors.
+# The rung of each key of [imperfections]; all other keys are model errors.
 _GROUPS = {
     **dict.fromkeys(("period_factor", "phase_periods", "delay_periods"), "sampling"),
     **dict.fromkeys(("loop_time_constant_s", "loop_damping_ratio"), "simulator"),
@@ -127,8 +127,8 @@ _GROUPS = {
 
 
 def _stripped(machine: Imperfections, rung: str) -> Imperfections:
-    """Return a machine with those imperfections that are switched on by a rung in MuJoCo."""
-    stiffness = Machine(loop_solref=machine.machine.loop_solref)  # the simulator's own softness, if another is asked for
+    """Return a machine with only the imperfections that are switched on up to a rung."""
+    stiffness = Machine(loop_solref=machine.machine.loop_solref)  # the softness of loops belongs to the simulator
     if rung in ("simulator", "devices"):
         machine = replace(machine, machine=stiffness)
     kept = {
@@ -140,30 +140,30 @@ def _stripped(machine: Imperfections, rung: str) -> Imperfections:
     return Imperfections(**{name: getattr(machine, name) for name in kept})
 
 
-def _ideal(experiment: Experiment, asked: Asked) -> list[_Found]:
-    """Return the errors of the ideal loop, on rigid loops at very short periods: with what it lacks, and as it is."""
+def _ideal(experiment: Experiment, asked: TrackerLike) -> list[_Found]:
+    """Return the errors on rigid loops at a very short period: with a completed feedforward, and with the tracker's own."""
     plan, coarse = experiment.plan, experiment.reference
     mechanism, T = plan.problem.mechanism, coarse.period_s
-    fine = sample(mechanism, plan.trajectory, T / FINER, coarse.n * T)
+    fine = sample(mechanism, plan.trajectory, T / _PERIOD_DIVISOR, coarse.n * T)
     law = _unlimited(_rebuilt(experiment, asked, fine))
     whole, found = completed(law, fine), []
     for one in (law,) if whole is law else (whole, law):
         runs = simulate(RigidPlant(mechanism=mechanism), one, fine)
-        found.append((coarse.position[:, None] - runs.pose[::FINER][:, :, mechanism.independent], runs.failure))
+        found.append((coarse.position[:, None] - runs.pose[::_PERIOD_DIVISOR][:, :, mechanism.independent], runs.failure))
     return [found[0], found[-1]]
 
 
-def _rebuilt(experiment: Experiment, asked: Asked, reference: SampledReference) -> AnyTracker:
+def _rebuilt(experiment: Experiment, asked: TrackerLike, reference: SampledReference) -> AnyTracker:
     if not isinstance(asked, str) and not isinstance(asked, type) and callable(getattr(asked, "effort", None)):
         raise ProblemError(
-            "a tracker whose error is decomposed runs at shorter control periods too: a name or a function of the sampled"
-            f" reference that returns a law, got a law of one reference, {asked!r}"
+            "a decomposition also runs at a shorter control period: give a tracker's name, or a function of the sampled"
+            f" reference that returns a law; got a law of one reference, {asked!r}"
         )
     return build_tracker(asked, experiment.plan, reference)
 
 
 def completed(law: AnyTracker, reference: SampledReference) -> AnyTracker:
-    """Return a law with the feedforward that it lacks: one that lacks none, at a few instants, stays as it is."""
+    """Return a law with a completed feedforward; a law whose feedforward is already complete is returned unchanged."""
     steps = steps_of(law)
     memory, position, velocity = steps.start(1), reference.position, reference.velocity
 
@@ -171,14 +171,14 @@ def completed(law: AnyTracker, reference: SampledReference) -> AnyTracker:
         own = [steps.step(int(k), position[k, None], velocity[k, None], memory)[0][0] for k in instants]
         return reference.effort[instants] - np.array(own)
 
-    few = np.unique(np.linspace(0, reference.n - 1, _LOOKED_AT).astype(int))
-    if np.abs(lacking(few)).max() <= _COMPLETE * np.abs(reference.effort).max():
+    few = np.unique(np.linspace(0, reference.n - 1, 33).astype(int))
+    if np.abs(lacking(few)).max() <= _FEEDFORWARD_TOLERANCE * np.abs(reference.effort).max():
         return law
     return Completed(law=steps, lacking=lacking(np.arange(reference.n)))
 
 
 def _unlimited(law: AnyTracker) -> AnyTracker:
-    """Return a law that knows effort limits without them."""
+    """Return a law without its effort limits, if it has any."""
     if not is_dataclass(law) or not hasattr(law, "effort_limit"):
         return law
     limit = np.asarray(law.effort_limit)
@@ -186,12 +186,12 @@ def _unlimited(law: AnyTracker) -> AnyTracker:
 
 
 def _alike(machines: Sequence[Imperfections]) -> Sequence[Imperfections]:
-    """Return the first machine alone where all have its clock and softness: until something else comes in they are one."""
+    """Return only the first machine if all have the same clock and loop softness, and therefore equal errors so far."""
     known = {(one.machine.loop_solref, *(getattr(one.clock, field.name) for field in fields(Clock))) for one in machines}
     return machines[:1] if len(known) == 1 else machines
 
 
 def _errors(plant: Plant, law: AnyTracker, reference: SampledReference, machines: Sequence[Imperfections]) -> _Found:
-    """Return the errors of machines at their own times."""
+    """Return the machines' errors at their true times, and the reason for each failed run."""
     ran = simulate(plant, law, reference, machines)
     return state_at(reference, ran.time_s)[0] - ran.pose[:, :, plant.mechanism.independent], ran.failure

@@ -1,12 +1,13 @@
-"""A tracking error split among its causes: signed parts that add up to its rms.
+"""A tracking error as a sum of its causes: signed parts that add up to the rms error.
 
-With e_0 = 0 and e_1 to e_K the errors on the rungs of a ladder, e_K = e the whole one, and <a, b> the mean over control
-instants and machines of the sum over joints of a b, the part of rung k is the increment's projection on the whole error,
+Let e_1 to e_K be the errors after causes 1 to K are switched on, e_0 = 0, and e = e_K the total error. Let <a, b> be the
+mean over control instants and machines of the sum over joints of a b. The part of cause k is the projection of its
+increment on the total error:
 
     p_k = <e_k - e_{k-1}, e> / rms,   rms = sqrt(<e, e>),   so that p_1 + ... + p_K = rms
 
-exactly. A negative part takes error away. Increments' own rms values, or differences of the rungs' rms, do not add up to
-anything one sees: errors of different causes oppose one another, or come at other times.
+exactly. A negative part reduces the error. The rms values of the increments, and the differences of rms values, do not add
+up to the rms error, because errors of different causes can cancel or occur at different times.
 """
 
 from dataclasses import dataclass
@@ -16,10 +17,10 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Shares:
-    """What a rms error is made of, in its unit.
+    """The parts of a rms error, in its unit.
 
-    `parts` (K,) add up to `rms`, and so do `of_joints` (K, n_s) over both axes; `alone` (K,) are the increments' own rms
-    values, `after` (K,) the rms of the error on each rung.
+    `parts` (K,) add up to `rms`, and so do `of_joints` (K, n_s) over both axes. `alone` (K,) are the rms values of the
+    increments; `after` (K,) is the rms error after each cause is switched on.
     """
 
     rms: float
@@ -30,7 +31,7 @@ class Shares:
 
 
 def shares_of(errors: np.ndarray) -> Shares:
-    """Return the parts of the errors e_1 to e_K (K, t, n, n_s) of t instants, n machines and n_s joints of one unit."""
+    """Return the parts of errors e_1 to e_K (K, t, n, n_s) at t instants, for n machines and n_s joints of one unit."""
     increments = np.diff(errors, axis=0, prepend=0.0)
     instants = errors.shape[1] * errors.shape[2]
 

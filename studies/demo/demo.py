@@ -23,7 +23,7 @@ from linkplan.studies.check.inspection import inspection_record
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
 from linkplan.studies.compare.comparison_text import comparison_text
-from linkplan.studies.compare.document import KP, document_record, mended_runs, printed_runs
+from linkplan.studies.compare.document import DOCUMENT_KP, document_record, mended_runs, printed_runs
 from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.output.save_plan import save_plan
@@ -195,8 +195,8 @@ def _loops(place: Path, said: dict, say: Say) -> Sections:
 def _document(place: Path, said: dict, plan: Plan, say: Say) -> tuple[Section, str]:
     runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
     said["document"] = document_record(runs)
-    document_figure(runs, KP, place / "desired_and_actual.png")
-    section = document_section(runs, said["document"], KP)
+    document_figure(runs, DOCUMENT_KP, place / "desired_and_actual.png")
+    section = document_section(runs, said["document"], DOCUMENT_KP)
     shown = section.blocks[0]
     assert isinstance(shown, Table)
     heads = [f"{head} [{unit}]" if unit else head for head, unit in shown.columns]

@@ -1,5 +1,5 @@
-"""`linkplan experiment`: the trackers of one plan on many imperfect machines, the same machines for each.
+"""`linkplan experiment`: several trackers of one plan on the same set of imperfect machines.
 
-In: a plan, trackers, imperfections and where they lie. Out: metrics of every run in a columnar file, paired comparisons with
-confidence intervals, figures, and any sample run again.
+In: a plan, trackers and distributions of imperfections. Out: metrics of every run in a columnar file, paired comparisons
+with confidence intervals, figures, and the replay of any sample.
 """

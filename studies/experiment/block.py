@@ -1,4 +1,4 @@
-"""The unit of an experiment's work: a block of samples under every tracker, as columns."""
+"""The unit of work of an experiment: a block of samples with every tracker, as columns."""
 
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.simulate import bytes_each, simulate
@@ -6,34 +6,34 @@ from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
 from linkplan.studies.experiment.metrics import measured, metrics_of, within_tube
 
-# Samples of a block: what a kill loses at the most, and what a worker takes at a time.
-BLOCK = 128
-# Logs of simulations that are stepped together take no more than this.
-_MOST_BYTES = 256 << 20
+# Samples of a block: a worker computes one block at a time, and an interruption loses at most one block.
+BLOCK_SAMPLES = 128
+# Largest log of simulations that are stepped together.
+_MAX_LOG_BYTES = 256 << 20
 
 
 def block_count(n: int) -> int:
     """Return the number of blocks of n samples."""
-    return -(-n // BLOCK)
+    return -(-n // BLOCK_SAMPLES)
 
 
 def samples_of(block: int, n: int) -> range:
     """Return the samples of a block."""
-    return range(block * BLOCK, min(n, (block + 1) * BLOCK))
+    return range(block * BLOCK_SAMPLES, min(n, (block + 1) * BLOCK_SAMPLES))
 
 
 def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int | None = None) -> dict[str, list]:
-    """Return the results of a block's samples, sample by sample and tracker by tracker: columns of equal length.
+    """Return the results of a block as columns of equal length, ordered by sample and then by tracker.
 
     Args:
-        experiment: the whole.
-        block: which of its blocks.
-        threads: of the simulator; 0 for one for each core.
-        batch: how many simulations are stepped together, at the most; no figure depends on it.
+        experiment: the experiment.
+        block: index of the block.
+        threads: simulator threads; 0 for one per core.
+        batch: most simulations stepped together; results do not depend on it.
     """
     samples = samples_of(block, experiment.n)
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
-    together = max(1, min(batch or BLOCK, _MOST_BYTES // bytes_each(mechanism, reference.n)))
+    together = max(1, min(batch or BLOCK_SAMPLES, _MAX_LOG_BYTES // bytes_each(mechanism, reference.n)))
     found: dict[tuple[int, str], dict] = {}
     plant = MujocoPlant(mechanism=mechanism, loop=experiment.loop, threads=threads)
     laws = {name: law_of(name, experiment) for name in experiment.settings.trackers}

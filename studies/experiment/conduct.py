@@ -1,4 +1,4 @@
-"""An experiment carried out: its blocks on an engine, their parts written as they come."""
+"""The execution of an experiment: an engine runs its blocks, and each block's results are written when they arrive."""
 
 import contextlib
 import functools
@@ -14,14 +14,14 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources
 from linkplan.studies.experiment.block import block_count, run_block, samples_of
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of
-from linkplan.studies.experiment.laws import laws_said
+from linkplan.studies.experiment.laws import unbatched_notes
 from linkplan.studies.experiment.parts import keep_plan, write_part
 from linkplan.studies.tasks.engine import Engine, Say
 from linkplan.studies.tasks.progress import Progress
 from linkplan.studies.tasks.streaming import streamed
 from linkplan.studies.tasks.unfinished import PLAN, done
 
-# A plan's files have less, as their own readers ask.
+# Largest file of a plan, as in the readers of plans.
 _MAX_BYTES = 64_000_000
 
 
@@ -35,28 +35,28 @@ def conduct(
     threads: int = 0,
     batch: int | None = None,
 ) -> Experiment:
-    """Run the blocks of an experiment that are not done yet, and return it.
+    """Run the unfinished blocks of an experiment, and return the experiment.
 
     Args:
-        folder: of parts, held by this process.
+        folder: the folder of parts, locked by this process.
         settings: of the experiment.
-        sources: hashes of what trackers of the user's own are written in.
-        plan: makes the plan, where the folder has none yet.
-        engine: what runs the blocks.
-        say: is told what is done, and what is left.
-        threads: of the simulator for each block; 0 for the engine's own share.
-        batch: simulations stepped together, at the most.
+        sources: hashes of the source files of users' trackers.
+        plan: makes the plan if the folder has none yet.
+        engine: runs the blocks.
+        say: receives progress messages.
+        threads: simulator threads of each block; 0 for the engine's default.
+        batch: most simulations stepped together.
 
     Raises:
-        LinkplanError: when workers die again and again.
-        OSError: when the disk refuses a part.
+        LinkplanError: if workers fail repeatedly.
+        OSError: if a part cannot be written.
     """
     if not (folder / PLAN).is_dir():
         keep_plan(folder, plan())
     folder = folder.resolve()
     written = _hash_of(folder / PLAN)
     experiment = _opened(folder, settings, written)
-    for line in laws_said(experiment):
+    for line in unbatched_notes(experiment):
         say(line)
     there = done(folder)
     progress = Progress(experiment.n, sum(len(samples_of(block, experiment.n)) for block in there), "samples", say)
@@ -71,7 +71,7 @@ def conduct(
 
 @functools.lru_cache(maxsize=1)
 def _opened(folder: Path, settings: Settings, written: str) -> Experiment:
-    """Return the experiment of a folder's plan, read once: every process reads the same files, known by their hash."""
+    """Return the experiment of a folder's plan. It is cached by the hash of the plan's files."""
     del written
     return experiment_of(read_plan(folder / PLAN, anyway=True), settings)
 
@@ -93,10 +93,10 @@ def _work(
     block: int,
     share: int,
 ) -> dict[str, list]:
-    """Return a block's columns, in whatever process this is."""
+    """Return a block's columns; runs in any worker process."""
     if not (folder / PLAN).is_dir():
         raise LinkplanError(
-            f"a worker on {socket.gethostname()} does not see '{folder}': all workers share the disk that results go to"
+            f"a worker on {socket.gethostname()} does not see '{folder}': all workers must share the disk of the results"
         )
     refuse_other_sources(sources)
     return run_block(_opened(folder, settings, written), block, threads or share, batch)

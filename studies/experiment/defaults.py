@@ -1,7 +1,7 @@
-"""The imperfections that an experiment takes where a problem file names none: those of a careful build, documented.
+"""The default imperfections of an experiment, for a problem file without any: those of a carefully built machine.
 
-The sizes are those of a driven joint with an absolute encoder of 19 bits, a current loop of some hundred hertz and a
-controller whose commands act about a period late; docs/experiments.md has the table.
+They describe a driven joint with an absolute encoder of 19 bits, a current loop of some hundred hertz and a controller with
+about one period of delay. docs/experiments.md has the table.
 """
 
 import numpy as np
@@ -9,14 +9,9 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.plan import Plan
 
-# Of the effort limit (of the planned peak where there is none): a step of a 12-bit command, and the most dry friction.
-_STEP_SHARE, _FRICTION_SHARE = 1.0 / 2048, 0.02
-_ENCODER_STEPS = 2**19
-_PATH_STEPS = 2**16  # of a slide's encoder, over the model's size
-
 
 def default_imperfections(plan: Plan) -> dict:
-    """Return the table [imperfections] that stands for a careful build of the plan's mechanism."""
+    """Return the table [imperfections] of a carefully built machine for the plan's mechanism."""
     mechanism = plan.problem.mechanism
     limit = np.abs(plan.problem.limits.actuators_effort).max(axis=1)
     peak = np.asarray(plan.certificate.peak_effort, dtype=float)
@@ -33,22 +28,23 @@ def default_imperfections(plan: Plan) -> dict:
     kinds = {joint.kind for joint in mechanism.independent_joints}
     if "hinge" in kinds:
         table |= {
-            "encoder_resolution_deg": 360.0 / _ENCODER_STEPS,
+            "encoder_resolution_deg": 360.0 / 2**19,
             "encoder_offset_deg": {"normal": [0.0, 0.02]},
             "start_error_deg": {"normal": [0.0, 0.05]},
         }
     if "slide" in kinds:
-        step = mechanism.extent_m / _PATH_STEPS
+        step = mechanism.extent_m / 2**16
         table |= {
             "encoder_resolution_m": step,
             "encoder_offset_m": {"normal": [0.0, 10 * step]},
             "start_error_m": {"normal": [0.0, 20 * step]},
         }
     actuators = list(zip(mechanism.actuators, size.tolist(), strict=True))
-    table["torque_resolution"] = {actuator.name: _STEP_SHARE * most for actuator, most in actuators}
+    # A 12-bit command of both signs; friction up to 2 % of the effort limit, or of the planned peak without a limit.
+    table["torque_resolution"] = {actuator.name: most / 2048 for actuator, most in actuators}
     driven = {joint: most for actuator, most in actuators if (joint := _joint(mechanism, actuator)) is not None}
     if driven:
-        table["coulomb_friction"] = {joint: [0.0, _FRICTION_SHARE * most] for joint, most in driven.items()}
+        table["coulomb_friction"] = {joint: [0.0, 0.02 * most] for joint, most in driven.items()}
     return table
 
 

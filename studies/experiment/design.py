@@ -1,4 +1,4 @@
-"""Where the samples of an experiment lie: a Latin hypercube or a grid over its random factors."""
+"""The samples of an experiment: a Latin hypercube or a grid over its random factors."""
 
 import itertools
 from collections.abc import Sequence
@@ -9,20 +9,21 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread
 from linkplan.studies.sensitivity.scheme import SENSITIVE
 
-# The first two show what trackers make of the machines, the others which imperfection they owe it to.
+# The first two designs compare trackers over the machines. The others measure the influence of each imperfection.
 DESIGNS = ("latin-hypercube", "grid", *SENSITIVE)
-# More simulations than this in one experiment are a slip of the hand.
+# Most samples of an experiment: more are probably a typing error.
 MOST_SAMPLES = 1_000_000
 
 
 def values_of(factors: Sequence[Factor], design: str, samples: int, levels: int, seed: int) -> np.ndarray:
-    """Return the factors' values (n, d), in a problem file's units: fixed ones the same in every sample.
+    """Return the factors' values (n, d) in a problem file's units; fixed factors are the same in every sample.
 
-    In a Latin hypercube each factor's range of equal chances is cut into n, and each part is met once (McKay, Beckman and
-    Conover, Technometrics 21, 1979). A grid has `levels` values of each factor, at the middles of parts of equal chances.
+    In a Latin hypercube, each factor's range is divided into n intervals of equal probability, and each interval has one
+    sample (McKay, Beckman and Conover, Technometrics 21, 1979). A grid has `levels` values of each factor, at the middles
+    of intervals of equal probability.
 
     Raises:
-        ProblemError: when a grid has more than `MOST_SAMPLES`.
+        ProblemError: if a grid has more than `MOST_SAMPLES`.
     """
     from scipy.stats import qmc
 
@@ -48,7 +49,7 @@ def values_of(factors: Sequence[Factor], design: str, samples: int, levels: int,
 
 
 def at_chance(spread: Spread, chance: np.ndarray) -> np.ndarray:
-    """Return the values than which smaller ones have these chances, between 0 and 1."""
+    """Return the quantiles of a distribution at probabilities between 0 and 1."""
     from scipy.stats import norm
 
     if spread.kind == "uniform":

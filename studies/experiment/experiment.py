@@ -1,4 +1,4 @@
-"""An experiment: which trackers, which machines, how many, and what counts as success. All that its results depend on."""
+"""The definition of an experiment: trackers, machines and the criterion of success."""
 
 import hashlib
 import json
@@ -31,16 +31,13 @@ from linkplan.studies.experiment.metrics import Yardstick
 from linkplan.studies.sensitivity.salib import salib_version
 from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
 
-# A motion that ends is held for this share of its duration after it, where the problem does not say: errors settle there.
-_REST = 0.25
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What is asked of an experiment beside its plan: trackers, samples, design and seed, and the tube of success.
+    """The settings of an experiment: trackers, samples, design, seed, and the tube about the path that defines success.
 
-    A grid's number of samples follows from its levels; a design that tells influences apart has as many whole groups as fit
-    into `samples`.
+    The number of samples of a grid follows from its levels. A sensitivity design has as many whole groups as fit into
+    `samples`.
     """
 
     trackers: tuple[str, ...] = TRACKERS
@@ -54,7 +51,7 @@ class Settings:
     def __post_init__(self) -> None:
         names = tuple(self.trackers)
         if not names or len(set(names)) < len(names):
-            raise ProblemError(f"trackers of an experiment are one or more, each once, got {', '.join(names) or 'none'}")
+            raise ProblemError(f"an experiment needs one or more different trackers, got {', '.join(names) or 'none'}")
         for name in names:
             known_tracker(name)
         whole(self.samples, "samples", 1, MOST_SAMPLES)
@@ -66,7 +63,7 @@ class Settings:
 
 
 class AskedRecord(Struct, frozen=True, omit_defaults=True):
-    """What an experiment's results depend on, as `asked_record` makes it and `experiment.json` keeps it."""
+    """All inputs of an experiment's results, made by `asked_record` and stored in `experiment.json`."""
 
     format: Literal[1]
     problem: dict[str, Any]
@@ -77,16 +74,17 @@ class AskedRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class ExperimentRecord(Struct, frozen=True):
-    """What is read of `experiment.json`: its figures follow from the results."""
+    """The part of `experiment.json` that is read back; the rest follows from the results."""
 
     asked: AskedRecord
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Experiment:
-    """Trackers of one plan on many machines: `values` (n, d) of the section's factors, in a problem file's units.
+    """Trackers of one plan on n machines.
 
-    `draws` (n,) tells which noise a machine has, `scheme` what its design tells apart, if anything.
+    `values` (n, d): values of the section's factors in a problem file's units. `draws` (n,): number of each machine's noise
+    draw. `scheme`: the scheme of a sensitivity design, or None.
     """
 
     plan: Plan
@@ -105,22 +103,22 @@ class Experiment:
         return len(self.values)
 
     def varied_values(self) -> dict[str, np.ndarray]:
-        """Return the values (n,) of the imperfections that differ from machine to machine, by their column's name."""
+        """Return the values (n,) of the imperfections that differ between machines, by column name."""
         factors = zip(self.section.factors, self.values.T, strict=True)
         return {f"imperfection.{factor.label}": values for factor, values in factors if np.ptp(values) > 0}
 
     def machine(self, sample: int) -> Imperfections:
-        """Return a sample's machine: the same for every tracker, in any experiment with these settings."""
+        """Return a sample's machine, which is the same for every tracker and in every experiment with these settings."""
         mechanism, noise = self.plan.problem.mechanism, (self.settings.seed, 1, int(self.draws[sample]))
         return machine_of(self.section, self.values[sample], mechanism, noise)
 
 
 def experiment_of(plan: Plan, settings: Settings) -> Experiment:
-    """Return the experiment of a plan's own [imperfections], or of the default ones where it has none.
+    """Return the experiment of a plan with its own [imperfections], or with the default ones if it has none.
 
     Raises:
-        ProblemError: for imperfections that cannot be used.
-        LinkplanError: for a machine in the middle that cannot be built.
+        ProblemError: for invalid imperfections.
+        LinkplanError: if the machine with median imperfections cannot be built.
     """
     problem = plan.problem
     mechanism = problem.mechanism
@@ -129,15 +127,15 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
-        tracking = replace(tracking, duration_s=(1 + _REST) * trajectory.duration_s)
+        tracking = replace(tracking, duration_s=1.25 * trajectory.duration_s)  # so that errors can settle
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
     loop = ControlLoop(
         effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)
     )
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    passive = np.isin(mechanism.independent, mechanism.passive_dofs)  # no tracker has a hand in a spin
+    passive = np.isin(mechanism.independent, mechanism.passive_dofs)  # uncontrollable
     middle = np.median(layout.values, axis=0)
-    plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # refused now, in one line
+    plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # raises errors early
     _refuse_late_push(section, layout.values, float(reference.time_s[-1]))
     yardstick = Yardstick(
         mechanism=mechanism,
@@ -160,18 +158,18 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
 
 
 def _refuse_late_push(section: ImperfectionsSection, values: np.ndarray, end_s: float) -> None:
-    """Refuse pushes of which none comes before a run's end [s]."""
+    """Refuse pushes that start after a run's end [s] on every machine."""
     labels = [factor.label for factor in section.factors]
     if "push_start_s" in labels and values[:, labels.index("push_start_s")].min() >= end_s:
         first = values[:, labels.index("push_start_s")].min()
         raise ProblemError(
-            f"imperfections.push_start_s is before the end of a run, at {end_s:.4g} s, for a machine at least; got {first:g}"
-            " or more; tracking.duration_s makes runs longer"
+            f"imperfections.push_start_s must be before the end of the run, {end_s:.4g} s, on at least one machine; got"
+            f" {first:g} or more; tracking.duration_s makes runs longer"
         )
 
 
 def fall_note(experiment: Experiment) -> str | None:
-    """Return the sentence on a goal that is held after the motion and cannot be within the limits; None where it can."""
+    """Return a sentence if the goal cannot be held after the motion within the effort limits, else None."""
     end_s, reference = experiment.yardstick.end_s, experiment.reference
     if end_s is None or reference.time_s[-1] <= end_s:
         return None
@@ -181,15 +179,15 @@ def fall_note(experiment: Experiment) -> str | None:
         if not least <= effort <= most:
             unit, limit = actuator.unit, abs(least if effort < least else most)
             return (
-                f"the goal is held from {end_s:.4g} s on, which takes {abs(effort):.3g} {unit} of {actuator.name}, limit"
-                f" {limit:.3g}: errors are of a fall from there, whatever the tracker; tracking.duration_s = {end_s:.4g}"
-                " ends before it"
+                f"from {end_s:.4g} s on the goal is held, which needs {abs(effort):.3g} {unit} of {actuator.name}, limit"
+                f" {limit:.3g}: with any tracker the mechanism falls from there; tracking.duration_s = {end_s:.4g} ends the"
+                " run before"
             )
     return None
 
 
 def imperfections_asked(plan: Plan) -> dict:
-    """Return the table [imperfections] of a plan's problem, the default one where it has none."""
+    """Return the table [imperfections] of a plan's problem, or the default table."""
     return dict(plan.problem.source.get("imperfections") or default_imperfections(plan))
 
 
@@ -199,11 +197,11 @@ def settings_record(settings: Settings) -> dict:
 
 
 def asked_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
-    """Return all that an experiment's results depend on: the problem's tables, or a saved plan's digest, and versions.
+    """Return all inputs of an experiment's results: the problem's tables, a saved plan's digest, settings and versions.
 
-    `trackers` has the hashes of what the user's own are written in.
+    `trackers` are the hashes of the source files of users' trackers.
     """
-    said = {
+    record = {
         "format": 1,
         "problem": source,
         "plan": digest,
@@ -211,8 +209,8 @@ def asked_record(source: Mapping, digest: str | None, settings: Settings, tracke
         "versions": versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
     }
     if trackers:
-        said["tracker_sources"] = dict(trackers)
-    return json.loads(json.dumps(plain_record(said)))
+        record["tracker_sources"] = dict(trackers)
+    return json.loads(json.dumps(plain_record(record)))
 
 
 def plan_digest(plan: Plan) -> str:

@@ -1,4 +1,4 @@
-"""What `linkplan experiment` prints: tables of eighty columns."""
+"""The text output of `linkplan experiment`: tables of eighty columns."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from linkplan.studies.output.tables import table
 
 
 def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: str, notes: Sequence[str] = ()) -> str:
-    """Return an experiment's tables: trackers with 95 % intervals, pairs of them, the samples to look at, and notes."""
+    """Return an experiment's tables: trackers with 95 % intervals, pairs of trackers, the worst samples, and notes."""
     errors = [metric.removeprefix("rms_error_") for metric in summary.metrics if metric.startswith("rms_error_")]
     lines = [
         f"{name}: {summary.samples} machines ({design}, seed {seed}), the same for every tracker",
@@ -55,16 +55,16 @@ def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: s
     return "\n".join(lines)
 
 
-def tube_said(experiment: Experiment) -> str:
-    """Return the tube of success in words: for hinges, slides or both."""
+def tube_text(experiment: Experiment) -> str:
+    """Return the tube of success as text, for hinges, slides or both."""
     kinds = {joint.kind for joint in experiment.plan.problem.mechanism.independent_joints}
     settings = experiment.settings
-    said = {"hinge": f"{settings.tube_deg:g} deg", "slide": f"{settings.tube_m:g} m"}
-    return " and ".join(said[kind] for kind in said if kind in kinds)
+    texts = {"hinge": f"{settings.tube_deg:g} deg", "slide": f"{settings.tube_m:g} m"}
+    return " and ".join(text for kind, text in texts.items() if kind in kinds)
 
 
 def estimated(one: Estimate) -> str:
-    """Return a mean with half of its interval, to the figures that the interval leaves."""
+    """Return a mean ± half of its interval, rounded to the first significant digit of the interval."""
     if not math.isfinite(one.value):
         return "-"
     if not math.isfinite(one.half) or one.half == 0:

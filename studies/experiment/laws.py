@@ -1,7 +1,6 @@
-"""The laws that an experiment asks: built-in trackers as they are, a user's own made fit for many simulations at once.
+"""The laws of an experiment: built-in trackers, and users' trackers adapted to many simulations at once.
 
-A user's law that knows single states only has a copy for each simulation: what it keeps in itself, where it does, does
-not go from one machine to another.
+A user's law for single states is copied for each simulation, so that its internal state is not shared between machines.
 """
 
 import copy
@@ -19,7 +18,7 @@ from linkplan.studies.experiment.experiment import Experiment
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class OneByOne:
-    """A law for single states as a `TrackerWithMemory`: the memory (n, 1) of n simulations are n laws."""
+    """A law for single states as a `TrackerWithMemory`: the memory (n, 1) holds a copy of the law for each simulation."""
 
     name: str
     make: Callable[[], Tracker]
@@ -42,7 +41,7 @@ def law_of(name: str, experiment: Experiment) -> AnyTracker:
     """Return the law of an experiment's tracker.
 
     Raises:
-        LinkplanError: when it cannot be made for this plan.
+        LinkplanError: if it cannot be built for this plan.
     """
     plan, reference = experiment.plan, experiment.reference
     if name in TRACKERS:
@@ -67,11 +66,11 @@ def law_of(name: str, experiment: Experiment) -> AnyTracker:
     return OneByOne(name=name, make=copied)
 
 
-def laws_said(experiment: Experiment) -> list[str]:
-    """Return a line for each tracker that is asked for one state after the other; refuses what cannot be made."""
+def unbatched_notes(experiment: Experiment) -> list[str]:
+    """Return a line for each user's tracker without batches; refuse trackers that cannot be built."""
     laws = {name: law_of(name, experiment) for name in experiment.settings.trackers if name not in TRACKERS}
     return [
-        f"{name} is asked for one state after the other: it has neither batched = True nor start and step"
+        f"{name} is evaluated for one state after the other: it has neither batched = True nor start and step"
         for name, law in laws.items()
         if isinstance(law, OneByOne)
     ]

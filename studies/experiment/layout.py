@@ -1,4 +1,4 @@
-"""The machines of an experiment: their factors' values, and which draw of the noise each one has."""
+"""The machines of an experiment: their factors' values and noise draws."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,18 +8,18 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread
 from linkplan.studies.experiment.design import MOST_SAMPLES, at_chance, values_of
-from linkplan.studies.sensitivity.influence import ENDS
+from linkplan.studies.sensitivity.influence import NORMAL_QUANTILE
 from linkplan.studies.sensitivity.scheme import SENSITIVE, SOBOL, Scheme, scheme_of
 
-# Imperfections that are sizes of a noise: two machines alike in everything differ in what it happens to be.
+# Imperfections that are noise amplitudes. Their noise differs even between machines with equal factors.
 _NOISES = ("position_noise", "velocity_noise")
-# Chances stay off 0 and 1, where a normal value has no end: by the step of Sobol's sequence.
-_NEVER = 2.0**-31
+# Probabilities are kept this far from 0 and 1, where a normal value is infinite: one step of Sobol's sequence.
+_MIN_PROBABILITY = 2.0**-31
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Layout:
-    """Values (n, d) of factors in a problem file's units, noise draws (n,), and what tells influences apart, if anything."""
+    """Values (n, d) of factors in a problem file's units, noise draws (n,), and the scheme of a sensitivity design."""
 
     values: np.ndarray
     draws: np.ndarray
@@ -27,11 +27,11 @@ class Layout:
 
 
 def layout_of(factors: Sequence[Factor], design: str, samples: int, levels: int, seed: int) -> Layout:
-    """Return where the machines of a design lie.
+    """Return the machines of a design.
 
     Raises:
-        ProblemError: when there are too many, or too few to tell influences apart.
-        LinkplanError: when what makes the design is not installed.
+        ProblemError: for too many machines, or too few for a sensitivity design.
+        LinkplanError: if the package for the design is not installed.
     """
     if design not in SENSITIVE:
         values = values_of(factors, design, samples, levels, seed)
@@ -43,7 +43,7 @@ def layout_of(factors: Sequence[Factor], design: str, samples: int, levels: int,
     for column, i in enumerate(varied(factors)):
         spread, quantity, share = factors[i].spread, factors[i].quantity, scheme.points[:, column]
         if design == SOBOL:
-            value = at_chance(spread, np.clip(share, _NEVER, 1 - _NEVER))
+            value = at_chance(spread, np.clip(share, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY))
         else:
             low, high = ends_of(factors[i])
             value = low + share * (high - low)
@@ -52,19 +52,19 @@ def layout_of(factors: Sequence[Factor], design: str, samples: int, levels: int,
 
 
 def varied(factors: Sequence[Factor]) -> list[int]:
-    """Return which factors differ from machine to machine."""
+    """Return the indices of the factors that differ between machines."""
     return [i for i, factor in enumerate(factors) if factor.spread.random]
 
 
 def ends_of(factor: Factor) -> tuple[float, float]:
-    """Return the ends of a factor's range: of a normal one those between which it lies 95 times of 100."""
+    """Return the ends of a factor's range; for a normal distribution, of its central 95 % interval."""
     spread: Spread = factor.spread
     if spread.kind == "normal":
-        ends = spread.first - ENDS * spread.second, spread.first + ENDS * spread.second
+        ends = spread.first - NORMAL_QUANTILE * spread.second, spread.first + NORMAL_QUANTILE * spread.second
         return max(ends[0], factor.quantity.low), min(ends[1], factor.quantity.high)
     return spread.first, spread.second
 
 
 def noisy(factors: Sequence[Factor]) -> bool:
-    """Return whether there is noise in the sensors, of which one draw differs from another."""
+    """Return True if the sensors have noise."""
     return any(factor.key.startswith(_NOISES) and (factor.spread.random or factor.spread.first > 0) for factor in factors)

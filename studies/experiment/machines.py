@@ -1,4 +1,4 @@
-"""One sample's numbers, in a problem file's units, made a machine's imperfections in SI units."""
+"""Conversion of one sample's values, in a problem file's units, to a machine's imperfections in SI units."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,7 +20,7 @@ from linkplan.planner.files.imperfections_file import ImperfectionsSection
 def machine_of(
     section: ImperfectionsSection, values: Sequence[float], mechanism: Mechanism, noise_seed: tuple[int, ...]
 ) -> Imperfections:
-    """Return the machine whose factors have these values, one for each of the section's, and noise of this seed."""
+    """Return the machine with a value for each of the section's factors, and with the noise of a seed."""
     given: dict[str, dict[str, float]] = {}
     for factor, value in zip(section.factors, values, strict=True):
         given.setdefault(factor.key, {})[factor.name] = float(value)

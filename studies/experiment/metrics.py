@@ -1,4 +1,4 @@
-"""What is measured of a run: every figure with its unit and its direction."""
+"""The metrics of a run, each with its unit and direction."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from linkplan.models.mechanism import Mechanism
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metric:
-    """A figure of a run: what it is, its unit, and whether less of it is better ("less", "more", "" for neither)."""
+    """A metric of a run: its description, its unit, and the better direction ("less", "more" or "")."""
 
     text: str
     unit: str
@@ -21,9 +21,10 @@ class Metric:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Yardstick:
-    """What runs of one plan are measured against.
+    """The reference values for the metrics of a plan's runs.
 
-    `tube` (n_s,) [rad or m] is the tolerance about the path; `end_s` [s] when the motion ends and only holds, or None.
+    `tube` (n_s,) [rad or m] is the tolerance about the path. `end_s` [s] is the end of the motion, after which the goal is
+    held, or None for a periodic motion.
     """
 
     mechanism: Mechanism
@@ -34,7 +35,7 @@ class Yardstick:
 
 
 def metrics_of(mechanism: Mechanism) -> Mapping[str, Metric]:
-    """Return the metrics of a mechanism's runs by name, the unit of errors in their names."""
+    """Return the metrics of a mechanism's runs by name; names of errors contain the unit."""
     efforts = list(dict.fromkeys(actuator.unit for actuator in mechanism.actuators))
     effort = efforts[0] if len(efforts) == 1 else "N.m or N"
     found: dict[str, Metric] = {}
@@ -61,7 +62,7 @@ def _units(mechanism: Mechanism) -> list[str]:
 
 
 def _of_unit(mechanism: Mechanism, unit: str) -> np.ndarray:
-    """Return which independent joints (n_s,) that a tracker has a hand in are measured in a unit."""
+    """Return a mask (n_s,) of the controllable independent joints with a unit."""
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)
     return steered & (hinge if unit == "deg" else ~hinge)
@@ -69,12 +70,12 @@ def _of_unit(mechanism: Mechanism, unit: str) -> np.ndarray:
 
 @np.errstate(over="ignore", invalid="ignore")  # the square of a large effort
 def measured(ensemble: Ensemble, i: int, yardstick: Yardstick) -> dict[str, float]:
-    """Return the metrics of simulation i by name; NaN where it was frozen, or there is nothing to measure."""
+    """Return the metrics of simulation i by name; NaN if it was frozen, or if a metric does not apply."""
     mechanism, reference = yardstick.mechanism, yardstick.reference
     names = metrics_of(mechanism)
     if ensemble.failure[i] is not None:
         return dict.fromkeys(names, float("nan"))
-    # Copies in one piece: how numpy sums them must not depend on what stands beside them.
+    # Contiguous copies, so that numpy's order of summation does not depend on the number of simulations.
     time = np.ascontiguousarray(ensemble.time_s[:, i])
     position = np.ascontiguousarray(ensemble.pose[:, i][:, mechanism.independent])
     commanded, applied = (np.ascontiguousarray(x[:, i]) for x in (ensemble.commanded, ensemble.applied))
@@ -82,7 +83,7 @@ def measured(ensemble: Ensemble, i: int, yardstick: Yardstick) -> dict[str, floa
     error = wanted - position
     inside = np.all(np.abs(error) <= yardstick.tube, axis=1)
     low, high = yardstick.effort_limit.T
-    # A range of the whole path: what lies beyond it was never asked for.
+    # Overshoot is the distance beyond the range of the whole path.
     beyond = np.maximum(np.maximum(position - reference.position.max(axis=0), reference.position.min(axis=0) - position), 0)
     found: dict[str, float] = {}
     for unit in _units(mechanism):
@@ -108,7 +109,7 @@ def measured(ensemble: Ensemble, i: int, yardstick: Yardstick) -> dict[str, floa
 
 
 def _settling_s(time: np.ndarray, inside: np.ndarray, end_s: float | None) -> float:
-    """Return how long [s] after the motion's end the error last left the tube; NaN where it is outside in the end."""
+    """Return the time [s] from the motion's end until the error stays inside the tube; NaN if it never does."""
     if end_s is None or not inside[-1] or time[-1] <= end_s:
         return float("nan")
     outside = np.flatnonzero(~inside)
@@ -116,7 +117,7 @@ def _settling_s(time: np.ndarray, inside: np.ndarray, end_s: float | None) -> fl
 
 
 def within_tube(ensemble: Ensemble, i: int, yardstick: Yardstick) -> bool:
-    """Return whether simulation i went on to its end and no joint ever left the tube about the path."""
+    """Return True if simulation i was completed and every joint stayed inside the tube about the path."""
     if ensemble.failure[i] is not None:
         return False
     position = ensemble.pose[:, i][:, yardstick.mechanism.independent]

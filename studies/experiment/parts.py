@@ -1,4 +1,4 @@
-"""An experiment's results as files: a block's part, all parts in one, and the columns of that."""
+"""The result files of an experiment: one part for each block, one file of all parts, and its columns."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,18 +16,15 @@ from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.tasks.unfinished import PLAN, part
 
-# Values of imperfections are drawn again by other versions of scipy to this share of their size.
-_SAME_VALUE_SHARE = 1e-9
-
 
 def keep_plan(folder: Path, plan: Plan) -> None:
-    """Write the plan into a folder of parts, whole."""
+    """Write the plan into a folder of parts, completely or not at all."""
     if not (folder / PLAN).is_dir():
         write_whole(folder / PLAN, lambda place: write_plan(plan, place))
 
 
 def column_kinds(experiment: Experiment) -> dict[str, Kind]:
-    """Return the kinds of the columns of an experiment's results, by name and in their order."""
+    """Return the kinds of an experiment's result columns by name, in order."""
     kinds: dict[str, Kind] = {"sample": "count", "tracker": "word", "success": "flag", "failure": "word"}
     for name in (*metrics_of(experiment.plan.problem.mechanism), *experiment.varied_values()):
         kinds[name] = "number"
@@ -35,7 +32,7 @@ def column_kinds(experiment: Experiment) -> dict[str, Kind]:
 
 
 def write_part(folder: Path, block: int, columns: Mapping[str, list], experiment: Experiment) -> None:
-    """Write a block's results as its part: complete, or not at all."""
+    """Write a block's results as a part, completely or not at all."""
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
@@ -44,10 +41,10 @@ def write_part(folder: Path, block: int, columns: Mapping[str, list], experiment
 
 
 def write_results(folder: Path, path: Path, experiment: Experiment) -> None:
-    """Write all parts as one file, in their order, each read and checked.
+    """Check all parts and write them in order into one file.
 
     Raises:
-        PlanFileError: when a part is damaged, or is not of this experiment.
+        PlanFileError: if a part is damaged or belongs to another experiment.
     """
     import pyarrow as pa
     import pyarrow.parquet as parquet
@@ -60,15 +57,15 @@ def write_results(folder: Path, path: Path, experiment: Experiment) -> None:
 
 
 def read_results(path: Path, experiment: Experiment, samples: range | None = None) -> dict[str, np.ndarray]:
-    """Return the columns of a results file by name, as arrays (objects for words).
+    """Return the columns of a results file by name, as arrays (of objects for text).
 
     Args:
-        path: of the file.
-        experiment: that it has the results of.
-        samples: that are in it; all of them where none are named.
+        path: the file.
+        experiment: the experiment of the results.
+        samples: the samples in the file; default: all.
 
     Raises:
-        PlanFileError: when the file is damaged, or its rows are not those of the experiment's samples and trackers.
+        PlanFileError: if the file is damaged, or its rows do not match the experiment's samples and trackers.
     """
     samples, trackers = range(experiment.n) if samples is None else samples, experiment.settings.trackers
     results = read_table(path, column_kinds(experiment), len(samples) * len(trackers))
@@ -79,7 +76,7 @@ def read_results(path: Path, experiment: Experiment, samples: range | None = Non
 
 
 def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samples: np.ndarray) -> str | None:
-    """Return what is wrong with the first value that cannot be a result of samples (n,), None where all can be."""
+    """Return a description of the first invalid value in the results of samples (n,), or None."""
     n, names = len(samples) // len(experiment.settings.trackers), np.array(experiment.settings.trackers, dtype=object)
     ran = np.equal(results["failure"], None)
     checks: list[tuple[str, np.ndarray, str]] = [
@@ -89,11 +86,11 @@ def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samp
     ]
     for name in metrics_of(experiment.plan.problem.mechanism):
         values = results[name]
-        is_needed = "_error_" in name  # other figures may be none of a run that went on to its end
+        is_needed = "_error_" in name  # a completed run has all errors, but may lack other metrics
         legal = (values >= 0) | (name == "energy_j") | (np.isnan(values) & ~(ran & is_needed))
         checks.append((name, legal, "a number of at least 0" if is_needed else "0, more, or none"))
     for name, values in experiment.varied_values().items():
-        alike = np.isclose(results[name], values[samples], rtol=_SAME_VALUE_SHARE, atol=0.0)
+        alike = np.isclose(results[name], values[samples], rtol=1e-9, atol=0.0)  # scipy's versions differ by rounding
         checks.append((name, alike, "what the experiment's seed gives that machine"))
     for name, legal, what in checks:
         if not np.all(legal):

@@ -1,4 +1,4 @@
-"""One sample of an experiment run again: the same machine, the same noise, the same bits, with its whole log."""
+"""The replay of one sample of an experiment: the identical run, with its whole log."""
 
 from dataclasses import replace
 
@@ -18,8 +18,7 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
     """Return a tracker's run on a sample's machine, and its metrics.
 
     Raises:
-        ProblemError: for a sample that the experiment has not.
-        LinkplanError: for a sample that failed before its first instant.
+        ProblemError: for an unknown sample, or one that failed before its first instant.
     """
     if not 0 <= sample < experiment.n:
         raise ProblemError(f"samples of this experiment are from 0 to {experiment.n - 1}, got {sample}")
@@ -30,7 +29,7 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
     if ensemble.done[0] == 0:
         raise ProblemError(f"sample {sample} has no run: {ensemble.failure[0]}")
     labels = [factor.label for factor in experiment.section.factors]
-    said = {
+    record = {
         "sample": sample,
         "tracker": tracker,
         "imperfections": dict(zip(labels, experiment.values[sample].tolist(), strict=True)),
@@ -39,5 +38,5 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
         **measured(ensemble, 0, experiment.yardstick),
     }
     run = rollout_of(plant, ensemble, reference)
-    # The mechanism's own closures are not those of a machine of other lengths.
-    return replace(run, gap_m=np.full(len(run.time_s), ensemble.gap_m[0])), said
+    # Closure gaps computed from the mechanism's model would be wrong for a machine with other link lengths.
+    return replace(run, gap_m=np.full(len(run.time_s), ensemble.gap_m[0])), record

@@ -1,4 +1,4 @@
-"""Which imperfection matters most for which tracker and figure, from the results of a design that tells them apart."""
+"""The influence of each imperfection on each tracker and metric, from the results of a sensitivity design."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME, SOBOL, Sc
 
 SUCCESS = "success"
 _SUCCESS = Metric(text="share of successes", unit="1", better="more")
-# What an importance is, by design.
+# The definition of importance in each design.
 MEASURES = {
     ONE_AT_A_TIME: "change between the ends of the range, all else in the middle",
     MORRIS: "mean size of the change across the range (Morris' mu*)",
@@ -25,7 +25,7 @@ MEASURES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Varied:
-    """An imperfection that was varied: its label, unit, and the ends of its range; none of luck, the noise's draw."""
+    """An imperfection that was varied: its label, unit and the ends of its range; no ends for the noise draw."""
 
     label: str
     unit: str
@@ -37,7 +37,7 @@ LUCK = Varied(label="noise draw", unit="")
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Sensitivity:
-    """Influences by tracker and metric, their arrays in the order of `factors`; `groups` of `size` machines each."""
+    """Influences by tracker and metric, with arrays in the order of `factors`, from `groups` of `size` machines each."""
 
     design: str
     factors: tuple[Varied, ...]
@@ -53,11 +53,11 @@ class Sensitivity:
         return Estimate(value=float(one.importance[i]), low=float(one.low[i]), high=float(one.high[i]), n=n)
 
     def ranking(self, tracker: str, metric: str) -> tuple[str, ...]:
-        """Return the labels of the imperfections from the most important on."""
+        """Return the labels of the imperfections in decreasing order of importance."""
         return tuple(self.factors[i].label for i in self.influences[tracker][metric].order)
 
     def unit(self, metric: str) -> str:
-        """Return the unit of importances: the metric's own, or 1 for Sobol's shares."""
+        """Return the unit of importances: the metric's unit, or 1 for Sobol's shares."""
         return "1" if self.design == SOBOL else self.metrics[metric].unit
 
     @property
@@ -74,10 +74,10 @@ def sensitivity_of(
     mechanism: Mechanism,
     seed: int,
 ) -> Sensitivity:
-    """Return the sensitivity of a results table's columns, all of a scheme's machines in their order for each tracker."""
+    """Return the sensitivity from the columns of results, which hold all machines of a scheme in order for each tracker."""
     known = {**metrics_of(mechanism), SUCCESS: _SUCCESS}
     which = [factors[i] for i in varied(factors)]
-    said = [Varied(label=one.label, unit=_unit(one, mechanism), ends=ends_of(one)) for one in which]
+    labelled = [Varied(label=one.label, unit=_unit(one, mechanism), ends=ends_of(one)) for one in which]
     rows = {tracker: np.flatnonzero(results["tracker"] == tracker) for tracker in trackers}
     influences = {
         tracker: {name: influence_of(scheme, results[name][rows[tracker]].astype(float), seed) for name in known}
@@ -85,7 +85,7 @@ def sensitivity_of(
     }
     return Sensitivity(
         design=scheme.design,
-        factors=(*said, LUCK) if scheme.noisy else tuple(said),
+        factors=(*labelled, LUCK) if scheme.noisy else tuple(labelled),
         influences=influences,
         metrics=known,
         groups=scheme.n_groups,
@@ -94,7 +94,7 @@ def sensitivity_of(
 
 
 def _unit(factor: Factor, mechanism: Mechanism) -> str:
-    """Return the unit of a factor's values: of those for hinges and for slides the one that it has."""
+    """Return the unit of a factor's values, for a hinge or for a slide."""
     rotary, _, linear = factor.quantity.unit.partition(" or ")
     kinds = {joint.name: joint.kind == "slide" for joint in mechanism.joints} if factor.quantity.of == "joint" else {}
     if factor.quantity.of == "actuator":
@@ -103,7 +103,7 @@ def _unit(factor: Factor, mechanism: Mechanism) -> str:
 
 
 def sensitivity_record(sensitivity: Sensitivity) -> dict:
-    """Return a sensitivity by name: for each tracker and metric the ranking, and each imperfection's importance."""
+    """Return a sensitivity as a JSON record: ranking and importances for each tracker and metric."""
     labels = [factor.label for factor in sensitivity.factors]
     found: dict[str, dict] = {}
     for tracker, by_metric in sensitivity.influences.items():

@@ -1,4 +1,4 @@
-"""What `linkplan experiment` prints of imperfections' influences: tables of eighty columns."""
+"""The text output of `linkplan experiment` on the influence of imperfections: tables of eighty columns."""
 
 import math
 
@@ -8,14 +8,12 @@ from linkplan.studies.experiment.sensitivity import MEASURES, Sensitivity
 from linkplan.studies.output.tables import folded, table
 from linkplan.studies.sensitivity.scheme import SOBOL
 
-# Imperfections that are shown, and those of them that are named for each metric.
-_MOST, _NAMED = 12, 2
-# Of more digits after the point than these a number is written with its exponent.
-_DIGITS = 6
+# Number of imperfections in the tables.
+_MAX_ROWS = 12
 
 
 def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
-    """Return the tables of a sensitivity: importances in the rms error, and the most important ones for every metric."""
+    """Return the tables of a sensitivity: importances for the rms error, and the most important ones for every metric."""
     groups, size, trackers = sensitivity.groups, sensitivity.size, tuple(sensitivity.influences)
     made = f"{groups} groups of {size} machines" if groups > 1 else f"{size} machines"
     lines = [
@@ -29,21 +27,8 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
         unit = sensitivity.unit(metric)
         of = f"of the {sensitivity.metrics[metric].text}"
         what = f"shares of the variance {of}" if sensitivity.design == SOBOL else f"{of} [{unit}]"
-        rows = [
-            [
-                f"{numbers[i]:2d} {sensitivity.factors[i].label}",
-                *(_said(sensitivity, tracker, metric, i) for tracker in trackers),
-            ]
-            for i in order
-        ]
-        if sensitivity.design == SOBOL:
-            rows.append(["sum of first-order indices", *(_additive(sensitivity, tracker, metric) for tracker in trackers)])
-        lines += [
-            f"{what}, with 95 % intervals" if groups > 1 else what,
-            "",
-            table(["imperfection", *trackers], rows),
-            "",
-        ]
+        lines += [f"{what}, with 95 % intervals" if groups > 1 else what, ""]
+        lines += [_importance_table(sensitivity, metric, numbers), ""]
     hidden = len(sensitivity.factors) - len(order)
     if hidden:
         lines += [f"{hidden} more matter{'s' if hidden == 1 else ''} less for every tracker; the record has them", ""]
@@ -57,8 +42,23 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
     return "\n".join([*lines, *_left_out(sensitivity)])
 
 
+def _importance_table(sensitivity: Sensitivity, metric: str, numbers: dict[int, int]) -> str:
+    """Return the table of importances for a metric, with imperfections as rows and trackers as columns."""
+    trackers = tuple(sensitivity.influences)
+    rows = [
+        [
+            f"{number:2d} {sensitivity.factors[i].label}",
+            *(_importance_text(sensitivity, tracker, metric, i) for tracker in trackers),
+        ]
+        for i, number in numbers.items()
+    ]
+    if sensitivity.design == SOBOL:
+        rows.append(["sum of first-order indices", *(_additive(sensitivity, tracker, metric) for tracker in trackers)])
+    return table(["imperfection", *trackers], rows)
+
+
 def shown(sensitivity: Sensitivity) -> list[int]:
-    """Return the imperfections that are shown, by what they matter in the rms errors at the most, over all trackers."""
+    """Return the indices of the imperfections in tables and figures, by their largest relative importance in a rms error."""
     best = np.zeros(len(sensitivity.factors))
     for by_metric in sensitivity.influences.values():
         for metric in sensitivity.mains:
@@ -66,7 +66,7 @@ def shown(sensitivity: Sensitivity) -> list[int]:
             finite = sizes[np.isfinite(sizes)]
             largest = float(finite.max()) if len(finite) and finite.max() > 0 else 1.0
             best = np.maximum(best, sizes / largest)
-    return [int(i) for i in np.argsort(-best, kind="stable")[:_MOST]]
+    return [int(i) for i in np.argsort(-best, kind="stable")[:_MAX_ROWS]]
 
 
 def _known(sensitivity: Sensitivity, tracker: str, metric: str) -> bool:
@@ -74,8 +74,8 @@ def _known(sensitivity: Sensitivity, tracker: str, metric: str) -> bool:
     return bool(np.any(~np.isnan(sizes) & (sizes > 0)))
 
 
-def _said(sensitivity: Sensitivity, tracker: str, metric: str, i: int) -> str:
-    """Return an importance to the figures that the tracker's largest one has two of: columns are read downwards."""
+def _importance_text(sensitivity: Sensitivity, tracker: str, metric: str, i: int) -> str:
+    """Return an importance as text, with the decimals that give the tracker's largest importance two significant digits."""
     one, sizes = sensitivity.importance(tracker, metric, i), sensitivity.influences[tracker][metric].importance
     if math.isinf(one.value):
         return "lost at an end"
@@ -83,7 +83,7 @@ def _said(sensitivity: Sensitivity, tracker: str, metric: str, i: int) -> str:
         return "-"
     largest = max((size for size in sizes if math.isfinite(size)), default=0.0)
     digits = max(0, 1 - math.floor(math.log10(largest))) if largest > 0 else 0
-    if digits > _DIGITS:
+    if digits > 6:
         return f"{one.value:.2g}"
     half = f" ± {one.half:.{digits}f}" if math.isfinite(one.half) and one.half > 0 else ""
     return f"{one.value:.{digits}f}{half}"
@@ -95,9 +95,9 @@ def _additive(sensitivity: Sensitivity, tracker: str, metric: str) -> str:
 
 
 def _foremost(sensitivity: Sensitivity, tracker: str, metric: str, numbers: dict[int, int]) -> str:
-    """Return the most important imperfections by number: those that tell from none."""
+    """Return the numbers of the two most important imperfections, if their importance is significant."""
     one = sensitivity.influences[tracker][metric]
-    certain = [i for i in one.order[:_NAMED] if one.importance[i] > 0 and not one.low[i] <= 0]
+    certain = [i for i in one.order[:2] if one.importance[i] > 0 and not one.low[i] <= 0]
     return ", ".join(str(numbers[i]) if i in numbers else sensitivity.factors[i].label for i in certain) or "-"
 
 
@@ -108,8 +108,8 @@ def _left_out(sensitivity: Sensitivity) -> list[str]:
         if one.left_out:
             lines.append(
                 folded(
-                    f"{tracker}: {one.left_out} of {one.groups} groups are left out of the errors, for it failed on one of"
-                    " their machines; what it owes failures to, success tells"
+                    f"{tracker}: {one.left_out} of {one.groups} groups are left out of the errors, because it failed on one"
+                    " of their machines; the figure 'success' shows the causes of failures"
                 )
             )
     return ["", *lines] if lines else []

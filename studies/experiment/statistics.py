@@ -1,20 +1,18 @@
 """Means and shares with 95 % confidence intervals.
 
-A mean's is Student's; a share's is Wilson's (Journal of the American Statistical Association 22, 1927), which holds near 0
-and 1 too. Both take samples for independent: a Latin hypercube's mean varies less than that, so that its interval is
-a wide one.
+Means have Student's interval. Shares have Wilson's interval (Journal of the American Statistical Association 22, 1927),
+which is also valid near 0 and 1. Both assume independent samples. The mean of a Latin hypercube varies less, so its interval
+is conservative.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-CONFIDENCE = 0.95
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A value, the interval that covers the truth with the stated confidence, and the number of samples."""
+    """A value, its confidence interval, and the number of samples."""
 
     value: float
     low: float
@@ -27,17 +25,17 @@ class Estimate:
         return 0.5 * (self.high - self.low)
 
 
-_NOTHING = Estimate(value=float("nan"), low=float("nan"), high=float("nan"), n=0)
+_NO_ESTIMATE = Estimate(value=float("nan"), low=float("nan"), high=float("nan"), n=0)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # efforts of feedback loops that diverge: the interval is then infinite
-def mean_of(values: np.ndarray, confidence: float = CONFIDENCE) -> Estimate:
-    """Return the mean of the values (n,) that are numbers."""
+@np.errstate(over="ignore", invalid="ignore")  # diverging loops have huge efforts, and an infinite interval
+def mean_of(values: np.ndarray, confidence: float = 0.95) -> Estimate:
+    """Return the mean of the finite values among (n,)."""
     from scipy.stats import t
 
     kept = values[np.isfinite(values)]
     if not len(kept):
-        return _NOTHING
+        return _NO_ESTIMATE
     mean = float(np.mean(kept))
     if len(kept) == 1:
         return Estimate(value=mean, low=-np.inf, high=np.inf, n=1)
@@ -45,12 +43,12 @@ def mean_of(values: np.ndarray, confidence: float = CONFIDENCE) -> Estimate:
     return Estimate(value=mean, low=mean - half, high=mean + half, n=len(kept))
 
 
-def share_of(hits: int, n: int, confidence: float = CONFIDENCE) -> Estimate:
+def share_of(hits: int, n: int, confidence: float = 0.95) -> Estimate:
     """Return the share of hits among n."""
     from scipy.stats import norm
 
     if n == 0:
-        return _NOTHING
+        return _NO_ESTIMATE
     z, p = float(norm.ppf(0.5 + confidence / 2)), hits / n
     middle, half = (
         (p + z * z / (2 * n)) / (1 + z * z / n),
@@ -61,9 +59,9 @@ def share_of(hits: int, n: int, confidence: float = CONFIDENCE) -> Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two trackers on the same samples: the mean of first minus second, and how often the first is the better one.
+    """Two trackers on the same samples: the mean of first minus second, and the share of samples won by the first.
 
-    A sample that one of them did not finish is lost by that one; one that neither finished, or a tie, counts for neither.
+    A tracker that failed on a sample loses it. Samples on which both failed, and ties, count for neither.
     """
 
     first: str
@@ -74,7 +72,7 @@ class Pair:
 
 
 def pair_of(first: str, second: str, metric: str, a: np.ndarray, b: np.ndarray) -> Pair:
-    """Return the comparison of two trackers' values (n,) of a metric of which less is better, sample by sample."""
+    """Return the samplewise comparison of two trackers' values (n,) of a metric; smaller values are better."""
     x, y = (np.where(np.isfinite(values), values, np.inf) for values in (a, b))
     decided = x != y
     return Pair(

@@ -1,4 +1,4 @@
-"""The whole of an experiment: from a plan to a folder with its results, or to a summary alone."""
+"""A complete experiment: from a plan to a folder with results, or to a summary only."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -40,10 +40,9 @@ RECORD, RESULTS = "experiment.json", "results.parquet"
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Outcome:
-    """An experiment's results: their columns, what they say, and the record of both.
+    """An experiment's results: their columns, summary and record.
 
-    `sensitivity` is there where the design tells imperfections' influences apart; the summary is then of those machines
-    alone that are independent of one another.
+    `sensitivity` is present for a sensitivity design. The summary then covers only statistically independent machines.
     """
 
     experiment: Experiment
@@ -54,12 +53,12 @@ class Outcome:
 
     @property
     def population(self) -> Mapping[str, np.ndarray]:
-        """The results of machines that are independent of one another: of all, but where the design ties some to others."""
+        """The results of statistically independent machines: all machines, except for a sensitivity design."""
         return _independent(self.experiment, self.results)
 
     @property
     def distributed(self) -> bool:
-        """Whether these machines lie as the imperfections' distributions say, so that means are worth a word."""
+        """True if the machines are distributed like the imperfections, so that means are meaningful."""
         return self.experiment.settings.design not in (ONE_AT_A_TIME, MORRIS)
 
 
@@ -75,22 +74,22 @@ def run_experiment(
     threads: int = 0,
     batch: int | None = None,
 ) -> Outcome:
-    """Return an experiment's outcome, and write it into a folder, where one is given.
+    """Return an experiment's outcome, and write it into a folder if one is given.
 
     Args:
         source: the tables of the problem.
-        digest: of a saved plan's motion; None where the problem is planned.
-        plan: gives the plan, when it is needed.
+        digest: hash of a saved plan's motion; None if the problem is planned here.
+        plan: returns the plan when it is needed.
         settings: of the experiment.
-        target: the folder, written whole when all is done; its parts stand beside it until then.
-        say: is told of the progress.
-        engine: what runs its blocks.
-        threads: of the simulator for each block; 0 for the engine's own share.
-        batch: simulations stepped together, at the most.
+        target: the folder, written in one step at the end; until then the parts are kept next to it.
+        say: receives progress messages.
+        engine: runs the blocks.
+        threads: simulator threads of each block; 0 for the engine's default.
+        batch: most simulations stepped together.
 
     Raises:
-        PlanFileError: when the folder holds something else, or the disk refuses.
-        LinkplanError: for what cannot be simulated.
+        PlanFileError: if the folder holds something else, or cannot be written.
+        LinkplanError: for a plan that cannot be simulated.
     """
     load_extra("pyarrow.parquet", "experiment")  # refused before anything is planned
     sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS}
@@ -119,7 +118,7 @@ def run_experiment(
 
 
 def _save(outcome: Outcome, folder: Path, place: Path) -> None:
-    """Write an outcome's files into an empty folder, and read back those that are read again."""
+    """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
     from linkplan.studies.experiment.draw_experiment import experiment_figure
     from linkplan.studies.experiment.draw_tornado import save_tornados
 
@@ -170,10 +169,10 @@ def _independent(experiment: Experiment, results: Mapping[str, np.ndarray]) -> M
 
 
 def saved_experiment(folder: Path) -> Experiment:
-    """Return the experiment of a folder with results, to run any of its samples again.
+    """Return the experiment of a folder with results, for the replay of its samples.
 
     Raises:
-        PlanFileError: when the folder is none.
+        PlanFileError: if the folder holds no experiment.
     """
     from linkplan.planner.files.plan_folder import read_plan
 
@@ -182,10 +181,10 @@ def saved_experiment(folder: Path) -> Experiment:
 
 
 def refuse_changed_tracker(folder: Path, tracker: str) -> None:
-    """Refuse a tracker of the user's own that is not written any more as it was in the experiment of a folder.
+    """Refuse a user's tracker whose source has changed since the experiment of a folder.
 
     Raises:
-        LinkplanError: when it is not.
+        LinkplanError: if it has changed.
     """
     sources = read_asked(folder).tracker_sources
     refuse_other_sources({name: known for name, known in sources.items() if name == tracker.strip()})
@@ -195,7 +194,7 @@ def saved_outcome(folder: Path) -> Outcome:
     """Return the outcome of a folder with results.
 
     Raises:
-        PlanFileError: when the folder is none, or its results are not what its record asked.
+        PlanFileError: if the folder holds no experiment, or its results do not match its record.
     """
     experiment = saved_experiment(folder)
     asked = msgspec.to_builtins(read_asked(folder))
@@ -203,15 +202,15 @@ def saved_outcome(folder: Path) -> Outcome:
 
 
 def read_asked(folder: Path) -> AskedRecord:
-    """Return what was asked in the experiment of a folder.
+    """Return the inputs of the experiment of a folder.
 
     Raises:
-        PlanFileError: when the folder is none, or its record is damaged.
+        PlanFileError: if the folder holds no experiment, or its record is damaged.
     """
     path = folder / RECORD
     if not path.is_file():
         raise PlanFileError(f"'{folder}' holds no experiment: it has no {RECORD}")
     try:
         return read_record(path, ExperimentRecord).asked
-    except ProblemError as error:  # of a setting
+    except ProblemError as error:  # an invalid setting
         raise PlanFileError(f"'{path}' is not a record that linkplan wrote: {error}") from error

@@ -1,4 +1,4 @@
-"""What an experiment says: each tracker's figures with their intervals, trackers in pairs, the worst samples."""
+"""The summary of an experiment: each tracker's metrics with intervals, pairs of trackers, the worst samples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,15 +8,12 @@ import numpy as np
 from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.experiment.statistics import Estimate, Pair, mean_of, pair_of, share_of
 
-# Worst samples that are named for each tracker.
-_WORST = 3
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class TrackerSummary:
     """One tracker over all samples: means by metric, 95th percentiles, success, failures by reason, worst samples.
 
-    A worst sample is one that failed, or else one of the largest error.
+    The worst samples are failed samples first, then those with the largest error.
     """
 
     name: str
@@ -29,7 +26,7 @@ class TrackerSummary:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Summary:
-    """All trackers, and each two of them on the same samples, by the rms error of the first unit."""
+    """All trackers, and all pairs of trackers compared by the rms error of the first unit."""
 
     samples: int
     trackers: tuple[TrackerSummary, ...]
@@ -57,7 +54,7 @@ def summarise(results: Mapping[str, np.ndarray], trackers: Sequence[str], metric
                 percentile95={metric: _percentile(values[metric]) for metric in metrics},
                 success=share_of(int(np.sum(results["success"][at])), int(np.sum(at))),
                 failures={text: texts.count(text) for text in sorted(set(texts))},
-                worst=tuple(int(sample) for sample in results["sample"][at][order[:_WORST]]),
+                worst=tuple(int(sample) for sample in results["sample"][at][order[:3]]),
             )
         )
     pairs = [
@@ -75,16 +72,16 @@ def _percentile(values: np.ndarray) -> float:
 
 
 def summary_record(summary: Summary) -> dict:
-    """Return a summary by name: every figure with its interval, every metric with its unit and direction."""
+    """Return a summary as a JSON record: values with intervals, metrics with unit and direction."""
 
-    def said(one: Estimate) -> dict:
+    def estimate_record(one: Estimate) -> dict:
         return {"value": one.value, "interval95": [one.low, one.high], "n": one.n}
 
     trackers = {
         one.name: {
-            "mean": {metric: said(value) for metric, value in one.means.items()},
+            "mean": {metric: estimate_record(value) for metric, value in one.means.items()},
             "percentile95": dict(one.percentile95),
-            "success": said(one.success),
+            "success": estimate_record(one.success),
             "failures": dict(one.failures),
             "worst_samples": list(one.worst),
         }
@@ -95,8 +92,8 @@ def summary_record(summary: Summary) -> dict:
             "first": pair.first,
             "second": pair.second,
             "metric": pair.metric,
-            "difference": said(pair.difference),
-            "wins_of_first": said(pair.wins),
+            "difference": estimate_record(pair.difference),
+            "wins_of_first": estimate_record(pair.wins),
         }
         for pair in summary.pairs
     ]

@@ -1,12 +1,12 @@
-"""Large signals: the closed loop against amplitude, up to and past the effort limit, beside the describing function.
+"""Large signals: the closed-loop response as a function of amplitude, measured and predicted by the describing function.
 
-With N(A) the describing function, python-control's, of the saturation about the holding effort, harmonic balance says of a
-command of amplitude A (Gelb & Vander Velde, Multiple-Input Describing Functions, 1968, ch. 3)
+Let N(A) be python-control's describing function of the saturation about the holding effort. Harmonic balance for a command
+of amplitude A (Gelb & Vander Velde, Multiple-Input Describing Functions, 1968, ch. 3) is
 
     A |1 + N(A) L_0| = |drive|,   Y = P_0 N(A) U
 
-for the loop L_0 and plant P_0 without saturation. It neglects harmonics, and the shift of the mean that limits at unequal
-distances make.
+for the loop L_0 and plant P_0 without saturation. The balance neglects harmonics. It also neglects the shift of the mean
+when the two limits are at unequal distances.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,20 +22,18 @@ from linkplan.studies.frequency import sinestream
 from linkplan.studies.frequency.excitation import Setup, whole_samples
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, refuse_several_freedoms
 
-# Amplitudes of the command without a limit, over the room to the limit.
+# Amplitudes of the command without a limit, divided by the distance to the limit.
 MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)
-_FREQUENCIES = 8
-# A saturated loop settles as it likes: the wait is bounded.
-_LONGEST_S = 3.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LargeSignals:
-    """A loop's reference response at frequencies (n,) [Hz] and amplitudes (n, m) [rad or m], and the actuator's.
+    """The reference response and the actuator's gain at frequencies (n,) [Hz] and amplitudes (n, m) [rad or m].
 
-    `multiples` (m,): the command without a limit over the room to it. `measured` and `predicted` (n, m): Y / R. `command`
-    (n, m) is the measured command's amplitude [N.m or N], `describing` (n, m) the measured applied over commanded, and
-    `describing_predicted` (n, m) python-control's at that command. `saturated` (n, m): the share of instants at a limit.
+    `multiples` (m,): amplitude of the command without a limit, divided by `room`, the distance to the limit [N.m or N].
+    `measured` and `predicted` (n, m): Y / R. `command` (n, m): amplitude of the measured command [N.m or N]. `describing`
+    (n, m): measured ratio of applied to commanded effort. `describing_predicted` (n, m): python-control's describing
+    function at that command. `saturated` (n, m): share of instants at a limit.
     """
 
     loop: FeedbackLoop
@@ -55,12 +53,12 @@ class LargeSignals:
 
 
 def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return N(A) (n,), real, of an actuator's limits about its holding effort, for amplitudes A (n,) [N.m or N]."""
+    """Return the real N(A) (n,) of an actuator's limits about its holding effort, for amplitudes A (n,) [N.m or N]."""
     refuse_several_freedoms(loop.point.mechanism, "a response past the effort limit")
     low, high = effort_limit[0] - loop.point.hold[0]
     if not (np.isfinite(low) and np.isfinite(high)):
-        raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no limit to saturate at")
-    # Either half of a sine meets one limit: the describing function is the mean of two symmetric saturations'.
+        raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no effort limit")
+    # Each half of the sine meets one limit, so N(A) is the mean of two symmetric saturations.
     cuts = [control.saturation_nonlinearity(float(limit)) for limit in (-low, high)]
 
     def mean(A: np.ndarray) -> np.ndarray:
@@ -77,7 +75,7 @@ def balance(
     S, P = loop.gains("sensitivity", at, channel)[0], loop.gains("plant", at, channel)[0]
     L = 1.0 / S - 1.0
     linear = loop.gains(quantity, at, channel)[0]
-    drive = linear / (P * S)  # what reaches the sum in front of the loop, per unit of reference
+    drive = linear / (P * S)  # input of the loop's summing point per unit of reference
 
     def excess(A: float) -> float:
         return A * abs(1.0 + float(N(A)[0]) * L) - amplitude * abs(drive)
@@ -103,17 +101,17 @@ def large_signals(
     farthest: float | None = None,
     say: Callable[[str], None] = silent,
 ) -> LargeSignals:
-    """Return a loop's reference response against amplitude.
+    """Return a loop's reference response as a function of amplitude.
 
     Args:
         loop: a stable sampled loop.
         effort_limit: (n_u, 2) [N.m or N].
-        frequency_hz: where, moved to whole samples a period.
-        multiples: of the amplitude whose command would just reach the limit.
+        frequency_hz: (n,), moved so that a period has whole samples.
+        multiples: (m,) of the amplitude whose command just reaches the limit.
         quantity: "reference" or "reference+ff".
         channel: the joint.
-        farthest: the largest amplitude to try [rad or m]; what lies beyond is left out, as not a number.
-        say: hears about progress.
+        farthest: the largest amplitude to try [rad or m]; results beyond it are NaN.
+        say: receives progress messages.
     """
     N = saturation(loop, effort_limit)
     room = float(np.abs(effort_limit[0] - loop.point.hold[0]).min())
@@ -122,7 +120,7 @@ def large_signals(
     per_motion = np.abs(loop.gains(quantity, frequency, channel) / loop.gains("plant", frequency, channel))
     sizes = np.asarray(multiples, dtype=float)[:, None] * room / per_motion
     limited = sizes if farthest is None else np.minimum(sizes, farthest)
-    setup = Setup(longest_s=_LONGEST_S)
+    setup = Setup(longest_s=3.0)  # a saturated loop may never settle
     same = [loop] * len(sizes)
     taken = sinestream.run(same, frequency, effort_limit, setup, (quantity,), channel, say, amplitudes=limited)
     rows = [
@@ -156,14 +154,14 @@ def large_signals(
     )
 
 
-def default_large_frequencies(loop: FeedbackLoop, crossover_hz: float | None, count: int = _FREQUENCIES) -> np.ndarray:
-    """Return frequencies (n,) [Hz] about a crossover."""
+def default_large_frequencies(loop: FeedbackLoop, crossover_hz: float | None, count: int = 8) -> np.ndarray:
+    """Return frequencies (count,) [Hz] around a crossover."""
     middle = crossover_hz or 0.02 / loop.timing.period_s
     return np.geomspace(0.15 * middle, min(1.5 * middle, 0.2 / loop.timing.period_s), count)
 
 
 def large_record(found: LargeSignals) -> dict:
-    """Return what files say of the large signals."""
+    """Return the large-signal results as a JSON record."""
     joint = found.loop.point.mechanism.independent_joints[found.channel]
     shown = joint.shown(1.0)
     return {

@@ -1,13 +1,12 @@
-"""Test signals for frequency responses, and what follows from the signals that come back.
+"""Test signals for frequency responses, and the responses that follow from the measured signals.
 
-A test signal enters at the command of an actuator ("effort") or as the reference of a joint, without feedforward
-("reference") or with it ("reference+ff"). Of the signals that come back, with U the command, W the part of it that was put
-in, Y the position:
+A test signal is added to the command of an actuator ("effort") or to the reference of a joint, without feedforward
+("reference") or with it ("reference+ff"). With the added signal W or R, the command U and the position Y:
 
     effort:      S = U / W,   T = 1 - S,   L = (W - U) / U,   plant = Y / U     open loop from closed-loop data
     reference:   Y / R,   control sensitivity U / R
 
-All frequencies, points and excitations run at once, each in a simulation of its own (`simulated_loops`).
+All frequencies, points and excitations run side by side, each in its own simulation (`simulated_loops`).
 """
 
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort, quantity_unit
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort, quantity_unit, refuse_above_nyquist
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.frequency.response import Response
 
@@ -24,40 +23,38 @@ EXCITATIONS = {
     "reference": ("reference", "control"),
     "reference+ff": ("reference+ff",),
 }
-# A test signal moves the joint by so much [rad; on a slide, of the model's extent], unless its command would take more than
-# this share of what the limits leave beside the holding effort.
-SMALL = np.radians(0.02)
+# Default motion of the joint under a test signal [rad; on a slide, as a share of the model's extent].
+MOTION_AMPLITUDE_RAD = np.radians(0.02)
+# The test signal is reduced if its command exceeds this share of the distance from the holding effort to the limit.
 EFFORT_SHARE = 0.05
-# A frequency is moved by less than this share of itself to one that repeats after whole samples.
-_FREQUENCY_SHARE = 0.004
-_MOST_CYCLES = 64
-# A sinusoid's window of more control periods than this takes minutes; what all windows together take is bounded too [bytes].
-MOST_SAMPLES, MOST_BYTES = 2_000_000, 1_000_000_000
+
+# Longest window [control periods], which takes minutes, and the memory of all windows together [bytes].
+_MAX_WINDOW_PERIODS, _MAX_WINDOW_BYTES = 2_000_000, 1_000_000_000
 
 
 def refuse_long(samples: float, lowest_hz: float, copies: float, *, bytes_a_sample: int = 80) -> None:
-    """Refuse a measurement whose windows are longer than can be kept, before any is asked for.
+    """Refuse a measurement whose windows are too long to store.
 
     Raises:
-        LinkplanError: with the number of samples, and the frequency from which on it could be done.
+        LinkplanError: with the number of samples and the lowest frequency that can be measured.
     """
-    most = min(MOST_SAMPLES, MOST_BYTES / (bytes_a_sample * max(copies, 1.0)))
+    most = min(_MAX_WINDOW_PERIODS, _MAX_WINDOW_BYTES / (bytes_a_sample * max(copies, 1.0)))
     if samples > most:
         raise LinkplanError(
-            f"{lowest_hz:g} Hz takes windows of {samples:.3g} control periods in {copies:g} simulations at once; at most"
-            f" {most:.3g} are kept, as from about {lowest_hz * samples / most:.3g} Hz on, or with a longer"
-            " control period"
+            f"{lowest_hz:g} Hz needs windows of {samples:.3g} control periods in {copies:g} simulations at once; at most"
+            f" {most:.3g} can be stored: measure from about {lowest_hz * samples / most:.3g} Hz on, or use a longer control"
+            " period"
         )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Setup:
-    """How to measure.
+    """The settings of a measurement.
 
-    `amplitude` [rad or m] of the joint's motion, for which the test signal is scaled by the prediction; `ramp_cycles` of a
-    smooth beginning; a window is one or more whole cycles, and an estimate settled when what is still to die away, by the
-    change between windows and the slowest predicted pole, is below `tolerance` of it; `windows` are then averaged.
-    `longest_s` ends the wait: what has not settled by then says so by its uncertainty.
+    `amplitude` [rad or m]: desired motion of the joint; the prediction scales the test signal to it. `ramp_cycles`: cycles
+    of the smooth start. A window is one or more whole cycles. An estimate has settled when its remaining change is below
+    the share `tolerance`; the remaining change follows from two windows and the slowest predicted pole. Then `windows` are
+    averaged. `longest_s` [s] ends the measurement; an estimate that has not settled by then has a large uncertainty.
     """
 
     method: str = "sinestream"
@@ -69,7 +66,7 @@ class Setup:
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
-            raise LinkplanError(f"unknown way to measure '{self.method}'; ways are {', '.join(METHODS)}")
+            raise LinkplanError(f"unknown measurement method '{self.method}'; methods are {', '.join(METHODS)}")
         if self.amplitude is not None and not (np.isfinite(self.amplitude) and self.amplitude > 0):
             raise LinkplanError(f"the amplitude of a test signal is a positive number, got {self.amplitude:g}")
         if self.ramp_cycles < 0 or self.windows < 2 or not 0 < self.tolerance < 1 or not self.longest_s > 0:
@@ -80,10 +77,10 @@ class Setup:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Measurement:
-    """What was measured about each loop: responses by quantity, simulated steps, the conditions of the simulation.
+    """The measured responses of each loop by quantity, the number of simulated steps, and the simulation settings.
 
-    `actuated`, of a sinestream: by excitation the phasors (n,) of the command and of the effort applied, beside the holding
-    effort [N.m or N].
+    `actuated` (sinestream only): for each excitation, the phasors (n,) of the commanded and of the applied effort, relative
+    to the holding effort [N.m or N].
     """
 
     responses: tuple[dict[str, Response], ...]
@@ -93,28 +90,24 @@ class Measurement:
 
 
 def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return cycles p (n,) and samples N (n,), so that p / (N T) is next to each frequency and repeats after N samples.
+    """Return cycles p (n,) and samples N (n,) such that p / (N T) is close to each frequency.
 
-    Doubles are left out; the Nyquist frequency itself, which a sine cannot be told from a cosine at, is moved below.
+    Duplicates are removed. The Nyquist frequency itself is lowered, because sine and cosine are indistinguishable there.
 
     Raises:
         LinkplanError: for frequencies that are not positive or are above the Nyquist frequency.
     """
     frequency = np.unique(np.asarray(frequency_hz, dtype=float))
-    if not (frequency.size and np.all(np.isfinite(frequency)) and frequency[0] > 0):
-        raise LinkplanError("frequencies are positive numbers of hertz")
-    nyquist = 0.5 / period_s
-    if frequency[-1] > nyquist * (1 + 1e-9):
-        raise LinkplanError(
-            f"{frequency[-1]:.6g} Hz is above the Nyquist frequency, {nyquist:.6g} Hz at a control period of {period_s:g} s"
-        )
+    refuse_above_nyquist(frequency, period_s)
     refuse_long(1.0 / (frequency[0] * period_s), float(frequency[0]), 1.0)
     found: dict[float, tuple[int, int]] = {}
     for wanted in frequency:
-        p = np.arange(1, _MOST_CYCLES + 1)
+        # Up to 64 cycles in whole samples; the fewest cycles that change the frequency by less than 0.4 %.
+        p = np.arange(1, 65)
         N = np.maximum(np.round(p / (wanted * period_s)).astype(int), 2 * p + 1)
-        off = np.abs(p / (N * period_s) / wanted - 1)
-        best = int(np.argmax(off < _FREQUENCY_SHARE)) if np.any(off < _FREQUENCY_SHARE) else int(np.argmin(off))
+        change = np.abs(p / (N * period_s) / wanted - 1)
+        close = change < 0.004
+        best = int(np.argmax(close)) if np.any(close) else int(np.argmin(change))
         shared = int(np.gcd(p[best], N[best]))
         pair = int(p[best]) // shared, int(N[best]) // shared
         found[pair[0] / pair[1]] = pair
@@ -123,7 +116,7 @@ def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray
 
 
 def command_headroom(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int) -> float:
-    """Return the effort [N.m or N] at a channel that takes some actuator from its holding effort to the nearer limit."""
+    """Return the smallest effort [N.m or N] at a channel that brings an actuator from its holding effort to a limit."""
     _, push = channel_effort(loop.point, channel)
     low, high = effort_limit.T
     with np.errstate(divide="ignore"):
@@ -133,9 +126,9 @@ def command_headroom(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int)
 def signal_amplitude(
     loop: FeedbackLoop, frequency_hz: np.ndarray, excitation: str, effort_limit: np.ndarray, setup: Setup, channel: int
 ) -> np.ndarray:
-    """Return amplitudes (n,) of a test signal [its unit] that move the joint by little and leave its actuator free."""
+    """Return amplitudes (n,) of a test signal [its unit] that move the joint little and do not saturate an actuator."""
     joint = loop.point.mechanism.independent_joints[channel]
-    small = SMALL * (1.0 if joint.kind == "hinge" else loop.point.mechanism.extent_m)
+    small = MOTION_AMPLITUDE_RAD * (1.0 if joint.kind == "hinge" else loop.point.mechanism.extent_m)
     wanted = small if setup.amplitude is None else setup.amplitude
     room = np.inf if setup.amplitude is not None else EFFORT_SHARE * command_headroom(loop, effort_limit, channel)
     sensitivity = loop.gains("sensitivity", frequency_hz, channel)
@@ -144,7 +137,7 @@ def signal_amplitude(
     else:
         moves = loop.gains(excitation, frequency_hz, channel)
         commands = moves / loop.gains("plant", frequency_hz, channel)
-    # A reference's own amplitude counts as a motion too: where the loop does not follow it, the command does.
+    # The reference's own amplitude is bounded too: a loop that does not follow it still commands effort for it.
     moves = np.abs(moves) if excitation == "effort" else np.maximum(np.abs(moves), 1.0)
     return np.minimum(wanted / moves, room / np.abs(commands))
 
@@ -158,16 +151,16 @@ def quantities(
     quality: dict[str, np.ndarray],
     origin: str,
 ) -> dict[str, Response]:
-    """Return the responses that an excitation shows.
+    """Return the responses that follow from one excitation.
 
     Args:
-        loop: which was measured.
+        loop: the measured loop.
         channel: the joint.
-        excitation: of EXCITATIONS.
+        excitation: a key of EXCITATIONS.
         frequency_hz: (n,).
-        signals: phasors (windows, n) of the signal put in, "in", the command, "command", and the position, "position".
+        signals: phasors (windows, n) of the added signal, "in", the command, "command", and the position, "position".
         quality: coherence, distortion, residual and saturated (n,) of the same signals.
-        origin: for the responses.
+        origin: stored in the responses.
     """
     W, U, Y = signals["in"], signals["command"], signals["position"]
     by_quantity = {

@@ -1,8 +1,8 @@
-"""The feasible-amplitude curve: how fast a sinusoid of a given amplitude can be followed at all, whatever the controller.
+"""The feasible-amplitude curve: the highest frequency at which any controller can follow a sinusoid of a given amplitude.
 
     s(t) = s_0 + a cos(w t):  inverse dynamics at every phase within the effort limits, every joint within range and speed
 
-A pure inertia needs a J w^2: a = u_max / (J w^2).
+For a pure inertia J the curve is a = u_max / (J w^2).
 """
 
 from collections.abc import Sequence
@@ -16,19 +16,12 @@ from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.studies.frequency.feedback_loops import OperatingPoint
 
-# Phases over half a cycle: the extremes lie at phases that depend on the frequency, and are met to second order.
-_PHASES = 181
-# A frequency is bisected to this share of itself, between ends that no mechanism's motion lies beyond [Hz].
-_SHARE = 1e-7
-_LOWEST_HZ, _HIGHEST_HZ = 1e-3, 1e7
-_SCAN = 60
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FeasibleCurve:
-    """The highest frequencies (n,) [Hz] at which amplitudes (n,) [rad or m] can be followed, and what ends each.
+    """The highest frequencies (n,) [Hz] at which amplitudes (n,) [rad or m] can be followed, and the limiting constraints.
 
-    Zero where an amplitude is out of reach however slow.
+    The frequency is zero if an amplitude cannot be reached at any speed.
     """
 
     point: OperatingPoint
@@ -52,7 +45,7 @@ def feasible_curve(
         point: the middle of the sinusoids.
         amplitude: (n,) [rad or m].
         effort_limit: (n_u, 2) [N.m or N].
-        channel: the joint that moves, by index of the independent ones; the others stand.
+        channel: index of the moving joint among the independent joints; the others stay at rest.
         position_limit: of every joint (n_q, 2); default: the model's.
         speed_limit: of every joint (n_q, 2) [rad/s or m/s]; default: none.
 
@@ -77,8 +70,9 @@ def feasible_curve(
 
 def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit, channel: int, ranges, speeds):
     """Return the highest frequency [Hz] of an amplitude, and the reason."""
-    phase = np.linspace(0.0, np.pi, _PHASES)
-    path = np.tile(point.state[: mechanism.dof], (_PHASES, 1))
+    # The error of an extreme between two phases is of second order in their distance.
+    phase = np.linspace(0.0, np.pi, 181)
+    path = np.tile(point.state[: mechanism.dof], (len(phase), 1))
     path[:, channel] += a * np.cos(phase)
     try:
         poses = follow(mechanism, path, point.pose)
@@ -92,7 +86,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
         omega = 2 * np.pi * frequency
         v, acceleration = np.zeros_like(path), np.zeros_like(path)
         v[:, channel], acceleration[:, channel] = -a * omega * np.sin(phase), -a * omega**2 * np.cos(phase)
-        # The second half of the cycle runs the first backward: the same poses at the opposite speed.
+        # The second half of the cycle has the poses of the first half with opposite velocities.
         for sign in (1.0, -1.0):
             rates = joint_rates(mechanism, poses, sign * v)
             fast = np.flatnonzero(np.any((rates < speeds[:, 0]) | (rates > speeds[:, 1]), axis=0))
@@ -104,7 +98,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
                 return f"effort of {mechanism.actuators[past[0]].name}"
         return None
 
-    grid = np.geomspace(_LOWEST_HZ, _HIGHEST_HZ, _SCAN)
+    grid = np.geomspace(1e-3, 1e7, 60)  # Hz, beyond any mechanism's motion on both sides
     good, bad = 0.0, None
     for frequency in grid:
         reason = broken(frequency)
@@ -116,7 +110,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
         return np.inf, "nothing"
     if good == 0.0:
         return 0.0, reason
-    while bad - good > _SHARE * good:
+    while bad - good > 1e-7 * good:
         middle = 0.5 * (good + bad)
         there = broken(middle)
         if there is None:
@@ -127,7 +121,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
 
 
 def default_amplitudes(point: OperatingPoint, channel: int = 0, count: int = 25) -> np.ndarray:
-    """Return amplitudes (n,) from a hundredth of a degree to the joint's range on the nearer side [rad or m]."""
+    """Return amplitudes (count,) [rad or m] from a hundredth of a degree to the distance to the nearer end of the range."""
     joint = point.mechanism.independent_joints[channel]
     at = float(point.state[channel])
     widest = min(joint.upper - at, at - joint.lower)

@@ -1,11 +1,12 @@
-"""Feedback loops about an operating point, predicted: continuous, sampled, and sampled in MuJoCo's own steps.
+"""Linear models of feedback loops about an operating point: continuous, sampled, and sampled in MuJoCo's own steps.
 
     command u = u_hold + K (x_ref - x),   x = (s, v),   X = G U
 
-G is the way from commands to the state: (j w I - A)^-1 B as s-plane design has it, without hold or delay; with z = e^(j w T)
-G = (z I - A)^-1 (B z^-d + B_late z^-d-1). S = (I + K G)^-1. The loop of coordinate i is broken at the effort on it, the
-others closed: with efforts tau = E u on the coordinates it is 1 / (E S E^-1)_ii - 1 (Skogestad & Postlethwaite,
-Multivariable Feedback Control, 2005, 3.2). Of a single freedom that is the loop at its actuator.
+G is the transfer function from commands to the state. Continuous, without hold or delay: G = (j w I - A)^-1 B. Sampled, with
+z = e^(j w T): G = (z I - A)^-1 (B z^-d + B_late z^-d-1). The sensitivity is S = (I + K G)^-1. The loop of coordinate i is
+broken at the effort on i while the other loops are closed. With efforts tau = E u on the coordinates this loop is
+1 / (E S E^-1)_ii - 1 (Skogestad & Postlethwaite, Multivariable Feedback Control, 2005, 3.2). A mechanism of one degree of
+freedom has a single loop, broken at its actuator.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.response import Response
 
 CONTINUOUS, EXACT, SIMULATED = "continuous", "sampled, exact hold", "sampled, MuJoCo's steps"
-# What each response is of, and its unit: {o} is the joint's unit over {u}, the effort's.
+# The unit of each response: {q} is the joint's unit, {u} the effort's.
 QUANTITIES = {
     "plant": "{q}/{u}",
     "loop": "1",
@@ -38,15 +39,14 @@ QUANTITIES = {
     "reference": "1",
     "reference+ff": "1",
 }
-# As sentences call them.
 LAW_NAMES = {"pd": "PD", "pd+ff": "PD with feedforward", "lqr": "LQR"}
-# An effort that misses this share of what is needed does not hold the pose.
-_HELD = 1e-9
+# Largest missing share of the effort that holds a pose: above rounding, far below any physical effort.
+_HOLDING_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class OperatingPoint:
-    """A closed pose (n_q,) that efforts `hold` (n_u,) keep at rest, or a state of a motion with its velocity (n_s,)."""
+    """A closed pose (n_q,) with its velocity (n_s,) and effort `hold` (n_u,): at rest, or an instant of a motion."""
 
     mechanism: Mechanism
     pose: np.ndarray
@@ -55,12 +55,12 @@ class OperatingPoint:
 
     @property
     def state(self) -> np.ndarray:
-        """X = (s, v) (2 n_s,) [rad or m, and a second]."""
+        """The state x = (s, v) (2 n_s,) [rad or m, rad/s or m/s]."""
         return np.concatenate([self.pose[self.mechanism.independent], self.velocity])
 
     @property
     def name(self) -> str:
-        """The independent joints' positions, for people."""
+        """The independent joints' positions as text."""
         index = self.mechanism.independent
         shown = zip(self.mechanism.independent_joints, self.pose[index], strict=True)
         return ", ".join(f"{joint.name} = {joint.said(x)} {joint.unit}" for joint, x in shown)
@@ -87,32 +87,32 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
     """Return the mechanism held at independent positions (n_s,) [rad or m].
 
     Raises:
-        LinkplanError: where there are not as many actuators as freedoms, the loops do not close, or no effort within the
-            limits (n_u, 2) holds the pose.
+        LinkplanError: if the mechanism does not have one actuator per degree of freedom, if its loops do not close, or if
+            no effort inside the limits (n_u, 2) holds the pose.
     """
     require_actuated(mechanism)
     pose = close_at(mechanism, np.atleast_1d(position))
     still = np.zeros((1, mechanism.dof))
     hold, missed = needed_effort(mechanism, pose[None], still, still)
     point = OperatingPoint(mechanism=mechanism, pose=pose, velocity=still[0], hold=hold[0])
-    if not np.all(np.isfinite(hold)) or np.abs(missed).max() > _HELD * max(1.0, np.abs(hold).max()):
+    if not np.all(np.isfinite(hold)) or np.abs(missed).max() > _HOLDING_TOLERANCE * max(1.0, np.abs(hold).max()):
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {point.name}")
     limit = mechanism.effort_limit if effort_limit is None else effort_limit
     for actuator, effort, (low, high) in zip(mechanism.actuators, hold[0], limit, strict=True):
-        # At the end of its limits an actuator answers to one side only: no loop is linear there.
-        room = _HELD * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
+        # An actuator at a limit responds in one direction only, so the loop is not linear there.
+        room = _HOLDING_TOLERANCE * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
         if not low + room < effort < high - room:
             shown = effort if abs(effort) > room else 0.0
             raise LinkplanError(
                 f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {shown:.4g}"
-                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides"
-                " of what holds it"
+                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
+                " the holding effort"
             )
     return point
 
 
 def require_actuated(mechanism: Mechanism) -> None:
-    """Refuse a mechanism whose freedoms are not all actuated, each once."""
+    """Refuse a mechanism that does not have one actuator for each degree of freedom."""
     if mechanism.n_u == 0:
         raise LinkplanError(f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
     if mechanism.n_u != mechanism.dof:
@@ -123,6 +123,21 @@ def require_actuated(mechanism: Mechanism) -> None:
         )
 
 
+def refuse_above_nyquist(frequency_hz: np.ndarray, period_s: float | None) -> None:
+    """Refuse frequencies (n,) [Hz] that are not positive, or above the Nyquist frequency of a control period [s].
+
+    Raises:
+        LinkplanError: with the highest frequency and the Nyquist frequency.
+    """
+    if not (frequency_hz.size and np.all(np.isfinite(frequency_hz)) and np.all(frequency_hz > 0)):
+        raise LinkplanError("frequencies are positive numbers of hertz")
+    highest = float(frequency_hz.max())
+    if period_s is not None and highest > 0.5 / period_s * (1 + 1e-9):
+        raise LinkplanError(
+            f"{highest:.6g} Hz is above the Nyquist frequency, {0.5 / period_s:.6g} Hz at a control period of {period_s:g} s"
+        )
+
+
 def refuse_several_freedoms(mechanism: Mechanism, what: str) -> None:
     """Refuse a mechanism of more than one degree of freedom."""
     if mechanism.dof != 1:
@@ -130,7 +145,7 @@ def refuse_several_freedoms(mechanism: Mechanism, what: str) -> None:
 
 
 def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: np.ndarray) -> np.ndarray:
-    """Return a tracker's gain K (n_u, 2 n_s) where it holds a point.
+    """Return a tracker's gain K (n_u, 2 n_s) when it holds a point.
 
     Raises:
         LinkplanError: for an unknown law, or an LQR without a stabilising gain.
@@ -153,18 +168,18 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
 
 
 def pd_gain(effort_map: np.ndarray, kp: float | np.ndarray, kd: float | np.ndarray) -> np.ndarray:
-    """Return K (n_u, 2 n_s) of PD on the independent joints through a map (n_u, n_s) of their efforts to the actuators.
+    """Return PD's gain K (n_u, 2 n_s) on the independent joints, with a map (n_u, n_s) from joint to actuator efforts.
 
-    Gains are one for all joints or one for each, (n_s,).
+    A gain is one number for all joints or one for each joint (n_s,).
     """
     return np.concatenate([kp * effort_map, kd * effort_map], axis=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FeedbackLoop:
-    """A law of gain K (n_u, 2 n_s) about an operating point, in one of three kinds of time.
+    """A law with gain K (n_u, 2 n_s) about an operating point: continuous, sampled, or sampled in MuJoCo's steps (`kind`).
 
-    x' = A x + B u for the continuous kind; x_{k+1} = A x_k + B u_{k-d} + B_late u_{k-d-1} for the sampled ones.
+    Continuous: x' = A x + B u. Sampled: x_{k+1} = A x_k + B u_{k-d} + B_late u_{k-d-1}.
     """
 
     point: OperatingPoint
@@ -177,25 +192,25 @@ class FeedbackLoop:
 
     @property
     def matrix(self) -> np.ndarray:
-        """The closed loop's matrix (M, M), past commands included where it is sampled."""
+        """The closed loop's matrix (M, M). The state of a sampled loop includes the past commands."""
         if self.kind == CONTINUOUS:
             return closed(self.A, self.B, self.gain)
         return closed(*augmented(self.A, self.B, self.B_late, self.timing), self.gain)
 
     @property
     def radius(self) -> float | None:
-        """The largest size of a sampled closed loop's pole; None for the continuous kind."""
+        """The spectral radius of a sampled closed loop; None for a continuous one."""
         return None if self.kind == CONTINUOUS else float(spectral_radius(self.matrix))
 
     @property
     def stable(self) -> bool:
-        """Whether the closed loop is stable."""
+        """True if the closed loop is stable."""
         if self.kind == CONTINUOUS:
             return bool(np.all(np.linalg.eigvals(self.matrix).real < 0))
         return self.radius < 1.0
 
     def system(self) -> control.StateSpace:
-        """Return the open loop from commands to K x, others closed or not there, as python-control's state space."""
+        """Return the open loop from commands to K x as python-control's state space."""
         if self.kind == CONTINUOUS:
             return control.StateSpace(self.A, self.B, self.gain, 0)
         A, B = augmented(self.A, self.B, self.B_late, self.timing)
@@ -210,25 +225,18 @@ class FeedbackLoop:
             LinkplanError: for frequencies beyond the Nyquist frequency of a sampled loop, or not above zero.
         """
         frequency = np.asarray(frequency_hz, dtype=float)
-        if not (frequency.size and np.all(np.isfinite(frequency)) and np.all(frequency > 0)):
-            raise LinkplanError("frequencies are positive numbers of hertz")
+        refuse_above_nyquist(frequency, None if self.kind == CONTINUOUS else self.timing.period_s)
         omega = 2 * np.pi * frequency
         if self.kind == CONTINUOUS:
             at, B = 1j * omega, self.B.astype(complex)[None]
         else:
-            nyquist = self.timing.nyquist_hz
-            if frequency.max() > nyquist * (1 + 1e-9):
-                raise LinkplanError(
-                    f"{frequency.max():.6g} Hz is above the Nyquist frequency, {nyquist:.6g} Hz at a control period of"
-                    f" {self.timing.period_s:g} s"
-                )
             at = np.exp(1j * omega * self.timing.period_s)
             back = at[:, None, None] ** -float(self.timing.whole)
             B = (self.B + self.B_late / at[:, None, None]) * back
         return np.linalg.solve(at[:, None, None] * np.eye(len(self.A)) - self.A, B)
 
     def gains(self, quantity: str, frequency_hz: np.ndarray, channel: int = 0) -> np.ndarray:
-        """Return complex gains (n,) of a quantity of `QUANTITIES` at frequencies [Hz], of a coordinate and its effort."""
+        """Return the complex gains (n,) of one of `QUANTITIES` at frequencies (n,) [Hz], for coordinate `channel`."""
         choose("response", quantity, QUANTITIES, LinkplanError)
         n_s = self.point.mechanism.dof
         joint, (read, push) = channel, channel_effort(self.point, channel)
@@ -256,7 +264,10 @@ class FeedbackLoop:
         return np.einsum("nu,nu->n", G[:, joint], command)
 
     def feedforward(self, frequency_hz: np.ndarray, joint: int) -> np.ndarray:
-        """Return the efforts (n, n_u) that a joint's unit sinusoid needs, half a period ahead: a held value is a mean."""
+        """Return the efforts (n, n_u) that a unit sinusoid of a joint needs.
+
+        They lead by half a control period, because a held effort acts like its mean over the period.
+        """
         n_s = self.point.mechanism.dof
         omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
         still = (self.point.pose[None], self.point.velocity[None], self.point.hold[None])
@@ -278,7 +289,7 @@ class FeedbackLoop:
 
 def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
     """Return the loop of a gain K (n_u, 2 n_s) about a point."""
-    check()  # sweeps and bisections come by here
+    check()  # every sweep and bisection calls this function, so all of them can be interrupted
     states = (point.pose[None], point.velocity[None], point.hold[None])
     if kind == CONTINUOUS:
         A, B = linearise(point.mechanism, *states)
@@ -289,10 +300,10 @@ def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kin
 
 
 def channel_effort(point: OperatingPoint, channel: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return what reads the effort at which a coordinate's loop is broken, (n_u,), and what puts one unit there, (n_u,).
+    """Return the rows (n_u,) that measure and apply the effort at which a coordinate's loop is broken.
 
-    Of a single freedom it is its actuator's effort; of several the effort on the coordinate, row i of E and column i of
-    E^-1, so that no effort is put on the other coordinates.
+    With one degree of freedom this is the actuator's effort. With several it is the effort on the coordinate: row i of E
+    measures it, and column i of E^-1 applies one unit to it and none to the other coordinates.
     """
     if point.mechanism.dof == 1:
         return np.ones(1), np.ones(1)
@@ -308,7 +319,7 @@ def channel_unit(point: OperatingPoint, channel: int) -> str:
 
 
 def broken_at(mechanism: Mechanism, channel: int) -> str:
-    """Return in words where a coordinate's loop is broken."""
+    """Return the name of the effort at which a coordinate's loop is broken."""
     return (
         mechanism.actuators[0].name if mechanism.dof == 1 else f"the effort on {mechanism.independent_joints[channel].name}"
     )

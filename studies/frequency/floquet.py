@@ -1,10 +1,11 @@
-"""Along a periodic motion: the Floquet multipliers of the sampled closed loop, and the decay measured in MuJoCo.
+"""Floquet multipliers of the sampled closed loop along a periodic motion, and the decay measured in MuJoCo.
 
-About its motion the tracked loop is linear and periodic, z_{k+1} = (A_k - B_k K_k) z_k, z the state and the commands on
-the way. The product over a cycle is the monodromy matrix; its eigenvalues, the multipliers, say by which factor a
-disturbance shrinks in a cycle (Bittanti & Colaneri, Periodic Systems, 2009, 3.1). In MuJoCo the same product is measured
-column by column: runs that begin a little off the motion in one coordinate each, less the run that does not. A tracker
-without feedforward settles on a motion of its own beside the reference: that one is run first, and looked at in its place.
+About the motion the tracked loop is linear and periodic: z_{k+1} = (A_k - B_k K_k) z_k, where z holds the state and the
+delayed commands. The product over a cycle is the monodromy matrix. Its eigenvalues, the multipliers, are the factors by
+which disturbances shrink in a cycle (Bittanti & Colaneri, Periodic Systems, 2009, 3.1). MuJoCo measures the same matrix
+column by column: the difference between a run that starts with a small disturbance of one coordinate and an undisturbed run.
+A tracker without feedforward settles on a motion that differs from the reference. That motion is simulated first, and the
+analysis is done about it.
 """
 
 from dataclasses import dataclass
@@ -22,23 +23,16 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
-# Disturbances of the state [rad or m, and per second]: small beside any motion, large beside the simulator's rounding.
-_POSITION, _SPEED, _EFFORT = 1e-5, 1e-3, 1e-4
-# What is below this share of its beginning is lost in rounding; the decay is measured up to where the prediction is there.
-_SEEN = 1e-6
-# Products that grow past this are scaled; what is kept of them ends at this logarithm.
-_HUGE, _MOST_LOG = 1e50, 460.0
-_NOTHING = 1e-300
-# A motion that changes by less than this share of itself from cycle to cycle repeats; cycles waited for that.
-_REPEATS, _MOST_CYCLES = 1e-9, 40
+# A transition matrix that grows beyond this is rescaled and its logarithm kept.
+_MAX_GROWTH = 1e50
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Floquet:
     """A tracked periodic motion: predicted and measured monodromy matrices (M, M), and the decay of disturbances.
 
-    `multipliers` and `measured_multipliers` (M,) complex, the largest first. `size` and `measured_size` (n,) are the largest
-    singular values of the scaled transition from the start to `time_s` (n,): how much of the worst disturbance is left.
+    `size` and `measured_size` (n,): largest singular value of the scaled transition from the start to `time_s` (n,), which
+    is the remaining share of the worst disturbance.
     """
 
     period_s: float
@@ -51,36 +45,36 @@ class Floquet:
 
     @property
     def multipliers(self) -> np.ndarray:
-        """The predicted multipliers, the largest first."""
+        """The predicted multipliers (M,), complex, the largest first."""
         return _sorted(self.monodromy)
 
     @property
     def measured_multipliers(self) -> np.ndarray:
-        """The measured multipliers, the largest first; of no meaning where they are below rounding."""
+        """The measured multipliers (M,), complex, the largest first; those below rounding are meaningless."""
         return _sorted(self.measured)
 
     @property
     def converges(self) -> bool:
-        """Whether disturbances die away from cycle to cycle."""
+        """True if disturbances decay from cycle to cycle."""
         return bool(np.abs(self.multipliers[0]) < 1.0)
 
     @property
     def decay_rate(self) -> float:
         """The predicted rate [1/s] at which the largest multiplier shrinks."""
-        return float(-np.log(max(np.abs(self.multipliers[0]), _NOTHING)) / self.cycle_s)
+        return float(-np.log(max(np.abs(self.multipliers[0]), 1e-300)) / self.cycle_s)
 
     @property
-    def seen(self) -> int:
-        """The last sample at which the disturbance stands clear of rounding."""
-        clear = np.flatnonzero(self.size > _SEEN * self.size.max())
+    def last_visible_sample(self) -> int:
+        """The last sample at which the predicted disturbance is above 1e-6 of its largest size, far above rounding."""
+        clear = np.flatnonzero(self.size > 1e-6 * self.size.max())
         return int(clear[-1])
 
     @property
     def measured_decay(self) -> tuple[float, float, float]:
-        """Time [s] over which the decay is seen, and the logarithm of what is left then: predicted, measured."""
-        k = self.seen
-        left, measured = (max(float(size[k]), _NOTHING) for size in (self.size, self.measured_size))
-        return float(self.time_s[k]), float(np.log(left)), float(np.log(measured))
+        """The time [s] over which the decay is visible, and the logarithm of the remaining share: predicted, measured."""
+        k = self.last_visible_sample
+        predicted, measured = (max(float(size[k]), 1e-300) for size in (self.size, self.measured_size))
+        return float(self.time_s[k]), float(np.log(predicted)), float(np.log(measured))
 
 
 def tracker_gains(tracker: Tracker) -> np.ndarray:
@@ -99,7 +93,7 @@ def tracker_gains(tracker: Tracker) -> np.ndarray:
 
 
 def feeds_forward(tracker: Tracker) -> bool:
-    """Return whether a tracker adds the reference's own efforts."""
+    """Return True if a tracker adds the reference's own efforts."""
     return isinstance(tracker, Feedforward | LQR)
 
 
@@ -119,11 +113,11 @@ def floquet(
     """Return the multipliers of a tracked periodic motion, predicted and measured over one cycle.
 
     Args:
-        mechanism: that moves.
-        reference: sampled over a cycle or more, and repeating after whole samples.
-        tracker: of that reference.
-        timing: of the same period.
-        effort_limit: (n_u, 2) [N.m or N]; a motion that touches it is not linear there.
+        mechanism: the moving mechanism.
+        reference: a cycle or more of a motion that repeats after whole samples.
+        tracker: a tracker of that reference.
+        timing: with the reference's control period.
+        effort_limit: (n_u, 2) [N.m or N]; the loop is not linear where the motion reaches it.
 
     Raises:
         LinkplanError: for a motion that does not repeat after whole control periods.
@@ -144,15 +138,17 @@ def floquet(
     scale = _scale(mechanism, size)
     transition = np.empty((n + 1, size, size))
     transition[0] = np.eye(size)
-    product, log = np.eye(size), 0.0  # a growing product is kept within numbers
+    product, log = np.eye(size), 0.0  # rescaled so that a growing product does not overflow
     for k in range(n):
         product = steps[k] @ product
         largest = np.abs(product).max()
-        if largest > _HUGE:
+        if largest > _MAX_GROWTH:
             product, log = product / largest, log + np.log(largest)
-        transition[k + 1] = product * np.exp(min(log, _MOST_LOG))
+        transition[k + 1] = product * np.exp(min(log, 460.0))  # e^460 = 1e200
     measured = np.nan_to_num(
-        _measured(mechanism, one, motion, before, tracker, timing, effort_limit, scale), nan=_HUGE, posinf=_HUGE
+        _measured(mechanism, one, motion, before, tracker, timing, effort_limit, scale),
+        nan=_MAX_GROWTH,
+        posinf=_MAX_GROWTH,
     )
     scaled = transition / scale[:, None] * scale
     measured_scaled = measured / scale[:, None] * scale
@@ -168,7 +164,7 @@ def floquet(
 
 
 def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit):
-    """Return the motion that a tracker settles on, over a cycle, and the commands (memory, n_u) under way at its start."""
+    """Return a cycle of the motion that a tracker settles on, and the delayed commands (memory, n_u) at its start."""
     n = reference.n
     batch = SimulatedLoops(
         mechanism,
@@ -181,14 +177,14 @@ def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sa
     )
     along, forward = _signals(reference, tracker, 1)
     states, commands = np.full((n, 1, 2 * mechanism.dof), np.inf), np.zeros((n, 1, mechanism.n_u))
-    for _ in range(_MOST_CYCLES):
+    for _ in range(40):
         last = states[0]
         states, commands = batch.run(np.arange(1), along, forward, tracker_gains(tracker))
-        if np.all(np.abs(states[0] - last) <= _REPEATS * np.abs(states).max(axis=0)):
+        if np.all(np.abs(states[0] - last) <= 1e-9 * np.abs(states).max(axis=0)):
             break
     position, velocity = states[:, 0, : mechanism.dof], states[:, 0, mechanism.dof :]
     acting = np.clip(np.roll(commands[:, 0], timing.whole, axis=0), *effort_limit.T)
-    # The cycle after the last: it starts where that one ends, on the same motion.
+    # The simulated cycle is steady, so the next cycle repeats it.
     motion = SampledReference(
         period_s=reference.period_s,
         time_s=reference.time_s,
@@ -202,7 +198,7 @@ def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sa
 
 
 def _signals(reference: SampledReference, tracker: Tracker, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (n, count, 2 n_s) and efforts (n, count, n_u) that a tracker is asked to follow."""
+    """Return the reference states (n, count, 2 n_s) and feedforward efforts (n, count, n_u) of a tracker."""
     forward = reference.effort if feeds_forward(tracker) else np.zeros_like(reference.effort)
     along = np.concatenate([reference.position, reference.velocity], axis=1)
     return np.repeat(along[:, None], count, axis=1), np.repeat(forward[:, None], count, axis=1)
@@ -218,7 +214,7 @@ def _measured(
     effort_limit: np.ndarray,
     scale: np.ndarray,
 ) -> np.ndarray:
-    """Return MuJoCo's transition matrices (n + 1, M, M) from the motion's start: disturbed runs less an undisturbed one."""
+    """Return MuJoCo's transition matrices (n + 1, M, M) from the start: disturbed runs minus an undisturbed run."""
     n, n_s, n_u = reference.n, mechanism.dof, mechanism.n_u
     size = len(scale)
     pose, velocity = np.tile(motion.pose[0], (size + 1, 1)), np.tile(motion.velocity[0], (size + 1, 1))
@@ -228,7 +224,7 @@ def _measured(
         pose[i + 1] = close_at(mechanism, s, motion.pose[0])
         velocity[n_s + i + 1, i] += scale[n_s + i]
     gain = tracker_gains(tracker)[:n]
-    # The state's commands run from u_{-1} back.
+    # The commands in the state are ordered from u_{-1} backwards.
     p = timing.memory
     under_way = np.repeat(before[:, None], size + 1, axis=1)
     for back in range(p):
@@ -255,9 +251,9 @@ def _measured(
 
 
 def _scale(mechanism: Mechanism, size: int) -> np.ndarray:
-    """Return the disturbances (M,) of the state and of the commands under way."""
+    """Return the disturbances (M,) of positions, velocities and delayed commands, small but far above rounding."""
     n_s = mechanism.dof
-    return np.concatenate([np.full(n_s, _POSITION), np.full(n_s, _SPEED), np.full(size - 2 * n_s, _EFFORT)])
+    return np.concatenate([np.full(n_s, 1e-5), np.full(n_s, 1e-3), np.full(size - 2 * n_s, 1e-4)])
 
 
 def _cut(reference: SampledReference, n: int) -> SampledReference:
@@ -280,7 +276,7 @@ def _sorted(matrix: np.ndarray) -> np.ndarray:
 
 
 def floquet_record(found: Floquet) -> dict:
-    """Return what files say of the multipliers."""
+    """Return the multipliers as a JSON record."""
     seen_s, predicted, measured = found.measured_decay
     return {
         "cycle_s": found.cycle_s,
@@ -295,7 +291,7 @@ def floquet_record(found: Floquet) -> dict:
 
 
 def floquet_text(found: Floquet) -> str:
-    """Return the multipliers in a sentence or two."""
+    """Return a sentence about the multipliers."""
     size = np.abs(found.multipliers[0])
     verdict = "dies away" if found.converges else "grows"
     seen_s, predicted, measured = found.measured_decay

@@ -1,8 +1,9 @@
 """Robustness of a feedback loop: gain, phase, delay and disk margins, bandwidth, resonance, sensitivity peak.
 
-Crossings and peaks are bracketed on a grid up to and including the Nyquist frequency, where a sampled PD loop of small
-inertia loses its gain margin, and refined on the loop itself. The disk margin is 1 / max |S - 1/2|: gain and phase may
-change at once within its disk (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE Control Systems 40, 2020).
+Crossings and peaks are bracketed on a frequency grid and then refined with the exact loop. The grid includes the Nyquist
+frequency, where a sampled PD loop of small inertia loses its gain margin. The disk margin is 1 / max |S - 1/2| and covers
+simultaneous changes of gain and phase (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE Control Systems 40,
+2020).
 """
 
 from collections.abc import Callable
@@ -15,34 +16,23 @@ from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
 from linkplan.studies.frequency.worst import local_minima
 
-# Points of the grid per decade: crossings closer together than this are one, and so are peaks, which are refined between.
-_PER_DECADE = 200
-_LOWEST_HZ = 0.01
-# Crossings are refined to this share of their frequency.
-_CROSSING = 1e-10
-# An imaginary part below this share of a gain is rounding.
-_ROUNDING = 1e-10
-# Crossings in the lowest part of the grid are the double integrator's own -180 deg, reached as the frequency vanishes.
-_DC_HZ = 0.02
-# A delay border is found to this share of itself, by simulator steps that fine; up to this many periods of delay, beyond
-# which hold and steps do not matter and the phase margin says the same.
-_DELAY_SHARE = 0.01
-_MOST_EXACT_PERIODS = 40
-_FINEST_STEPS = 200
-# Peaks on the grid above this share of the largest are refined: a narrow one is met at half its height or more.
-_REFINED = 0.5
-# A static gain below this is none.
-_NOTHING = 1e-9
+# Phase crossings below this frequency are ignored: a double integrator tends to -180 deg as the frequency tends to zero.
+_LOWEST_PHASE_CROSSING_HZ = 0.02
+# Relative accuracy of the delay margin: simulator steps are this share of it.
+_DELAY_ACCURACY = 0.01
+# Longest delay found from the poles [control periods]. Beyond it the phase margin gives the same result.
+_MAX_POLE_DELAY_PERIODS = 40
+_MAX_STEPS_PER_PERIOD = 200
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Margins:
-    """Margins of one feedback loop; None where a figure has no meaning (infinite, or the loop is unstable).
+    """Margins of one feedback loop. A figure is None if it is infinite or if the loop is unstable.
 
-    Where the open loop's gain is one at several frequencies, `crossover_hz` is that of them at which the phase margin is
-    least, the one that is stated, and `other_crossovers_hz` are the others, rising.
-    A sampled loop's delay margin is that of its poles in simulator steps as fine as a hundredth of it, see `delay_margin`: a
-    loop simulated in one step a period is a little quicker than the same loop in finer ones, by up to half a period.
+    If the open loop has several gain crossovers, `crossover_hz` is the crossover with the smallest phase margin, which is
+    the stated one; `other_crossovers_hz` are the others in rising order. The delay margin of a sampled loop comes from its
+    poles in fine simulator steps, see `delay_margin`. A loop simulated in one step per period has up to half a period less
+    delay than the same loop in finer steps.
     """
 
     stable: bool
@@ -68,14 +58,17 @@ class Margins:
 
 
 def frequency_grid(period_s: float) -> np.ndarray:
-    """Return frequencies [Hz] from a hundredth of a hertz to the Nyquist frequency, both included."""
+    """Return frequencies [Hz] from 0.01 Hz to the Nyquist frequency, both included, with 200 points per decade.
+
+    Two crossings or peaks within one grid interval count as one.
+    """
     nyquist = 0.5 / period_s
-    lowest = min(_LOWEST_HZ, 1e-3 * nyquist)
-    return np.geomspace(lowest, nyquist, max(200, int(_PER_DECADE * np.log10(nyquist / lowest))))
+    lowest = min(0.01, 1e-3 * nyquist)
+    return np.geomspace(lowest, nyquist, max(200, int(200 * np.log10(nyquist / lowest))))
 
 
 def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Margins:
-    """Return the margins of the loop at one joint's actuator, the others closed; `refine` the delay margin by poles."""
+    """Return the margins of one joint's loop, with the other loops closed; `refine` computes the delay margin from poles."""
     radius = loop.radius
     if not loop.stable:
         return Margins(stable=False, spectral_radius=radius)
@@ -87,17 +80,18 @@ def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Mar
 
 
 def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
-    """Return the further delay [s] at which a stable sampled loop loses its stability, and the steps a period it is cut in.
+    """Return the additional delay [s] at which a stable sampled loop becomes unstable, and the simulator steps per period.
 
-    The period is cut into simulator steps of about a hundredth of the margin, and the border sought among whole steps of
-    delay by the closed loop's poles: MuJoCo run in those steps is stable just below and not just above. `guess_s`, the phase
-    margin over the crossing's frequency, is returned where it is many periods long, for there the two agree.
+    The period is divided into simulator steps of about a hundredth of the margin. The border is then bisected over whole
+    steps of delay with the closed loop's poles: MuJoCo in those steps is stable just below the border and unstable just
+    above. `guess_s` is the phase margin divided by the crossover frequency. It is returned if it is many periods long,
+    because the two agree there.
     """
     timing = loop.timing
-    fine = int(np.clip(np.ceil(timing.period_s / (_DELAY_SHARE * guess_s)), 1, _FINEST_STEPS))
+    fine = int(np.clip(np.ceil(timing.period_s / (_DELAY_ACCURACY * guess_s)), 1, _MAX_STEPS_PER_PERIOD))
     substeps = timing.substeps * int(np.ceil(fine / timing.substeps))
     begin = timing.delay_steps * substeps // timing.substeps
-    if guess_s + timing.delay_s > min(_MOST_EXACT_PERIODS, 0.5 * MOST_DELAY_PERIODS) * timing.period_s:
+    if guess_s + timing.delay_s > min(_MAX_POLE_DELAY_PERIODS, 0.5 * MOST_DELAY_PERIODS) * timing.period_s:
         return guess_s, timing.substeps
     finer = replace(timing, substeps=substeps, delay_steps=begin)
 
@@ -120,7 +114,7 @@ def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
 
 
 def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
-    """Return the margins of a stable loop from its response."""
+    """Return the margins of a stable loop from its frequency response."""
     frequency = frequency_grid(loop.timing.period_s)
     gain = loop.gains("loop", frequency, channel)
     sensitivity = 1.0 / (1.0 + gain)
@@ -132,11 +126,11 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     there = np.array([at(f) for f in crossover])
     pm = np.angle(-there)
     nearest = int(np.argmin(np.abs(pm))) if pm.size else 0
-    # A loop without damping or delay is real but for rounding, and turns nowhere.
-    rounding = _ROUNDING * np.abs(gain)
+    # The gain of a loop without damping or delay is real up to rounding and has no phase crossing.
+    rounding = 1e-10 * np.abs(gain)
     turned = _roots(np.where(gain.real < 0, gain.imag, np.nan), frequency, lambda f: at(f).imag, rounding)
-    gm = np.array([-1.0 / at(f).real for f in turned if f > max(_DC_HZ, 2 * frequency[0])])
-    # At the Nyquist frequency a sampled gain is real: a crossing that lies on the grid's last point and not inside it.
+    gm = np.array([-1.0 / at(f).real for f in turned if f > max(_LOWEST_PHASE_CROSSING_HZ, 2 * frequency[0])])
+    # A sampled gain is real at the Nyquist frequency: this phase crossing lies on the grid's last point.
     if radius is not None and gain[-1].real < 0:
         gm = np.append(gm, 1.0 / abs(gain[-1].real))
     raised, lowered = gm[gm > 1], gm[(gm < 1) & (gm > 0)]
@@ -157,7 +151,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         crossover_hz=_finite(crossover[nearest]) if crossover.size else None,
         other_crossovers_hz=tuple(float(f) for f in np.delete(crossover, nearest)) if crossover.size else (),
         bandwidth_hz=bandwidth(complementary, frequency),
-        resonance_db=_over(resonance, complementary[0]),
+        resonance_db=_ratio_db(resonance, complementary[0]),
         resonance_hz=resonance_hz,
         sensitivity_peak=peak,
         sensitivity_peak_hz=peak_hz,
@@ -170,18 +164,18 @@ def _roots(
 ) -> np.ndarray:
     """Return the frequencies (n,) [Hz] at which a function crosses zero, bracketed by its values on a grid.
 
-    Values within `rounding` of zero on either side are no crossing.
+    A sign change between two values within `rounding` of zero is ignored.
     """
     with np.errstate(invalid="ignore"):
         clear = np.abs(values) > rounding
         k = np.flatnonzero((values[:-1] * values[1:] < 0) & (clear[:-1] | clear[1:]))
     ends = [(frequency[i], frequency[i + 1]) for i in k]
-    return np.array([scipy.optimize.brentq(function, low, high, rtol=_CROSSING) for low, high in ends])
+    return np.array([scipy.optimize.brentq(function, low, high, rtol=1e-10) for low, high in ends])
 
 
 def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> tuple[float, float]:
-    """Return the frequency [Hz] of a function's largest value and the value, refined about its peaks (n,) on a grid."""
-    high = values > _REFINED * values.max()
+    """Return the frequency [Hz] of a function's largest value, and the value, refined from values (n,) on a grid."""
+    high = values > 0.5 * values.max()  # the grid meets even a narrow peak at half its height or more
     places = local_minima(lambda x: -function(float(np.exp(x))), np.log(frequency), np.where(high, -values, np.inf))
     k = int(np.argmax(values))
     peaks = [(float(values[k]), float(frequency[k])), *((function(float(f)), float(f)) for f in np.exp(places))]
@@ -189,9 +183,9 @@ def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float],
     return at, value
 
 
-def _over(value: complex, other: complex) -> float | None:
-    """Return a gain over another [dB]; None over nothing."""
-    return float(20 * np.log10(abs(value) / abs(other))) if abs(other) > _NOTHING and value else None
+def _ratio_db(value: complex, other: complex) -> float | None:
+    """Return the ratio of two gains [dB]; None if one of them is zero."""
+    return float(20 * np.log10(abs(value) / abs(other))) if abs(other) > 1e-9 and value else None
 
 
 def _finite(value: float) -> float | None:
@@ -199,7 +193,7 @@ def _finite(value: float) -> float | None:
 
 
 def bandwidth(closed: np.ndarray, frequency_hz: np.ndarray) -> float | None:
-    """Return the first frequency [Hz] at which a response falls 3 dB below its first value; None if it does not."""
+    """Return the first frequency [Hz] at which a response is 3 dB below its first value, or None."""
     drop = 20 * np.log10(np.abs(closed) / np.abs(closed[0])) + 3.0
     below = np.flatnonzero(drop < 0)
     if below.size == 0:

@@ -1,4 +1,4 @@
-"""Frequency responses measured in MuJoCo, about operating points see `excitation`."""
+"""Frequency responses measured in MuJoCo about operating points; see `excitation` for the signals."""
 
 from collections.abc import Callable, Sequence
 
@@ -24,17 +24,17 @@ def measure(
     """Return the responses of loops of one mechanism and one timing, measured in MuJoCo about their operating points.
 
     Args:
-        loops: predicted by `feedback_loops.feedback_loop`; their gains and points are run, their predictions scale the
+        loops: from `feedback_loops.feedback_loop`. Their gains and points are simulated; their predictions scale the
             signals.
-        frequency_hz: where to measure, moved to whole samples a period.
+        frequency_hz: (n,), moved so that a period has whole samples.
         effort_limit: of the actuators (n_u, 2) [N.m or N].
-        setup: how.
-        excitations: which signals, see EXCITATIONS.
-        channel: the joint that moves, by index of the independent ones, and its actuator.
-        say: hears about progress.
+        setup: the settings of the measurement.
+        excitations: keys of EXCITATIONS.
+        channel: index of the excited joint among the independent joints.
+        say: receives progress messages.
 
     Raises:
-        LinkplanError: for frequencies above Nyquist, or a loop that is not stable: it holds no operating point.
+        LinkplanError: for frequencies above the Nyquist frequency, or an unstable loop.
     """
     setup = Setup() if setup is None else setup
     refuse_unstable(loops)
@@ -43,7 +43,7 @@ def measure(
 
 
 def refuse_unstable(loops: Sequence[FeedbackLoop]) -> None:
-    """Refuse loops that hold no operating point."""
+    """Refuse loops that are unstable or continuous."""
     for loop in loops:
         if loop.radius is None:
             raise LinkplanError("a continuous feedback loop cannot be run in MuJoCo: measure a sampled one")

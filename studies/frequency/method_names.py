@@ -1,3 +1,3 @@
-"""The names of the ways to measure a loop: known without loading what measures."""
+"""The names of the measurement methods, in a file of their own so that listing them loads no numerical code."""
 
 METHODS = ("sinestream", "multisine", "chirp")

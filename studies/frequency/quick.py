@@ -1,6 +1,6 @@
-"""Margins of many gains at once about one point, on a coarse grid: for maps and searches. This file's job is speed.
+"""Approximate margins of many gains at once about one point, on a coarse grid, for maps and searches. Written for speed.
 
-Figures agree with `margins` to some tenths of a degree and of a percent; what people are told comes from there.
+The results agree with `margins` to some tenths of a degree and of a percent. Reported figures come from `margins`.
 """
 
 from dataclasses import dataclass
@@ -10,14 +10,10 @@ import numpy as np
 from linkplan.controllers.sampling import Sampling, augmented, closed, spectral_radius
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, channel_effort, feedback_loop
 
-_FREQUENCIES = 300
-# The grid goes from the Nyquist frequency down by this factor.
-_LOWEST = 1e-5
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class QuickMargins:
-    """Figures (n,) of n gains: largest pole, least phase margin [deg], peak of |S|, bandwidth of T [Hz] or infinite."""
+    """Figures (n,) of n gains: largest pole, smallest phase margin [deg], peak of |S|, bandwidth of T [Hz] or infinite."""
 
     radius: np.ndarray
     phase_margin_deg: np.ndarray
@@ -26,11 +22,11 @@ class QuickMargins:
 
 
 def quick_margins(point: OperatingPoint, gains: np.ndarray, timing: Sampling, channel: int = 0) -> QuickMargins:
-    """Return the figures of gains K (n, n_u, 2 n_s) about a point; meaningless where the largest pole is past one."""
+    """Return the figures of gains K (n, n_u, 2 n_s) about a point; meaningless for an unstable loop."""
     n_u = gains.shape[1]
     loop = feedback_loop(point, gains[0], timing)
     A, B = augmented(loop.A, loop.B, loop.B_late, timing)
-    frequency = np.geomspace(timing.nyquist_hz * _LOWEST, timing.nyquist_hz, _FREQUENCIES)
+    frequency = np.geomspace(1e-5 * timing.nyquist_hz, timing.nyquist_hz, 300)
     L = np.einsum("mui,fiw->mfuw", gains, loop.plant(frequency))
     read, push = channel_effort(point, channel)
     S = 1.0 / (1.0 + L[..., 0, 0]) if n_u == 1 else read @ np.linalg.inv(np.eye(n_u) + L) @ push

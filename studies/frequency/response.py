@@ -7,8 +7,6 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 
-# What is below this, relative to the largest gain, is shown as zero [dB].
-_FLOOR_DB = -400.0
 _COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
 
 
@@ -16,10 +14,10 @@ _COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
 class Response:
     """Complex gains at frequencies (n,) [Hz], in `unit` (output over input).
 
-    Of a measured response: `uncertainty` (n,) is the standard deviation of the gain, in its unit; `coherence` the share of
-    the signals' power that is at the excited frequency; `distortion` the harmonics' size over the fundamental's;
-    `residual` the size of all that is neither, over the whole; `saturated` the share of instants at an effort limit. A
-    predicted response has zeros and ones there. `origin` says where it comes from.
+    A measured response has five more arrays (n,). `uncertainty`: standard deviation of the gain, in its unit. `coherence`:
+    share of the signals' power at the excited frequency. `distortion`: amplitude of the harmonics over the fundamental's.
+    `residual`: amplitude of the remainder over the whole signal's. `saturated`: share of instants at an effort limit. A
+    predicted response has coherence one and zeros elsewhere. `origin` names the prediction or the measurement.
     """
 
     frequency_hz: np.ndarray
@@ -51,9 +49,9 @@ class Response:
 
     @property
     def db(self) -> np.ndarray:
-        """The gain's size (n,) [dB of its unit]."""
+        """The gain's size (n,) [dB of its unit], at least -400 dB, so that a zero gain is finite."""
         with np.errstate(divide="ignore"):
-            return np.maximum(20 * np.log10(np.abs(self.gain)), _FLOOR_DB)
+            return np.maximum(20 * np.log10(np.abs(self.gain)), -400.0)
 
     @property
     def phase_deg(self) -> np.ndarray:
@@ -61,14 +59,14 @@ class Response:
         return np.degrees(np.unwrap(np.angle(self.gain)))
 
     def against(self, other: "Response") -> tuple[np.ndarray, np.ndarray]:
-        """Return this response less another at the same frequencies: size (n,) [dB], phase (n,) [deg] within half a turn.
+        """Return the difference to another response: gain (n,) [dB] and phase (n,) [deg] within half a turn.
 
         Raises:
-            LinkplanError: where the two are not at the same frequencies, or not in the same unit.
+            LinkplanError: if the two have different frequencies or units.
         """
         if self.unit != other.unit or not np.array_equal(self.frequency_hz, other.frequency_hz):
             raise LinkplanError(
-                f"two responses differ at the same frequencies and in one unit only; these are {len(self.frequency_hz)}"
+                f"two responses compare at the same frequencies and in one unit; these are {len(self.frequency_hz)}"
                 f" points in {self.unit} and {len(other.frequency_hz)} in {other.unit}"
             )
         ratio = self.gain / other.gain
@@ -79,7 +77,7 @@ class Response:
         return control.FrequencyResponseData(self.gain, 2 * np.pi * self.frequency_hz)
 
     def record(self) -> dict:
-        """Return what files say of the response."""
+        """Return the response as a JSON record."""
         return {
             "origin": self.origin,
             "unit": self.unit,
@@ -91,10 +89,10 @@ class Response:
 
 
 def from_frd(data: control.FrequencyResponseData, unit: str = "1", origin: str = "python-control") -> Response:
-    """Return python-control's frequency response data, of one input and one output, as a response.
+    """Return python-control's frequency response data as a response.
 
     Raises:
-        LinkplanError: for data of more inputs or outputs.
+        LinkplanError: for data with several inputs or outputs.
     """
     if data.ninputs != 1 or data.noutputs != 1:
         raise LinkplanError(f"a response has one input and one output, got {data.ninputs} and {data.noutputs}")

@@ -1,4 +1,4 @@
-"""Feedback loops in MuJoCo about poses of their own, each with its own gain and signals, moved on piece by piece."""
+"""Feedback loops simulated in MuJoCo side by side. Each has its own pose, gain and signals; `run` advances them in steps."""
 
 import copy
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from linkplan.models.poses.along import joint_rates
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class StateFeedback:
-    """u_k = u_ff + K (x_ref - x_k), x = (s, v), of simulations by their index, which is their memory (n, 1).
+    """The law u_k = u_ff + K (x_ref - x_k), x = (s, v). The memory (n, 1) of a simulation is its index.
 
     `drive` u_ff + K x_ref (t, n, n_u) [N.m or N] and `gain` K (t, n, n_u, 2 n_s).
     """
@@ -42,7 +42,7 @@ class StateFeedback:
 
 
 class SimulatedLoops:
-    """Closed loops in MuJoCo. Mutable: every `run` moves the simulations named on by some control periods.
+    """Closed loops in MuJoCo. Mutable: every `run` advances the given simulations by some control periods.
 
     Args:
         mechanism: the mechanism of all simulations.
@@ -84,7 +84,7 @@ class SimulatedLoops:
         self._stepper.under_way(np.broadcast_to(under_way, (timing.memory, n, mechanism.n_u)))
 
     def state(self) -> np.ndarray:
-        """Return x = (s, v) (n, 2 n_s) now, NaN of simulations that run no more."""
+        """Return the present x = (s, v) (n, 2 n_s); NaN for simulations that have ended."""
         stepper = self._stepper
         q, v = states_of(stepper)
         x = np.full((stepper.n, 2 * v.shape[1]), np.nan)
@@ -92,23 +92,23 @@ class SimulatedLoops:
         return x
 
     def conditions(self) -> dict:
-        """Return what a result depends on."""
+        """Return the simulation settings that results depend on."""
         timing = self.timing
         return {**simulation_conditions(self._stepper.model), "control_period_s": timing.period_s, "delay_s": timing.delay_s}
 
     def run(
         self, ids: Sequence[int] | np.ndarray, reference: np.ndarray, feedforward: np.ndarray, gain: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Move simulations on by t control periods; one once left out stays out.
+        """Advance simulations by t control periods. A simulation that is left out once cannot be resumed.
 
         Args:
-            ids: which simulations (r,).
+            ids: indices (r,) of the simulations.
             reference: x_ref (t, r, 2 n_s) at these instants.
-            feedforward: u_ff (t, r, n_u) for their holds.
-            gain: K (t, n_u, 2 n_s) of all simulations at these instants, in place of their own.
+            feedforward: u_ff (t, r, n_u) of the control periods.
+            gain: K (t, n_u, 2 n_s) for all simulations; default: their own gains.
 
         Returns:
-            The measured states (t, r, 2 n_s) and the commands (t, r, n_u), before delay and limits; NaN once one diverged.
+            The measured states (t, r, 2 n_s) and the commands (t, r, n_u) before delay and limits; NaN after divergence.
         """
         stepper, ids = self._stepper, np.asarray(ids)
         here = np.arange(stepper.n)[stepper.rows]

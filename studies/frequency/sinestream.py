@@ -1,10 +1,11 @@
-"""The sinestream: one simulation for every frequency, ramped, settled by a criterion, estimated over whole cycles.
+"""The sinestream: one simulation for each frequency. The sine is ramped up, and its phasors are estimated once settled.
 
-Over a window of N samples holding p whole cycles, the phasor of y is (2 / N) sum y_k exp(-2 pi i p k / N): exact for a
-settled sine, whatever its mean and harmonics.
+Over a window of N samples with p whole cycles, the phasor of y is (2 / N) sum y_k exp(-2 pi i p k / N). It is exact for a
+settled sine with any mean and harmonics.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,17 +17,15 @@ from linkplan.studies.frequency.excitation import (
     signal_amplitude,
     whole_samples,
 )
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
-from linkplan.studies.frequency.simulated_loops import SimulatedLoops
+from linkplan.studies.frequency.excited_loops import ExcitedLoops, excited_loops
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 
-# Harmonics of the fundamental that count as distortion.
-_HARMONICS = 5
-_SIGNALS = 4
-# A window has at least this many samples, of whole cycles: fewer say nothing of harmonics and noise.
-_FEWEST_SAMPLES = 160
-# Control periods between two looks at which simulations have settled; progress is told every so many looks.
-_CHUNK = 256
-_TELL = 20
+# The harmonics up to this order count as distortion.
+_DISTORTION_ORDER = 5
+# Control periods of one estimation window: at least this many, so that harmonics and noise can be separated.
+_MIN_WINDOW_PERIODS = 160
+# Control periods between two checks of which simulations have settled.
+_CHECK_PERIODS = 256
 
 
 def run(
@@ -40,76 +39,35 @@ def run(
     amplitudes: np.ndarray | None = None,
 ) -> Measurement:
     """Return a sinestream's measurement; see `measure.measure`. `amplitudes` (loops, excitations, n) replace the setup's."""
-    timing, mechanism = loops[0].timing, loops[0].point.mechanism
+    timing = loops[0].timing
     cycles, samples = whole_samples(frequency_hz, timing.period_s)
     frequency = cycles / (samples * timing.period_s)
-    each = float(np.maximum(samples, _FEWEST_SAMPLES).sum()) * len(loops) * len(excitations)
-    refuse_long(float(samples.max()), float(frequency[0]), each / float(samples.max()))
+    total = float(np.maximum(samples, _MIN_WINDOW_PERIODS).sum()) * len(loops) * len(excitations)
+    refuse_long(float(samples.max()), float(frequency[0]), total / float(samples.max()))
     n_f = len(frequency)
-    rows = [(loop, excitation) for loop in loops for excitation in excitations]
-    n = len(rows) * n_f
-    p, N = np.tile(cycles, len(rows)), np.tile(samples, len(rows))
+    excited = excited_loops(loops, excitations, channel, effort_limit, repeats=n_f)
     if amplitudes is None:
-        amplitude = np.concatenate([signal_amplitude(loop, frequency, e, effort_limit, setup, channel) for loop, e in rows])
-    else:
-        amplitude = np.asarray(amplitudes, dtype=float).ravel()
-
-    n_s, n_u = mechanism.dof, mechanism.n_u
-    state = np.repeat([loop.point.state for loop, _ in rows], n_f, axis=0)
-    hold = np.repeat([loop.point.hold for loop, _ in rows], n_f, axis=0)
-    read, pushes = (
-        np.repeat(of, n_f, axis=0) for of in zip(*[channel_effort(loop.point, channel) for loop, _ in rows], strict=True)
-    )
-    ahead = np.zeros((n, n_u), dtype=complex)
-    for row, (loop, excitation) in enumerate(rows):
+        amplitudes = np.array(
+            [signal_amplitude(loop, frequency, name, effort_limit, setup, channel) for loop, name in excited.rows]
+        )
+    forward = np.zeros((len(excited.rows), n_f, len(effort_limit)), dtype=complex)
+    for row, (loop, excitation) in enumerate(excited.rows):
         if excitation == "reference+ff":
-            ahead[row * n_f : (row + 1) * n_f] = loop.feedforward(frequency, channel)
-    moves_effort = np.repeat([excitation == "effort" for _, excitation in rows], n_f)
-    batch = SimulatedLoops(
-        mechanism,
-        pose=np.repeat([loop.point.pose for loop, _ in rows], n_f, axis=0),
-        velocity=state[:, n_s:],
-        gain=np.repeat([loop.gain for loop, _ in rows], n_f, axis=0),
-        under_way=hold,
-        timing=timing,
-        effort_limit=effort_limit,
+            forward[row] = loop.feedforward(frequency, channel)
+    p, N = np.tile(cycles, len(excited.rows)), np.tile(samples, len(excited.rows))
+    sinusoids = _Sinusoids(
+        p=p,
+        N=N,
+        amplitude=np.asarray(amplitudes, dtype=float).ravel(),
+        ramp=np.maximum(1, setup.ramp_cycles * -(-N // p)),
+        forward=forward.reshape(-1, len(effort_limit)),
+        period_s=timing.period_s,
     )
-
-    omega = 2 * np.pi * np.tile(frequency, len(rows))
-    ramp = np.maximum(1, setup.ramp_cycles * -(-N // p))
-    pole = np.repeat([loop.radius for loop, _ in rows], n_f)
-    low, high = effort_limit.T
-    estimates = [_Estimate(p=int(p[i]), N=int(N[i]), begin=int(ramp[i]), pole=float(pole[i]), setup=setup) for i in range(n)]
-    overdue = int(np.ceil(setup.longest_s / timing.period_s))
-    active, k, steps = np.arange(n), 0, 0
-    while active.size:
-        instants = np.arange(k, k + _CHUNK)[:, None]
-        angle = 2 * np.pi * ((p[active] * instants) % N[active]) / N[active]
-        rise = np.clip(instants / ramp[active], 0.0, 1.0)
-        size = amplitude[active] * (0.5 - 0.5 * np.cos(np.pi * rise))
-        slope = amplitude[active] * 0.5 * np.pi * np.sin(np.pi * rise) / (ramp[active] * timing.period_s)
-        cosine, effort = np.cos(angle), moves_effort[active]
-        put_in = size * cosine
-        reference = np.repeat(state[None, active], _CHUNK, axis=0)
-        reference[:, :, channel] += np.where(effort, 0.0, put_in)
-        reference[:, :, n_s + channel] += np.where(effort, 0.0, slope * cosine - size * omega[active] * np.sin(angle))
-        push = hold[active] + np.real((size * np.exp(1j * angle))[:, :, None] * ahead[active])
-        push += np.where(effort, put_in, 0.0)[:, :, None] * pushes[active]
-        x, commands = batch.run(active, reference, push)
-        cut = np.any((commands < low) | (commands > high), axis=2)
-        command = np.sum((commands - hold[active]) * read[active], axis=2)
-        applied = np.sum((np.clip(commands, low, high) - hold[active]) * read[active], axis=2)
-        position = x[:, :, channel] - state[active, channel]
-        for r, i in enumerate(active):
-            estimates[i].add(k, np.stack([put_in[:, r], command[:, r], position[:, r], applied[:, r]]), cut[:, r])
-        k, steps = k + _CHUNK, steps + _CHUNK * len(active)
-        active = np.array([i for i in active if not estimates[i].finished(k - ramp[i] >= overdue)], dtype=int)
-        if k % (_TELL * _CHUNK) == 0 or not active.size:
-            say(f"{k} control periods, {n - active.size} of {n} sinusoids settled")
-    responses, actuated = [{} for _ in loops], [{} for _ in loops]
+    estimates, simulated_periods = _simulate(excited, sinusoids, effort_limit, setup, say)
     phasors = np.array([estimate.phasors[-setup.windows :] for estimate in estimates])  # (n, windows, signals)
     columns = np.array([estimate.quality for estimate in estimates])
-    for row, (_, excitation) in enumerate(rows):
+    responses, actuated = [{} for _ in loops], [{} for _ in loops]
+    for row, (_, excitation) in enumerate(excited.rows):
         at, place = slice(row * n_f, (row + 1) * n_f), row // len(excitations)
         signals = {name: phasors[at, :, i].T for i, name in enumerate(("in", "command", "position"))}
         quality = dict(zip(("coherence", "distortion", "residual", "saturated"), columns[at].T, strict=True))
@@ -118,37 +76,93 @@ def run(
         actuated[place][excitation] = signals["command"][-1], phasors[at, -1, 3]
     return Measurement(
         responses=tuple(responses),
-        simulated_steps=steps * timing.substeps,
-        conditions=batch.conditions(),
+        simulated_steps=simulated_periods * timing.substeps,
+        conditions=excited.simulations.conditions(),
         actuated=tuple(actuated),
     )
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Sinusoids:
+    """Test signals (n,): p cycles in N samples, with a smooth start of `ramp` samples.
+
+    `amplitude` [rad, m, N.m or N]; `forward` (n, n_u): phasors of the feedforward efforts per unit of amplitude.
+    """
+
+    p: np.ndarray
+    N: np.ndarray
+    amplitude: np.ndarray
+    ramp: np.ndarray
+    forward: np.ndarray
+    period_s: float
+
+    def sampled(self, instants: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return signals (t, r), their derivatives [per second] and feedforward efforts (t, r, n_u) at instants (t, 1)."""
+        p, N, amplitude, ramp = self.p[active], self.N[active], self.amplitude[active], self.ramp[active]
+        angle = 2 * np.pi * ((p * instants) % N) / N
+        rise = np.clip(instants / ramp, 0.0, 1.0)
+        size = amplitude * (0.5 - 0.5 * np.cos(np.pi * rise))
+        slope = amplitude * 0.5 * np.pi * np.sin(np.pi * rise) / (ramp * self.period_s)
+        omega = 2 * np.pi * (p / (N * self.period_s))
+        rate = slope * np.cos(angle) - size * omega * np.sin(angle)
+        forward = np.real((size * np.exp(1j * angle))[:, :, None] * self.forward[active])
+        return size * np.cos(angle), rate, forward
+
+
+def _simulate(
+    excited: ExcitedLoops, sinusoids: _Sinusoids, effort_limit: np.ndarray, setup: Setup, say: Callable[[str], None]
+) -> tuple[list["_Estimate"], int]:
+    """Run every simulation until its estimate settles. Return the estimates (n,) and the control periods simulated."""
+    n = len(sinusoids.p)
+    pole = np.repeat([loop.radius for loop, _ in excited.rows], n // len(excited.rows))
+    low, high = effort_limit.T
+    estimates = [
+        _Estimate(
+            p=int(sinusoids.p[i]), N=int(sinusoids.N[i]), begin=int(sinusoids.ramp[i]), pole=float(pole[i]), setup=setup
+        )
+        for i in range(n)
+    ]
+    longest = int(np.ceil(setup.longest_s / sinusoids.period_s))
+    active, k, simulated_periods = np.arange(n), 0, 0
+    while active.size:
+        signal, rate, forward = sinusoids.sampled(np.arange(k, k + _CHECK_PERIODS)[:, None], active)
+        command, position, commands = excited.run(active, signal, rate, forward)
+        cut = np.any((commands < low) | (commands > high), axis=2)
+        applied = np.sum((np.clip(commands, low, high) - excited.hold[active]) * excited.read[active], axis=2)
+        for r, i in enumerate(active):
+            estimates[i].add(k, np.stack([signal[:, r], command[:, r], position[:, r], applied[:, r]]), cut[:, r])
+        k, simulated_periods = k + _CHECK_PERIODS, simulated_periods + _CHECK_PERIODS * len(active)
+        active = np.array([i for i in active if not estimates[i].finished(k - sinusoids.ramp[i] >= longest)], dtype=int)
+        if k % (20 * _CHECK_PERIODS) == 0 or not active.size:
+            say(f"{k} control periods, {n - active.size} of {n} sinusoids settled")
+    return estimates, simulated_periods
 
 
 class _Estimate:
     """One simulation's phasors of (in, command, position, applied), window by window. Mutable."""
 
     def __init__(self, *, p: int, N: int, begin: int, pole: float, setup: Setup) -> None:
-        self.window = N * -(-_FEWEST_SAMPLES // N)
-        # Harmonics up to half the sampling rate: beyond it they fold back, onto the fundamental too.
-        orders = np.array([h for h in range(1, _HARMONICS + 1) if h == 1 or 2 * h * p < N])
+        self.window = N * -(-_MIN_WINDOW_PERIODS // N)
+        # Harmonics above half the sampling rate alias, also onto the fundamental: leave them out.
+        orders = np.array([h for h in range(1, _DISTORTION_ORDER + 1) if h == 1 or 2 * h * p < N])
         self._waves = np.exp(-2j * np.pi / N * ((np.arange(self.window)[:, None] * p * orders) % N))
         self._begin, self._setup = begin, setup
-        # What a change d between windows leaves to come, of a mode that shrinks by r = pole^window: d r / (1 - r).
-        shrunk = pole**self.window
-        self._tail = max(1.0, shrunk / (1.0 - shrunk))
+        # A mode that shrinks by r = pole^window and changed by d between two windows will still change by d r / (1 - r).
+        r = pole**self.window
+        self._tail = max(1.0, r / (1.0 - r))
         self.phasors: list[np.ndarray] = []
         self.quality = np.array([1.0, 0.0, 0.0, 0.0])
-        self._calm = 0
+        self._settled_windows = 0
         self._clear()
 
     def _clear(self) -> None:
-        self._sums = np.zeros((_SIGNALS, self._waves.shape[1]), dtype=complex)
-        self._power, self._mean, self._cut, self._filled = np.zeros(_SIGNALS), np.zeros(_SIGNALS), 0.0, 0
+        self._sums = np.zeros((4, self._waves.shape[1]), dtype=complex)
+        self._power, self._mean, self._cut, self._filled = np.zeros(4), np.zeros(4), 0.0, 0
 
     def add(self, k: int, signals: np.ndarray, cut: np.ndarray) -> None:
-        """Take samples of the signals (4, t) from instant k on; those of the ramp are passed over."""
+        """Add samples of the four signals (4, t) that start at instant k. Samples of the ramp are skipped."""
         at = max(0, self._begin - k)
-        # The waves' phase counts from instant 0, and windows hold whole cycles: where one begins, so does the wave's index.
+        # The phase counts from instant 0. A window holds whole cycles, so the wave table is periodic in the window.
         while at < signals.shape[1]:
             take = min(self.window - self._filled, signals.shape[1] - at)
             piece = signals[:, at : at + take]
@@ -169,8 +183,8 @@ class _Estimate:
         fundamental = harmonics[:, 0]
         if self.phasors:
             size = np.maximum(np.abs(fundamental), 1e-300)
-            to_come = float((np.abs(fundamental - self.phasors[-1]) / size).max()) * self._tail
-            self._calm = self._calm + 1 if to_come <= self._setup.tolerance else 0
+            remaining = float((np.abs(fundamental - self.phasors[-1]) / size).max()) * self._tail
+            self._settled_windows = self._settled_windows + 1 if remaining <= self._setup.tolerance else 0
         self.phasors.append(fundamental)
         power = np.maximum(self._power / N - (self._mean / N) ** 2, 1e-300)[1:]
         first = np.maximum(0.5 * np.abs(fundamental[1:]) ** 2, 1e-300)
@@ -187,5 +201,5 @@ class _Estimate:
         self._clear()
 
     def finished(self, overdue: bool) -> bool:
-        """Return whether the last windows agree, or there is no more time and there are as many."""
-        return self._calm >= self._setup.windows - 1 or (overdue and len(self.phasors) >= self._setup.windows)
+        """Return True if the last windows agree, or if the time is over and there are enough windows."""
+        return self._settled_windows >= self._setup.windows - 1 or (overdue and len(self.phasors) >= self._setup.windows)

@@ -1,11 +1,11 @@
-"""Where PD gains keep a sampled feedback loop stable, over all angles: boundary, margins and the longest control period.
+"""The PD gains that keep a sampled feedback loop stable at all poses: boundary, margins and the longest control period.
 
-The closed loop's poles are those of the sampled model in MuJoCo's own steps; beside them stand the least phase margin and
-the sensitivity peak.
+Stability follows from the closed-loop poles of the sampled model in MuJoCo's own steps. The map also holds the smallest
+phase margin and the largest sensitivity peak.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,22 +17,19 @@ from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, O
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.trial import Trials, settle_trials
 
-# Gains are sought within this factor of what the inertia and the period alone would bear, on a grid this fine.
-_GRID = 60
-_WIDE = 1e4
-# Points each way of the grid that the boundary is drawn from.
-_FINE = 240
-# A boundary is bisected to this share of itself.
-_BORDER = 1e-6
+# Points along each axis of the grid that the boundary is drawn from.
+_BORDER_GRID_POINTS = 240
+# Relative tolerance of a bisected stability boundary.
+_BORDER_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class StabilityMap:
-    """The loop over grids of gains kp (n,) and kd (m,), the worst over the points at each.
+    """The loop over grids of gains kp (n,) and kd (m,): at each pair of gains, the worst over all points.
 
-    `radius` (n, m): the largest pole; `phase_margin_deg` and `sensitivity_peak` (n, m), not a number where unstable;
-    `worst` (n, m): the point of the largest pole. `border` (kp, kd, radius): the same radius on a finer grid. `tried`: gains
-    (kp, kd, index of the point) run in MuJoCo, `trials` what came of them.
+    `radius` (n, m): the largest pole. `phase_margin_deg` and `sensitivity_peak` (n, m) are NaN where the loop is unstable.
+    `worst` (n, m): index of the point with the largest pole. `border` (kp, kd, radius): the radius on a finer grid.
+    `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `trials`: the results of these simulations.
     """
 
     points: tuple[OperatingPoint, ...]
@@ -49,7 +46,7 @@ class StabilityMap:
 
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
-    """Return the map (n_u, n_s) that PD sends the joints' efforts to the actuators with."""
+    """Return the map (n_u, n_s) from PD's joint efforts to actuator efforts."""
     return pd(point.mechanism, point.constant(1.0), 1.0, 0.0).map[0]
 
 
@@ -73,20 +70,20 @@ def pd_gains(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray) -> np.ndarra
 
 
 def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[float, float]:
-    """Return the least and the largest stable kd at a kp: between them the sampled loop is stable.
+    """Return the smallest and the largest kd at which the sampled loop is stable with the given kp.
 
     Raises:
-        LinkplanError: where no kd is stable.
+        LinkplanError: if no kd is stable.
     """
     scale = float(np.max(np.linalg.eigvalsh(np.atleast_2d(point.inertia)))) / timing.period_s
-    kd = np.concatenate([[0.0], np.geomspace(scale / _WIDE**1.5, scale * 10, 60 * _GRID)])
+    kd = np.concatenate([[0.0], np.geomspace(1e-6 * scale, 10 * scale, 3600)])
     stable = radii(point, np.full_like(kd, kp), kd, timing) < 1.0
     if not np.any(stable):
         raise LinkplanError(f"no kd stabilises kp = {kp:g} at {point.name}, sampled every {timing.period_s:g} s")
     inside = np.flatnonzero(stable)
 
     def border(good: float, bad: float) -> float:
-        while abs(bad - good) > _BORDER * max(good, bad):
+        while abs(bad - good) > _BORDER_TOLERANCE * max(good, bad):
             middle = 0.5 * (good + bad)
             if radii(point, np.array(kp), np.array(middle), timing) < 1.0:
                 good = middle
@@ -96,7 +93,7 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
 
     first, last = inside[0], inside[-1]
     low = 0.0 if first == 0 else border(kd[first], kd[first - 1])
-    low = low if low > _BORDER * kd[last] else 0.0
+    low = low if low > _BORDER_TOLERANCE * kd[last] else 0.0
     return low, border(kd[last], kd[last + 1]) if last + 1 < len(kd) else np.inf
 
 
@@ -106,16 +103,16 @@ def longest_period(
     delay_periods: float,
     begin_s: float,
 ) -> tuple[float, OperatingPoint | None]:
-    """Return the longest control period [s] up to which a law is stable at every point, and the point that ends it.
+    """Return the longest control period [s] at which a law is stable at every point, and the point that limits it.
 
     Args:
-        points: of one mechanism.
-        gain: K (n_u, 2 n_s) of the law at a point, for a period.
+        points: operating points of one mechanism.
+        gain: function (point, period) that returns the law's gain K (n_u, 2 n_s).
         delay_periods: computing delay in periods.
-        begin_s: the period to begin at; it is halved while unstable, then grown.
+        begin_s: the first period to try [s]; it is halved while unstable, then increased.
 
     Raises:
-        LinkplanError: where the law is unstable however short the period.
+        LinkplanError: if the law is unstable at any period.
     """
 
     def unstable(period: float) -> OperatingPoint | None:
@@ -157,12 +154,15 @@ def stability_map(
     say: Callable[[str], None] = silent,
     channel: int = 0,
 ) -> StabilityMap:
-    """Return the map over gains kp (n,) and kd (m,), tried in MuJoCo on both sides of its border where limits are given."""
+    """Return the map over gains kp (n,) and kd (m,).
+
+    If `effort_limit` (n_u, 2) is given, gains on both sides of the border are also simulated in MuJoCo.
+    """
     shape = len(kp), len(kd)
     radius, margin, peak = np.zeros(shape), np.full(shape, np.inf), np.zeros(shape)
     worst = np.zeros(shape, dtype=int)
-    fine_kp, fine_kd = (np.geomspace(axis[0], axis[-1], _FINE) for axis in (kp, kd))
-    fine = np.zeros((_FINE, _FINE))
+    fine_kp, fine_kd = (np.geomspace(axis[0], axis[-1], _BORDER_GRID_POINTS) for axis in (kp, kd))
+    fine = np.zeros((_BORDER_GRID_POINTS, _BORDER_GRID_POINTS))
     for index, point in enumerate(points):
         say(f"gains at {point.name}")
         here = radii(point, kp[:, None], kd[None, :], timing)
@@ -193,15 +193,11 @@ def stability_map(
     say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
     loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
     trials = settle_trials(loops, effort_limit) if loops else None
-    return StabilityMap(
-        **{name: getattr(found, name) for name in StabilityMap.__slots__ if name not in ("tried", "trials")},
-        tried=tuple(tried),
-        trials=trials,
-    )
+    return replace(found, tried=tuple(tried), trials=trials)
 
 
 def border_points(found: StabilityMap, share: float = 0.03, count: int = 7) -> list[tuple[float, float, int]]:
-    """Return gains (kp, kd, point) a share to either side of the upper border, at some kp, for the point that decides it."""
+    """Return gains (kp, kd, point index) on both sides of the upper border, for the point that determines it at each kp."""
     tried = []
     for kp in np.geomspace(found.kp[0] if found.kp[0] > 0 else found.kp[1], found.kp[-1], count):
         borders = []

@@ -1,4 +1,4 @@
-"""Does a feedback loop settle in MuJoCo? Disturbed loops, run side by side until the disturbance has decayed or grown."""
+"""Stability trials in MuJoCo: disturbed loops run side by side until the disturbance has decayed or grown."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,27 +8,27 @@ import numpy as np
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
-# The kick [rad/s or m/s], and the share of the room to the effort limits that its command may take: a growing loop is to be
-# seen before its limits change it. The simulator's rounding shows in velocities of 1e-11.
-_KICK, _ROOM = 1e-3, 1e-3
-# The verdict is plain when speeds have grown or shrunk by this factor, and is the trend's at the end of the time.
-_PLAIN = 300.0
-# A speed this many times the kick's is growth, and still well below what the limits would make of it.
-_GROWN = 100.0
-_CHUNK = 100
-MOST_PERIODS = 40_000
+# Initial velocity [rad/s or m/s], far above the simulator's rounding of 1e-11.
+_KICK_VELOCITY = 1e-3
+# Share of the distance to the effort limits that the kick's command may take, so that growth shows before saturation.
+_KICK_EFFORT_SHARE = 1e-3
+# A loop is decided when its speed has grown or decayed by this factor. At the end of the time the trend decides.
+_DECISIVE_FACTOR = 300.0
+# A speed of this many kicks is growth; the command is then still well inside the limits.
+_GROWTH_FACTOR = 100.0
+MAX_TRIAL_PERIODS = 40_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Trials:
-    """Which loops settle (n,), and the control periods that were needed to see it."""
+    """The verdict of each loop, `settles` (n,), and the number of simulated control periods."""
 
     settles: np.ndarray
     periods: int
 
 
-def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MOST_PERIODS) -> Trials:
-    """Return whether MuJoCo's own runs of loops of one timing settle after a small kick to every independent joint."""
+def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MAX_TRIAL_PERIODS) -> Trials:
+    """Simulate loops of one timing in MuJoCo after a small kick to every independent joint, and judge which settle."""
     mechanism, timing, n = loops[0].point.mechanism, loops[0].timing, len(loops)
     n_s = mechanism.dof
     state = np.array([loop.point.state for loop in loops])
@@ -36,7 +36,7 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
     room = np.abs(effort_limit[None] - hold[:, :, None]).min(axis=2)
     pushes = np.abs(np.array([loop.gain for loop in loops])[:, :, n_s:]).sum(axis=2)
     with np.errstate(divide="ignore"):
-        kick = np.minimum(_KICK, (_ROOM * room / pushes).min(axis=1))
+        kick = np.minimum(_KICK_VELOCITY, (_KICK_EFFORT_SHARE * room / pushes).min(axis=1))
     batch = SimulatedLoops(
         mechanism,
         pose=np.array([loop.point.pose for loop in loops]),
@@ -49,25 +49,23 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
     settles = np.zeros(n, dtype=bool)
     active, history = np.arange(n), []
     while active.size:
-        reference, push = (np.repeat(value[None, active], _CHUNK, axis=0) for value in (state, hold))
+        reference, push = (np.repeat(value[None, active], 100, axis=0) for value in (state, hold))
         x, _ = batch.run(active, reference, push)
         speed = np.full(n, np.inf)
         with np.errstate(invalid="ignore"):
             now = np.abs(x[:, :, n_s:]).max(axis=(0, 2))
         speed[active] = np.where(np.isfinite(now), now, np.inf)
         history.append(speed)
-        shape = np.log(np.maximum(np.array(history)[:, active], 1e-300))
+        log_speed = np.log(np.maximum(np.array(history)[:, active], 1e-300))
         half = len(history) // 2
-        with np.errstate(invalid="ignore"):  # infinity less infinity, of what blew up
-            rate, change = shape[-1] - shape[half], shape[-1] - shape[0]
-        plain = np.abs(change) > np.log(_PLAIN)
-        over = plain | ~np.isfinite(change) | (batch.periods >= most_periods)
-        # Where all is over within the first stretch, the kick itself is the measure.
-        gone = speed[active] < kick[active] / _PLAIN
-        blown = ~(speed[active] < _GROWN * kick[active])
-        over |= gone | blown
-        trend = np.where(plain | ~np.isfinite(change), change, rate)
-        done = active[over]
-        settles[done] = np.where(gone, True, np.where(blown, False, trend < 0))[over]
-        active = active[~over]
+        with np.errstate(invalid="ignore"):  # infinity minus infinity after divergence
+            late_change, change = log_speed[-1] - log_speed[half], log_speed[-1] - log_speed[0]
+        decisive = (np.abs(change) > np.log(_DECISIVE_FACTOR)) | ~np.isfinite(change)
+        # A loop may decay or grow within the first check interval: compare with the kick itself.
+        decayed = speed[active] < kick[active] / _DECISIVE_FACTOR
+        grown = ~(speed[active] < _GROWTH_FACTOR * kick[active])
+        finished = decisive | decayed | grown | (batch.periods >= most_periods)
+        trend = np.where(decisive, change, late_change)
+        settles[active[finished]] = (decayed | (~grown & (trend < 0)))[finished]
+        active = active[~finished]
     return Trials(settles=settles, periods=batch.periods)

@@ -15,7 +15,7 @@ from linkplan.planner.files.imperfections_file import imperfections_of
 from linkplan.planner.problem.values import whole
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
-from linkplan.studies.compare.user_tracker import Asked
+from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study
 from linkplan.studies.decompose.decomposition_text import decomposition_text
 
@@ -28,10 +28,10 @@ _MOST_SEED = 2**63 - 1
 
 def decompose(
     plan: Plan,
-    trackers: Sequence[Asked] = LINEAR,
+    trackers: Sequence[TrackerLike] = LINEAR,
     *,
     imperfections: Mapping | None = None,
-    samples: int = study.SAMPLES,
+    samples: int = study.DEFAULT_SAMPLES,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DecompositionResult:

@@ -17,7 +17,7 @@ from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_text import comparison_text
-from linkplan.studies.compare.user_tracker import Asked
+from linkplan.studies.compare.user_tracker import TrackerLike
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def track(
     plan: Plan,
-    tracker: Asked = "lqr",
+    tracker: TrackerLike = "lqr",
     *,
     mass_factor: float = 1.0,
     delay_periods: int = 0,
@@ -60,7 +60,7 @@ def track(
 
 def compare(
     plan: Plan,
-    trackers: Sequence[Asked] = study.LINEAR,
+    trackers: Sequence[TrackerLike] = study.LINEAR,
     *,
     mass_factor: float = 1.2,
     delay_periods: int = 1,

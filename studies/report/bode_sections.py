@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
 from linkplan.studies.bode.bode_report import contacts_of, crossovers_of, not_measured, softness_of
-from linkplan.studies.bode.curves import lowest_hz, sensitivity_along, turned, turned_beside
+from linkplan.studies.bode.curves import lowest_hz, measured_phase, sensitivity_along, shifted_phase
 from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.report.columns import columns
@@ -132,7 +132,7 @@ def _responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> li
             dots = {"look": "points", "colour": k % _COLOURS}
             gain.append((f"{entry.point.name}, measured", response.frequency_hz, response.db, dots))
             phase.append(
-                (f"{entry.point.name}, measured", response.frequency_hz, turned_beside(response, frequency, deg), dots)
+                (f"{entry.point.name}, measured", response.frequency_hz, measured_phase(response, frequency, deg), dots)
             )
             less_db, less_deg = response.against(entry.predicted[quantity])
             off_db.append((entry.point.name, response.frequency_hz, less_db, look))
@@ -151,7 +151,7 @@ def _curve(entry: BodePoint, quantity: str) -> tuple[np.ndarray, np.ndarray, np.
     curve = response_curves(entry.sampled, entry.channel, [quantity])[quantity]
     shown = curve.frequency_hz >= lowest_hz(entry)
     frequency, db = curve.frequency_hz[shown], curve.db[shown]
-    phase = turned(curve.phase_deg[shown], curve.gain[shown], quantity)
+    phase = shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
     rows = kept(np.column_stack([db, phase]), _SAMPLES)
     return frequency[rows], db[rows], phase[rows]
 

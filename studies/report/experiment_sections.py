@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.planner.keys.quantities import QUANTITIES
 from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.experiment.experiment import Experiment
-from linkplan.studies.experiment.experiment_text import estimated, tube_said
+from linkplan.studies.experiment.experiment_text import estimated, tube_text
 from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.experiment.statistics import Estimate, Pair
 from linkplan.studies.experiment.study import Outcome
@@ -71,7 +71,7 @@ def _facts(outcome: Outcome) -> Facts:
     rows = [
         ("machines", f"{experiment.n}, the same for every tracker"),
         ("design", f"{settings.design}, seed {settings.seed}"),
-        ("success", f"within {tube_said(experiment)} of the path all the way"),
+        ("success", f"within {tube_text(experiment)} of the path all the way"),
         ("simulated", f"{reference.period_s * reference.n:.4g} s each, control period {reference.period_s:g} s"),
     ]
     return Facts(rows=rows)

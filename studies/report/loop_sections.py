@@ -133,7 +133,7 @@ def along_section(found: AlongMotion, *, depth: int = 2) -> Section:
     blocks += plots("Margins at frozen instants", "margin", TIME, time, margins, group=group_of(found.plan))
     cycle = found.floquet
     if cycle is not None:
-        clear = slice(None, cycle.seen + 1)
+        clear = slice(None, cycle.last_visible_sample + 1)
         decay = [
             Line(name="predicted", values=np.maximum(cycle.size[clear], _ROUNDING), unit="1"),
             Line(name="measured in MuJoCo", values=np.maximum(cycle.measured_size[clear], _ROUNDING), unit="1", look="dash"),

@@ -12,7 +12,7 @@ from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck
 from linkplan.studies.compare.compare import Comparison
 from linkplan.studies.decompose.decompose import Decomposition
-from linkplan.studies.experiment.experiment_text import tube_said
+from linkplan.studies.experiment.experiment_text import tube_text
 from linkplan.studies.experiment.study import Outcome
 from linkplan.studies.report.bode_sections import bode_sections
 from linkplan.studies.report.check_sections import check_sections, refused_section
@@ -64,7 +64,7 @@ def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
     plan, summary = outcome.experiment.plan, outcome.summary
     best = max(summary.trackers, key=lambda one: one.success.value)
     shares = ", ".join(f"{one.name} {100 * one.success.value:.3g} %" for one in summary.trackers)
-    verdict = f"success on {summary.samples} machines within {tube_said(outcome.experiment)}: {shares}"
+    verdict = f"success on {summary.samples} machines within {tube_text(outcome.experiment)}: {shares}"
     if not outcome.distributed:
         verdict = f"what matters most for the rms error: {_foremost(outcome)}"
     sections = [*experiment_sections(outcome, again), *plan_sections(plan)]

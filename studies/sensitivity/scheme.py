@@ -1,8 +1,8 @@
-"""Where factors are tried to tell their influences apart: one at a time, along Morris' trajectories, by Sobol's matrices.
+"""Designs of trials for a sensitivity analysis: one at a time, Morris' trajectories, and Sobol's matrices.
 
-The trials come in groups that stand or fall together: one draw of the noise, one trajectory, one pair of independent points.
-Noise is the last factor where there is any: within a group it is drawn anew in one step, as the other factors change in
-theirs, and is the same in all other steps. So what a factor's step changes is never the luck of a draw.
+The trials form groups that are evaluated together: one draw of the noise, one trajectory, or one pair of independent points.
+Noise, if there is any, is the last factor. Within a group, the noise changes in its own step only. Therefore the change in
+another factor's step is not due to the noise.
 """
 
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from linkplan.models.errors import ProblemError
 from linkplan.studies.sensitivity.salib import salib, unit_cube
 
 ONE_AT_A_TIME, MORRIS, SOBOL = SENSITIVE = ("one-at-a-time", "morris", "sobol")
-# Levels of Morris' grid, a step being two thirds of the range (Saltelli et al., Global Sensitivity Analysis, 2008, 3.2).
-LEVELS = 4
-# Fewer groups than these leave nothing to say of their spread.
-_LEAST = {ONE_AT_A_TIME: 2, MORRIS: 4, SOBOL: 16}
+# Levels of Morris' grid; a step is two thirds of the range (Saltelli et al., Global Sensitivity Analysis, 2008, 3.2).
+MORRIS_LEVELS = 4
+# Fewest groups for an estimate of the spread.
+_MIN_GROUPS = {ONE_AT_A_TIME: 2, MORRIS: 4, SOBOL: 16}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scheme:
-    """Trials of factors: `points` (n, d) in [0, 1], the noise's draw by number (n,), in `n_groups` groups of one size.
+    """Trials of factors: `points` (n, d) in [0, 1] and numbers of noise draws (n,), in `n_groups` groups of equal size.
 
-    With `noisy`, the noise is a factor beside the d of the points. A point is a share of its factor's range, from the low
-    end to the high end; in Sobol's design it is the chance of a smaller value.
+    With `noisy`, the noise is a factor in addition to the d factors of the points. A coordinate of a point is the share of
+    the factor's range from the low to the high end; in Sobol's design it is the cumulative probability.
     """
 
     design: str
@@ -35,7 +35,7 @@ class Scheme:
 
     @property
     def n_factors(self) -> int:
-        """The number of factors, the noise among them."""
+        """The number of factors including the noise."""
         return self.points.shape[1] + self.noisy
 
     @property
@@ -45,30 +45,29 @@ class Scheme:
 
     @property
     def independent(self) -> np.ndarray:
-        """Which trials (n,) are independent of one another: both points of Sobol's pairs, of other groups the first."""
+        """A mask (n,) of independent trials: both points of a pair in Sobol's design, else the first trial of a group."""
         place = np.arange(len(self.points)) % self.size
         return (place == 0) | (place == self.size - 1) if self.design == SOBOL else place == 0
 
 
 def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int) -> Scheme:
-    """Return the scheme of a design with as many whole groups as fit into so many samples.
+    """Return the scheme of a design with as many whole groups as fit into a number of samples.
 
-    One at a time without noise takes what it takes: the middle and two ends of each factor. Sobol's groups are a power of
-    two, for the balance of its sequence.
+    One at a time without noise always has one group: the middle and both ends of each factor. Sobol's design has a power of
+    two of groups, because its sequence is balanced then.
 
     Raises:
-        ProblemError: when there is no factor, or not room for enough groups.
-        LinkplanError: when SALib is needed and is not there.
+        ProblemError: if there is no factor, or too few samples for enough groups.
+        LinkplanError: if SALib is needed and not installed.
     """
     if n_factors + noisy == 0:
-        raise ProblemError(f"the design '{design}' varies what has a range, and no imperfection has one; give one a range")
+        raise ProblemError(f"the design '{design}' needs an imperfection with a range, and there is none")
     d = n_factors + noisy
     size = {ONE_AT_A_TIME: 2 * n_factors + 1, MORRIS: d + 1, SOBOL: d + 2}[design]
     groups = samples // size
     if design == ONE_AT_A_TIME and not noisy:
         groups = 1
-    elif groups < _LEAST[design]:
-        least = _LEAST[design]
+    elif groups < (least := _MIN_GROUPS[design]):
         raise ProblemError(
             f"the design '{design}' of {d} imperfections takes at least {least * size} samples, {least} groups of {size};"
             f" got {samples}"
@@ -79,14 +78,14 @@ def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int)
     points, draws = cube, np.zeros(len(cube), dtype=int)
     if noisy:
         points = cube[:, :-1]
-        # Groups have draws of their own: a level of noise means nothing beyond its group.
+        # Each group has its own draws: a level of noise has no meaning outside its group.
         pairs = np.column_stack([np.arange(len(cube)) // size, cube[:, -1]])
         draws = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
     return Scheme(design=design, points=points, draws=draws, n_groups=groups, noisy=noisy)
 
 
 def _one_at_a_time(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
-    """Return for each group the middle, then each factor at its low and at its high end; a noise of the group's own."""
+    """Return for each group the middle, then each factor at its low and at its high end."""
     del seed
     factors = d - noisy
     group = np.full((2 * factors + 1, d), 0.5)
@@ -96,9 +95,9 @@ def _one_at_a_time(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
 
 
 def _morris(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
-    """Return trajectories of d steps, each in one factor by two thirds of its range (Morris, Technometrics 33, 1991)."""
+    """Return trajectories of d steps, each of one factor by two thirds of its range (Morris, Technometrics 33, 1991)."""
     del noisy
-    return salib("sample.morris").sample(unit_cube(d), groups, num_levels=LEVELS, seed=_generator(seed))
+    return salib("sample.morris").sample(unit_cube(d), groups, num_levels=MORRIS_LEVELS, seed=_generator(seed))
 
 
 def _sobol(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:

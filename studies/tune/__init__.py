@@ -1,4 +1,4 @@
 """`linkplan tune`: gains from requirements.
 
-In: a bandwidth and margins at the worst angle. Out: PD gains or LQR weights, or the reason why there are none.
+In: a bandwidth and margins at the worst pose. Out: PD gains or LQR weights, or the reason why there are none.
 """

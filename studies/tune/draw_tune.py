@@ -1,4 +1,4 @@
-"""Figure of tuned gains: bandwidth, phase margin and sensitivity peak at every angle, beside what was wanted of them."""
+"""Figure of tuned gains: bandwidth, phase margin and sensitivity peak at every pose, with their required values."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from linkplan.studies.tune.tune import Tuning
 
 
 def tune_figure(tuning: Tuning, path: Path | None = None) -> Figure:
-    """Return the figure of the margins over the joint's position, unstable loops crossed out, saved at `path` if given."""
+    """Return the figure of the margins over the joint's position, with unstable poses marked, saved at `path` if given."""
     joint, wanted = tuning.mechanism.independent_joints[0], tuning.wanted
     rows = [
         ("bandwidth_hz", "bandwidth [Hz]", wanted.bandwidth_hz, "wanted at least"),

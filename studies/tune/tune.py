@@ -1,9 +1,9 @@
-"""Gains from requirements: PD gains or LQR weights for a bandwidth and margins at the worst angle, or why there are none.
+"""Gains from requirements: PD gains or LQR weights for a bandwidth and margins at the worst pose.
 
-Every candidate is judged by the sampled loop in the simulator's steps, at every angle: stable, bandwidth of the
-complementary sensitivity, phase margin, sensitivity peak. Candidates lie on a grid of natural frequency and damping ratio
-about the wanted bandwidth, then on finer grids about the best, which has the least damping gain that meets what is wanted:
-that gain is what makes noise of measured speeds.
+Every candidate is evaluated at every pose with the sampled loop in the simulator's steps: stability, bandwidth of the
+complementary sensitivity, phase margin and sensitivity peak. Candidates lie on a grid of natural frequency and damping ratio
+around the required bandwidth, then on finer grids around the best. Among the candidates that meet the requirements, the best
+has the smallest damping gain, because this gain amplifies the noise of measured velocities.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.kinds import LQR_ERRORS
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import SCANNED
+from linkplan.studies.bode.bode import SCAN_POSITIONS
 from linkplan.studies.bode.scan import Line, judge_of
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import Margins, margins
@@ -26,24 +26,25 @@ from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import effort_map
 from linkplan.studies.frequency.worst import local_minima
 
-# Natural frequencies are sought within these factors of the wanted bandwidth, damping ratios between these.
-_NATURAL = (0.08, 4.0)
-_DAMPING = (0.15, 8.0)
-# Points of the grid each way, and finer grids after the first; LQR solves a Riccati equation for every point and angle.
-_GRID, _REFINED = {"pd": 17, "pd+ff": 17, "lqr": 9}, 3
-# The search is on quick figures: it asks for this much more than is wanted.
-_HAIR = 1.005
-# A shortfall of unstable gains: more than any of stable ones.
-_UNSTABLE = 10.0
-# Rounds of gains and of the worst poses for them (two were the most that was needed), and the poses that join in each.
-_ROUNDS, _WORST = 5, 3
-# A worst pose within this share of the line of one that is shown is not shown beside it.
-_APART = 1e-3
+# Search range of the natural frequency, in units of the required bandwidth, and of the damping ratio.
+_NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
+_DAMPING_RATIO_RANGE = (0.15, 8.0)
+# Grid points along each axis. LQR solves a Riccati equation for every candidate and pose.
+_GRID_POINTS = {"pd": 17, "pd+ff": 17, "lqr": 9}
+_GRID_LEVELS = 4
+# The search uses approximate margins, so it requires this factor more than the user.
+_SEARCH_RESERVE = 1.005
+# The shortfall of unstable gains, larger than any shortfall of stable ones.
+_UNSTABLE_SHORTFALL = 10.0
+# Rounds of searching gains and adding the worst poses of a line (at most two were needed in practice).
+_MAX_ROUNDS = 5
+# A worst pose closer than this share of the line to another pose is not shown.
+_SAME_POSE_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Wanted:
-    """What a loop is to do at its worst angle: bandwidth [Hz] at least, phase margin [deg] at least, peak of |S| at most."""
+    """The requirements at the worst pose: least bandwidth [Hz], least phase margin [deg], largest peak of |S|."""
 
     bandwidth_hz: float
     phase_margin_deg: float
@@ -59,15 +60,15 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Judged:
-    """One set of gains over all angles: margins at each, and the worst relative shortfall, zero where there is none."""
+class EvaluatedGains:
+    """One set of gains with its margins at every pose, and the largest relative shortfall, zero if there is none."""
 
     settings: Tracking
     bounds: tuple[Margins, ...]
-    misses: float
+    shortfall: float
 
     def worst(self, name: str, largest: bool = False) -> tuple[float | None, int]:
-        """Return the least (or largest) of a figure over the angles, and at which; None where none is known."""
+        """Return the smallest (or largest) value of a figure over the poses and its index; None without a value."""
         values = [getattr(m, name) for m in self.bounds]
         known = [(v, i) for i, v in enumerate(values) if v is not None]
         return (max(known) if largest else min(known)) if known else (None, 0)
@@ -75,14 +76,14 @@ class Judged:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Tuning:
-    """The answer: `found` or the nearest miss, over points (n), and the sentence."""
+    """The best gains at all points, whether they meet the requirements (`found`), and the verdict as a sentence."""
 
     mechanism: Mechanism
     law: str
     wanted: Wanted
     timing: Sampling
     points: tuple[OperatingPoint, ...]
-    best: Judged
+    best: EvaluatedGains
     found: bool
     message: str
 
@@ -98,23 +99,23 @@ def tune(
     say: Callable[[str], None] = silent,
     line: Line | None = None,
 ) -> Tuning:
-    """Return gains that do what is wanted at every point, or the nearest miss and why.
+    """Return gains that meet the requirements at every point, or the closest gains and the reason.
 
-    Along a line what is wanted is kept everywhere: the line's worst poses for the gains found join the points, and gains are
-    sought again, until there is none that misses.
+    With a line, the requirements hold everywhere on it: the line's worst poses for the gains found are added to the points,
+    and the search is repeated until no pose violates the requirements.
 
     Args:
-        points: of one mechanism of a single freedom.
-        line: what the points stand for; None where the poses themselves were asked for.
-        wanted: at the worst of them.
+        points: of one mechanism with one degree of freedom.
+        line: the line that the points sample; None if the user gave the poses.
+        wanted: the requirements at the worst point.
         settings: period and delay; gains and weights are replaced.
-        timing: of the same period and delay.
+        timing: with the same period and delay.
         effort_limit: (n_u, 2) [N.m or N].
         law: pd, pd+ff or lqr.
-        say: hears about progress.
+        say: receives progress messages.
 
     Raises:
-        LinkplanError: for a bandwidth beyond Nyquist, an unknown law, or a mechanism of more freedoms.
+        LinkplanError: for a bandwidth above the Nyquist frequency, an unknown law, or several degrees of freedom.
     """
     mechanism = points[0].mechanism
     if law not in LINEAR:
@@ -127,59 +128,62 @@ def tune(
             f" control period of {timing.period_s:g} s"
         )
     points = list(points)
-    for last in [*[False] * (_ROUNDS - 1), True]:
+    for last in [*[False] * (_MAX_ROUNDS - 1), True]:
         settings_found = _search(points, wanted, settings, timing, effort_limit, law, say)
-        judged = _judged(points, settings_found, wanted, timing, effort_limit, law)
-        if line is None or judged.misses or last:
+        best = _evaluated(points, settings_found, wanted, timing, effort_limit, law)
+        if line is None or best.shortfall or last:
             break
         say("the worst of these gains over the whole line")
-        missing = _missing(mechanism, line, settings_found, wanted, timing, effort_limit, law)
-        if not missing:
+        worst = _worst(mechanism, line, settings_found, wanted, timing, effort_limit, law)
+        violated = [
+            point for point in worst if _evaluated([point], settings_found, wanted, timing, effort_limit, law).shortfall
+        ]
+        if not violated:
             break
-        points = sorted([*points, *missing], key=lambda point: float(point.state[0]))
-    # What misses still after the last round counts, too.
-    if line is not None and not judged.misses:
+        points = sorted([*points, *violated], key=lambda point: float(point.state[0]))
+    # Evaluate the line's worst pose too: it may still violate the requirements after the last round.
+    if line is not None and not best.shortfall:
         worst = _worst(mechanism, line, settings_found, wanted, timing, effort_limit, law)
         at = np.array([point.state[0] for point in points])
-        apart = _APART * (line.high - line.low)
-        worst = [point for point in worst if np.abs(at - point.state[0]).min() > apart][:1]
+        distance = _SAME_POSE_SHARE * (line.high - line.low)
+        worst = [point for point in worst if np.abs(at - point.state[0]).min() > distance][:1]
         points = sorted([*points, *worst], key=lambda point: float(point.state[0]))
-        judged = _judged(points, settings_found, wanted, timing, effort_limit, law)
-    found = judged.misses == 0.0
+        best = _evaluated(points, settings_found, wanted, timing, effort_limit, law)
+    found = best.shortfall == 0.0
     return Tuning(
         mechanism=mechanism,
         law=law,
         wanted=wanted,
         timing=timing,
         points=tuple(points),
-        best=judged,
+        best=best,
         found=found,
-        message=_message(points, wanted, timing, judged, law, found, line),
+        message=_message(points, wanted, timing, best, law, found, line),
     )
 
 
 def _search(points, wanted: Wanted, settings: Tracking, timing: Sampling, effort_limit, law: str, say) -> Tracking:
-    """Return the best gains of a grid, refined about its best."""
-    centre = np.log([np.sqrt(_NATURAL[0] * _NATURAL[1]), np.sqrt(_DAMPING[0] * _DAMPING[1])])
-    half = np.log([np.sqrt(_NATURAL[1] / _NATURAL[0]), np.sqrt(_DAMPING[1] / _DAMPING[0])])
+    """Return the best gains of a grid that is refined around its best point."""
+    ends = np.log([_NATURAL_FREQUENCY_RANGE, _DAMPING_RATIO_RANGE])
+    centre, half = ends.mean(axis=1), 0.5 * np.diff(ends, axis=1).ravel()
     best: tuple[float, float, Tracking] | None = None
-    for level in range(_REFINED + 1):
-        say(f"gains, grid {level + 1} of {_REFINED + 1}" + ("" if best is None else f", misses by {best[0]:.3g}"))
-        axis = np.linspace(-1.0, 1.0, _GRID[law])
+    for level in range(_GRID_LEVELS):
+        say(f"gains, grid {level + 1} of {_GRID_LEVELS}" + ("" if best is None else f", shortfall {best[0]:.3g}"))
+        axis = np.linspace(-1.0, 1.0, _GRID_POINTS[law])
         at = [(a, b) for a in centre[0] + half[0] * axis for b in centre[1] + half[1] * axis]
         candidates = [_settings(points, wanted, settings, law, float(np.exp(a)), float(np.exp(b))) for a, b in at]
-        misses = _misses(points, candidates, wanted, timing, effort_limit, law)
-        # A hair more than asked, so that the finer figures that are reported meet it too.
-        ranked = min(range(len(at)), key=lambda i: (misses[i], sum(at[i])))
-        row = float(misses[ranked]), sum(at[ranked]), candidates[ranked]
+        shortfalls = _shortfalls(points, candidates, wanted, timing, effort_limit, law)
+        # The damping gain increases with the product of natural frequency and damping ratio, the sum of their logarithms.
+        ranked = min(range(len(at)), key=lambda i: (shortfalls[i], sum(at[i])))
+        row = float(shortfalls[ranked]), sum(at[ranked]), candidates[ranked]
         if best is None or row[:2] <= best[:2]:
             best, centre = row, np.array(at[ranked])
-        half = half * 2.5 / _GRID[law]
+        half = half * 2.5 / _GRID_POINTS[law]
     return best[2]
 
 
 def _shortfall(found: Margins | None, wanted: Wanted, timing: Sampling) -> float:
-    """Return how far margins are from what is wanted, relative, below zero where there is more; infinite if unstable."""
+    """Return the largest relative shortfall of margins: negative with a reserve, infinite if unstable."""
     if found is None or not found.stable:
         return np.inf
     band = found.bandwidth_hz or timing.nyquist_hz
@@ -190,40 +194,34 @@ def _shortfall(found: Margins | None, wanted: Wanted, timing: Sampling) -> float
 
 
 def _worst(mechanism, line: Line, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str):
-    """Return the points of a line where gains fall shortest of what is wanted: every local worst of it, refined."""
+    """Return up to three points of a line with the largest shortfall, among its local maxima."""
     judge, known = judge_of(mechanism, settings, effort_limit, timing, law, [0]), {}
 
-    def enough(x: float) -> float:
-        """Return by how much the wanted is exceeded, far below zero where unstable, infinite where nothing is held."""
+    def reserve(x: float) -> float:
+        """Return the reserve, strongly negative if unstable, infinite if the pose cannot be held."""
         if x not in known:
             found = judge(line.at(x))
             short = np.inf if found is None else _shortfall(found[0], wanted, timing)
-            known[x] = np.inf if found is None else -min(short, _UNSTABLE + (found[0].spectral_radius or 0.0))
+            known[x] = np.inf if found is None else -min(short, _UNSTABLE_SHORTFALL + (found[0].spectral_radius or 0.0))
         return known[x]
 
-    even = np.linspace(line.low, line.high, SCANNED)
-    places = sorted([*even, *local_minima(enough, even)], key=enough)[:_WORST]
-    return [operating_point(mechanism, line.at(float(x)), effort_limit) for x in places if np.isfinite(enough(x))]
-
-
-def _missing(mechanism, line: Line, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str):
-    """Return the worst points of a line at which gains miss what is wanted."""
-    worst = _worst(mechanism, line, settings, wanted, timing, effort_limit, law)
-    return [point for point in worst if _judged([point], settings, wanted, timing, effort_limit, law).misses]
+    even = np.linspace(line.low, line.high, SCAN_POSITIONS)
+    places = sorted([*even, *local_minima(reserve, even)], key=reserve)[:3]
+    return [operating_point(mechanism, line.at(float(x)), effort_limit) for x in places if np.isfinite(reserve(x))]
 
 
 def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: float, damping: float) -> Tracking:
-    """Return gains for a natural frequency (in wanted bandwidths) and damping ratio on the mean inertia, or LQR weights."""
+    """Return PD gains or LQR weights for a natural frequency (in required bandwidths), a damping ratio and mean inertia."""
     omega = 2 * np.pi * wanted.bandwidth_hz * natural
     inertia = float(np.exp(np.mean([np.log(point.inertia[0, 0]) for point in points])))
     kp, kd = inertia * omega**2, 2 * damping * inertia * omega
     if law != "lqr":
         return replace(settings, kp=kp, kd=kd)
-    # The stationary LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2: weights for these gains.
+    # LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2. Solve for the weights s_w and v_w.
     limit = _effort_weight(points)
     extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
     hinge = points[0].mechanism.independent_joints[0].kind == "hinge"
-    ends = np.radians(LQR_ERRORS) if hinge else LQR_ERRORS  # those are of degrees
+    ends = np.radians(LQR_ERRORS) if hinge else LQR_ERRORS
     position, velocity = (float(np.clip(value, *ends)) for value in (limit / kp, limit / np.sqrt(extra)))
     if hinge:
         return replace(settings, lqr_position=position, lqr_velocity=velocity)
@@ -231,7 +229,7 @@ def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: flo
 
 
 def _effort_weight(points: Sequence[OperatingPoint]) -> float:
-    """Return the joint's effort that weighs one in LQR: the actuator's limit through the transmission."""
+    """Return the joint effort with unit cost in LQR: the actuator's limit through the transmission."""
     actuator = points[0].mechanism.actuators[0]
     limit = max(abs(actuator.lower), abs(actuator.upper))
     limit = limit if np.isfinite(limit) else max(1.0, max(float(np.abs(point.hold[0])) for point in points))
@@ -242,8 +240,8 @@ def _loop(point: OperatingPoint, settings: Tracking, timing: Sampling, effort_li
     return feedback_loop(point, law_gain(point, law, settings, effort_limit), timing)
 
 
-def _misses(points, candidates: list[Tracking], wanted: Wanted, timing: Sampling, effort_limit, law: str) -> np.ndarray:
-    """Return how far gains (n,) are from what is wanted: the worst relative shortfall, more than any where unstable."""
+def _shortfalls(points, candidates: list[Tracking], wanted: Wanted, timing: Sampling, effort_limit, law: str) -> np.ndarray:
+    """Return the largest relative shortfall of each candidate (n,) over the points, from approximate margins."""
     total = np.zeros(len(candidates))
     for point in points:
         gains, known = [], np.ones(len(candidates), dtype=bool)
@@ -256,60 +254,67 @@ def _misses(points, candidates: list[Tracking], wanted: Wanted, timing: Sampling
         quick = quick_margins(point, np.array(gains), timing)
         stable = known & (quick.radius < 1.0)
         band = np.where(np.isfinite(quick.bandwidth_hz), quick.bandwidth_hz, timing.nyquist_hz)
-        short = np.maximum(0.0, np.log(wanted.bandwidth_hz * _HAIR / band))
+        short = np.maximum(0.0, np.log(wanted.bandwidth_hz * _SEARCH_RESERVE / band))
         if wanted.phase_margin_deg:
-            short = np.maximum(short, 1.0 - quick.phase_margin_deg / (wanted.phase_margin_deg * _HAIR))
-        short = np.maximum(short, quick.sensitivity_peak * _HAIR / wanted.sensitivity_peak - 1.0)
-        total = np.maximum(total, np.where(stable, short, 10.0 + quick.radius))
+            short = np.maximum(short, 1.0 - quick.phase_margin_deg / (wanted.phase_margin_deg * _SEARCH_RESERVE))
+        short = np.maximum(short, quick.sensitivity_peak * _SEARCH_RESERVE / wanted.sensitivity_peak - 1.0)
+        total = np.maximum(total, np.where(stable, short, _UNSTABLE_SHORTFALL + quick.radius))
     return total
 
 
-def _judged(points, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str) -> Judged:
-    """Return gains with their margins, and the worst relative shortfall."""
-    bounds, misses = [], 0.0
+def _evaluated(points, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str) -> EvaluatedGains:
+    """Return gains with their margins and the largest relative shortfall."""
+    bounds, shortfall = [], 0.0
     for point in points:
         try:
-            found = margins(_loop(point, settings, timing, effort_limit, law))
+            found = margins(feedback_loop(point, law_gain(point, law, settings, effort_limit), timing))
         except LinkplanError:
             found = Margins(stable=False)
         bounds.append(found)
-        misses = max(misses, min(_shortfall(found, wanted, timing), _UNSTABLE))
-    return Judged(settings=settings, bounds=tuple(bounds), misses=float(misses))
+        shortfall = max(shortfall, min(_shortfall(found, wanted, timing), _UNSTABLE_SHORTFALL))
+    return EvaluatedGains(settings=settings, bounds=tuple(bounds), shortfall=float(shortfall))
 
 
-def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, found: bool, line: Line | None) -> str:
+def _message(
+    points, wanted: Wanted, timing: Sampling, best: EvaluatedGains, law: str, found: bool, line: Line | None
+) -> str:
+    """Return the verdict as a sentence."""
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if np.isfinite(wanted.sensitivity_peak):
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"
-    title, everywhere = (
-        LAW_NAMES[law],
-        f"all {len(points)} angles" if len(points) > 1 else "the angle",
-    )
+    everywhere = f"all {len(points)} angles" if len(points) > 1 else "the angle"
     if line is not None:
         everywhere = f"every angle from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}"
     sampled = f"sampled every {timing.period_s:g} s"
     if timing.delay_steps:
         sampled += f" with {timing.delay_s:g} s of delay"
-    band, at_band = best.worst("bandwidth_hz")
-    phase, at_phase = best.worst("phase_margin_deg")
     if found:
+        band, at_band = best.worst("bandwidth_hz")
+        phase, at_phase = best.worst("phase_margin_deg")
         reached = [] if band is None else [f"bandwidth {band:.4g} Hz at the least ({points[at_band].name})"]
         reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({points[at_phase].name})"]
-        return f"{title} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
+        return f"{LAW_NAMES[law]} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
+    # The hold of one period and the delay cost this much phase at the required bandwidth with any gains.
+    cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
+    cannot = f"{LAW_NAMES[law]} cannot give {asked} at {everywhere}, {sampled}"
+    return (
+        f"{cannot}: {_reason(points, wanted, best)}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
+    )
+
+
+def _reason(points, wanted: Wanted, best: EvaluatedGains) -> str:
+    """Return the requirements that the best gains violate, as text."""
     unstable = [point.name for point, m in zip(points, best.bounds, strict=True) if not m.stable]
     if unstable:
-        why = f"no gains near that bandwidth are even stable at {unstable[0]}"
-    else:
-        lacking = []
-        if band is not None and band < wanted.bandwidth_hz:
-            lacking.append(f"a bandwidth of {band:.4g} Hz at {points[at_band].name}")
-        if phase is not None and phase < wanted.phase_margin_deg:
-            lacking.append(f"a phase margin of {phase:.4g} deg at {points[at_phase].name}")
-        peak, at_peak = best.worst("sensitivity_peak", largest=True)
-        if peak is not None and peak > wanted.sensitivity_peak:
-            lacking.append(f"a peak of |S| of {peak:.4g} at {points[at_peak].name}")
-        why = f"the nearest has {' and '.join(lacking)}"
-    # A hold of T and a delay cost so much phase at the wanted bandwidth, whatever the gains.
-    cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
-    cannot = f"{title} cannot give {asked} at {everywhere}, {sampled}"
-    return f"{cannot}: {why}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
+        return f"no gains near that bandwidth are even stable at {unstable[0]}"
+    violated = []
+    for name, words, unit, limit in (
+        ("bandwidth_hz", "a bandwidth of", " Hz", wanted.bandwidth_hz),
+        ("phase_margin_deg", "a phase margin of", " deg", wanted.phase_margin_deg),
+        ("sensitivity_peak", "a peak of |S| of", "", wanted.sensitivity_peak),
+    ):
+        is_peak = name == "sensitivity_peak"
+        value, index = best.worst(name, largest=is_peak)
+        if value is not None and (value > limit if is_peak else value < limit):
+            violated.append(f"{words} {value:.4g}{unit} at {points[index].name}")
+    return f"the nearest has {' and '.join(violated)}"

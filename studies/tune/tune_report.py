@@ -1,4 +1,4 @@
-"""What `linkplan tune` says: a record for files, the [tracking] table of a problem file, a table for people."""
+"""The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, and a text table."""
 
 import numpy as np
 
@@ -7,14 +7,14 @@ from linkplan.studies.tune.tune import Tuning
 
 
 def motor_gains(tuning: Tuning) -> dict:
-    """Return PD gains on the motor's side of the transmission: its torque over its own angle, both through the gear."""
+    """Return PD gains on the motor's side of the transmission: the motor's effort over the motor's position."""
     actuator = tuning.mechanism.actuators[0]
     settings = tuning.best.settings
     return {"gear": actuator.gear, "kp": settings.kp / actuator.gear**2, "kd": settings.kd / actuator.gear**2}
 
 
 def tune_record(tuning: Tuning) -> dict:
-    """Return what `linkplan tune --json` says."""
+    """Return the JSON record of `linkplan tune`."""
     settings, best = tuning.best.settings, tuning.best
     joint = tuning.mechanism.independent_joints[0]
     gains: dict = {"period_s": tuning.timing.period_s, "delay_s": tuning.timing.delay_s}
@@ -43,7 +43,7 @@ def tune_record(tuning: Tuning) -> dict:
 
 
 def tracking_values(tuning: Tuning) -> dict:
-    """Return the gains by the keys of the [tracking] table of a problem file."""
+    """Return the gains under the keys of the [tracking] table of a problem file."""
     settings, joint = tuning.best.settings, tuning.mechanism.independent_joints[0]
     values = {"kp": settings.kp, "kd": settings.kd}
     if tuning.law == "lqr":
@@ -63,7 +63,7 @@ def tracking_table(tuning: Tuning) -> str:
 
 
 def tune_text(tuning: Tuning) -> str:
-    """Return the gains, in the joint's units and the motor's, and the margins at every angle."""
+    """Return the gains in the joint's and the motor's units, and the margins at every pose, as text."""
     mechanism, settings = tuning.mechanism, tuning.best.settings
     joint, actuator = mechanism.independent_joints[0], mechanism.actuators[0]
     turn = "rad" if joint.kind == "hinge" else "m"

@@ -12,7 +12,7 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.lqr import discretise, linearise
-from linkplan.controllers.trackers.mpc import BLOCKS
+from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.prediction import Predictor
 from linkplan.controllers.trackers.stepping import steps_of
@@ -253,7 +253,9 @@ def test_mpc_on_a_limit_riding_cycle_stays_clear_of_the_singular_pose_that_lqr_i
 def test_mpc_answers_as_lqr_where_no_motion_ahead_is_predicted():
     law, reference = tracker_of("mpc"), reference_of("knee-reach")
     position, velocity = reference.position[60:61], np.full((1, 1), -1e3)
-    assert not law.predictor.motions_of(reference.pose[60], position, velocity, np.full((1, BLOCKS, 1), 100.0))[1].any()
+    assert not law.predictor.motions_of(reference.pose[60], position, velocity, np.full((1, HORIZON_BLOCKS, 1), 100.0))[
+        1
+    ].any()
     np.testing.assert_array_equal(asked("mpc", 60, position, velocity), asked("lqr", 60, position, velocity))
 
 

@@ -50,7 +50,7 @@ def test_all_are_the_built_in_ones():
         ("no_module_of_this_name:Law", "No module named"),
         ("laws_of_mine:Sill", "has no attribute 'Sill'"),
         ("broken_laws:Law", "ZeroDivisionError"),
-        (",", "names with commas"),
+        (",", "names separated by commas"),
     ],
 )
 def test_a_tracker_that_cannot_be_had_is_refused_in_one_line(text, said):
@@ -115,7 +115,7 @@ FAULTY = {
     "name": (_law(name=property(_raises(SystemExit(0)))), "'Faulty' cannot be used: SystemExit: 0"),
     "effort": (_law(effort=property(_raises(SystemExit(0)))), "'Faulty' cannot be used: SystemExit: 0"),
     "long": (_law(name="n" * 300), "'Faulty' has 'nnnn"),
-    "lines": (_law(name="a\nb"), "a word of 50 characters .* 'Faulty' has 'a b'"),
+    "lines": (_law(name="a\nb"), "at most 50 printable characters, .* 'Faulty' has 'a b'"),
     "nothing": (_law(effort=lambda *_: None), "'faulty' gives an array .* got shape"),
     "complex": (_law(effort=lambda *_: np.array([1j])), r"'faulty' gives an array .* got \[0"),
     "ragged": (_law(effort=lambda *_: [[1], [2, 3]]), r"'faulty' gives an array .* got \[\[1\], \[2, 3\]\]"),

@@ -138,7 +138,7 @@ def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
     assert not found.found
     lost = found.trackers[0]
     assert lost.machines == 0
-    assert "lost when discretisation of the plan came in" in next(iter(lost.failures))
+    assert "lost after discretisation of the plan was switched on" in next(iter(lost.failures))
     text = decomposition_text(found)
     assert "pd+ff, 1 of 1 machines left out" in text
     assert "lqr" in text.splitlines()[2]
@@ -179,9 +179,9 @@ def test_a_report_has_the_parts_and_the_plan():
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ([], "one or more, got none"),
+        ([], "one or more trackers, got none"),
         (["pdf"], "unknown tracker 'pdf'"),
-        (["pd", "pd"], "names of their own, got 'pd' twice"),
+        (["pd", "pd"], "different names, got 'pd' twice"),
     ],
 )
 def test_trackers_that_cannot_be_are_refused(asked, said):
@@ -202,5 +202,5 @@ def test_a_law_of_one_reference_is_refused_and_a_function_is_not():
             return self.reference.effort[k]
 
     assert decompose(plan, [Feedforward]).trackers[0].name == "mine"
-    with pytest.raises(ProblemError, match="runs at shorter control periods too"):
+    with pytest.raises(ProblemError, match="runs at a shorter control period"):
         decompose(plan, [Feedforward(tracking_reference(plan))])

@@ -24,7 +24,7 @@ from tests.support.plans import optimal
 
 SHORT = "tracking.duration_s=0.01"
 # Four whole blocks and a beginning.
-SAMPLES = 4 * blocks.BLOCK + 8
+SAMPLES = 4 * blocks.BLOCK_SAMPLES + 8
 FEW = Settings(trackers=("pd", "pd+ff"), samples=6)
 
 
@@ -40,7 +40,7 @@ def content(folder):
 @pytest.fixture
 def short_blocks(monkeypatch):
     """Let blocks be of two samples."""
-    monkeypatch.setattr(blocks, "BLOCK", 2)
+    monkeypatch.setattr(blocks, "BLOCK_SAMPLES", 2)
 
 
 def test_every_tracker_meets_the_same_machines_and_every_figure_is_a_number(tmp_path):
@@ -251,7 +251,7 @@ def test_a_loop_too_soft_to_step_is_refused_before_any_sample_runs():
 
 def test_a_push_that_no_machine_gets_before_its_run_ends_is_refused():
     push = ("imperfections.push_body=crank", "imperfections.push_force_x_n=5", "imperfections.push_duration_s=0.01")
-    with pytest.raises(ProblemError, match=r"push_start_s is before the end of a run, at [\d.]+ s, .*; got 100 or more"):
+    with pytest.raises(ProblemError, match=r"push_start_s must be before the end of the run, [\d.]+ s, .*; got 100 or more"):
         experiment_of(optimal("knee-reach", SHORT, *push, "imperfections.push_start_s=100"), FEW)
     assert experiment_of(optimal("knee-reach", SHORT, *push, "imperfections.push_start_s=[0, 0.02]"), FEW).n == FEW.samples
 
@@ -260,7 +260,7 @@ def test_a_push_that_no_machine_gets_before_its_run_ends_is_refused():
     ("asked", "said"),
     [
         ({"trackers": ("pdd",)}, "unknown tracker 'pdd'"),
-        ({"trackers": ("pd", "pd")}, "each once"),
+        ({"trackers": ("pd", "pd")}, "different trackers"),
         ({"samples": 0}, "samples is a whole number from 1"),
         ({"design": "sobel"}, r"unknown design 'sobel'"),
         ({"tube_deg": -1.0}, "tube_deg is a positive number"),

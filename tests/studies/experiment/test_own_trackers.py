@@ -83,7 +83,7 @@ def test_a_law_that_keeps_something_in_itself_runs_as_one_for_each_machine(laws)
     done(laws / "many", batch=4)
     assert (laws / "one" / RESULTS).read_bytes() == (laws / "many" / RESULTS).read_bytes()
     assert [text for text in said if "one state after the other" in text] == [
-        f"{OWN[0]} is asked for one state after the other: it has neither batched = True nor start and step"
+        f"{OWN[0]} is evaluated for one state after the other: it has neither batched = True nor start and step"
     ]
     # The same law with its sum where it belongs, but for machines on which the first gives up.
     at = {name: one.results["tracker"] == name for name in OWN}
@@ -115,13 +115,13 @@ def test_a_law_that_was_changed_is_another_experiment_and_is_loaded_anew(laws):
 
 
 def test_a_law_that_is_changed_in_the_middle_ends_it_in_one_line(laws, monkeypatch):
-    real = conducting.laws_said
+    real = conducting.unbatched_notes
 
     def changing(experiment):
         (laws / "gains_of_mine.py").write_text("GAIN = 50.0\n")
         return real(experiment)
 
-    monkeypatch.setattr(conducting, "laws_said", changing)
+    monkeypatch.setattr(conducting, "unbatched_notes", changing)
     with pytest.raises(LinkplanError, match="has changed since the experiment began"):
         done(laws / "x", OWN[1:2])
 
@@ -146,7 +146,7 @@ def test_what_a_tracker_is_written_in_are_its_own_files(laws):
         ("laws_of_an_experiment:Missing", "cannot be loaded: AttributeError"),
         ("laws_of_an_experiment:OWN", "cannot be loaded: AttributeError"),
         ("laws_of_an_experiment:np", "a tracker is one of"),
-        ("no_such_module:Law", "is no file that Python finds"),
+        ("no_such_module:Law", "Python does not find the module"),
         ("pdd", "unknown tracker 'pdd' .did you mean 'pd'"),
     ],
 )

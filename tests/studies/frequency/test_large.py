@@ -133,5 +133,5 @@ def test_harmonic_balance_of_a_small_signal_is_the_linear_response(loop):
 
 
 def test_an_actuator_without_a_limit_has_no_saturation(loop):
-    with pytest.raises(LinkplanError, match="no limit"):
+    with pytest.raises(LinkplanError, match="no effort limit"):
         saturation(loop, np.array([[-np.inf, np.inf]]))

@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.studies.sensitivity.influence import influence_of
-from linkplan.studies.sensitivity.scheme import LEVELS, SENSITIVE, scheme_of
+from linkplan.studies.sensitivity.scheme import MORRIS_LEVELS, SENSITIVE, scheme_of
 
 SLOPES = np.array([3.0, -2.0, 1.0, 0.0])
 # Ishigami and Homma, First international symposium on uncertainty modelling and analysis (1990); a = 7, b = 0.1.
@@ -116,7 +116,7 @@ def test_one_thing_changes_at_a_time(design, noisy):
     assert len(np.unique(scheme.draws)) == (2 * scheme.n_groups if noisy else 1)
     if design == "morris":
         step = np.abs(after - before)[..., :3]
-        assert step[step > 0] == pytest.approx(LEVELS / (2 * (LEVELS - 1)))
+        assert step[step > 0] == pytest.approx(MORRIS_LEVELS / (2 * (MORRIS_LEVELS - 1)))
 
 
 def test_the_same_seed_gives_the_same_trials_and_another_one_others():
@@ -165,7 +165,7 @@ def test_a_figure_that_never_changes_owes_nothing_to_anything(design):
         (("sobol", 11, False, 200), r"'sobol' of 11 imperfections takes at least 208 samples, 16 groups of 13; got 200"),
         (("morris", 3, True, 19), r"'morris' of 4 imperfections takes at least 20 samples"),
         (("one-at-a-time", 3, True, 13), r"takes at least 14 samples, 2 groups of 7"),
-        (("morris", 0, False, 100), "no imperfection has one"),
+        (("morris", 0, False, 100), "needs an imperfection with a range"),
     ],
 )
 def test_too_little_to_tell_from_is_refused(asked, said):
