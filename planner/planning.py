@@ -28,17 +28,6 @@ _SPARING = 0.25
 Climb = Callable[[Search, Budget], Plan | None]
 
 
-def _one_start(search: Search) -> bool:
-    return search.problem.solver.starts == 1 and search.starts_are_worth_it
-
-
-def _the_phase_plane_may_help(search: Search) -> bool:
-    """Return whether the phase plane has a motion where no plan passes, or a quicker one than the plan that passes."""
-    if search.solved:
-        return starts.is_slow(search) and not reasons.other_limits(search.problem)
-    return _one_start(search) and search.quickest is not None and not starts.no_time(search)
-
-
 def _sparing(start: Climb) -> Climb:
     """Return a way of looking for a motion that leaves time for rest, where several driven freedoms may wait."""
 
@@ -68,19 +57,19 @@ RUNGS: tuple[Rung, ...] = (
     ),
     Rung(
         name="the guess given, then a smooth path",
-        tried=_one_start,
+        tried=starts.one_start_is_worth_it,
         climb=_sparing(starts.from_first_starts),
         budget=PATIENT,
     ),
     Rung(
         name="the phase plane, its bang efforts fixed",
-        tried=_the_phase_plane_may_help,
+        tried=starts.phase_plane_may_help,
         climb=starts.from_the_phase_plane,
         budget=HURRIED,
     ),
     Rung(
         name="swings",
-        tried=lambda search: _one_start(search) and not starts.no_time(search),
+        tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
         climb=_sparing(starts.from_swings),
         budget=HURRIED,
     ),

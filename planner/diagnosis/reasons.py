@@ -12,7 +12,7 @@ from linkplan.planner.diagnosis.infeasibility import effort_sentence, share_sent
 from linkplan.planner.diagnosis.relaxation import least_of
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
 from linkplan.planner.limits.control import ControlLimit
-from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
@@ -30,11 +30,6 @@ from linkplan.planner.solvers.outcome import why_stopped
 
 # Durations this near to one another, relative, are the same.
 _SAME = 1e-9
-
-
-def other_limits(problem: PlanningProblem) -> bool:
-    """Return whether a motion has limits that the phase plane does not know of, which may be what makes it slow."""
-    return any(kind is not SpeedLimit for kind in relaxed_kinds(problem))
 
 
 def contradicted(search: Search) -> Plan | None:

@@ -7,7 +7,13 @@ import numpy as np
 from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Rung, Search, climb
-from linkplan.planner.search.starts import along_power, from_first_starts, from_the_phase_plane, is_along_power
+from linkplan.planner.search.starts import (
+    along_power,
+    from_first_starts,
+    from_the_phase_plane,
+    is_along_power,
+    phase_plane_may_help,
+)
 
 # Rungs that look for it.
 _RUNGS = (
@@ -17,7 +23,7 @@ _RUNGS = (
     Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=PATIENT),
     Rung(
         name="the phase plane",
-        tried=lambda search: search.starts_are_worth_it and search.quickest is not None,
+        tried=phase_plane_may_help,
         climb=from_the_phase_plane,
         budget=HURRIED,
     ),

@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
+from linkplan.planner.limits.joints import SpeedLimit
+from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
 from linkplan.planner.phase_plane.detours import detour_may_pay
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import knows_pins, power_guess
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
@@ -40,6 +43,23 @@ _INTERVAL_FACTORS = (1, 2, 4)
 _LATER_THAN_LEGS_SHARE = 1e-6
 # A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
 _WORTH_REFINING_SHARE = 0.999
+
+
+def one_start_is_worth_it(search: Search) -> bool:
+    """True if starts are tried one after another, and a further one may lead to a motion."""
+    return search.problem.solver.starts == 1 and search.starts_are_worth_it
+
+
+def other_limits(problem: PlanningProblem) -> bool:
+    """True if a problem has limits that the phase plane leaves out: a motion may be slow because of them."""
+    return any(kind is not SpeedLimit for kind in relaxed_kinds(problem))
+
+
+def phase_plane_may_help(search: Search) -> bool:
+    """True if the phase plane has a motion and no plan passes, or if it has a quicker one than the plan that passes."""
+    if search.solved:
+        return is_slow(search) and not other_limits(search.problem)
+    return one_start_is_worth_it(search) and search.quickest is not None and not no_time(search)
 
 
 def no_time(search: Search) -> bool:

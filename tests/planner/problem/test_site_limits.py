@@ -14,7 +14,6 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.diagnosis.reasons import other_limits
 from linkplan.planner.files.plan_folder import read_plan, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.sites_file import site_limits_of
@@ -24,6 +23,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.replan import Planner, structure
+from linkplan.planner.search.starts import other_limits
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of, site_problem
