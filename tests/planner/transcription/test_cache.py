@@ -254,7 +254,7 @@ def test_a_compiler_that_hangs_ends_with_its_children(folder, tmp_path, monkeypa
     script.write_text(f'#!/bin/sh\nsleep 600 & echo $! > "{tmp_path}/child"\nwait\n', encoding="utf-8")
     script.chmod(0o700)
     monkeypatch.setattr(module, "compiler", lambda: (str(script),))
-    monkeypatch.setattr(module, "_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(module, "_COMPILER_TIMEOUT_S", 0.5)
     with pytest.warns(RuntimeWarning, match="timed out"):
         compiled("k1", NodeFunctions, built)
     assert list(folder.iterdir()) == []
