@@ -3,7 +3,7 @@
 From the start to the end in one go, as a rule. Where a motion is unstable an error grows along it by many orders of
 magnitude: e^40 in 20 s next to a pole at 2 / s, and rounding alone decides where the integration ends. Then every interval
 is integrated from the planned state, its defect is propagated by the transition matrices along the motion, and the
-integration is restarted wherever an error would have grown by `GROWTH`, as for mechanisms
+integration is restarted wherever an error would have grown by `RESTART_GROWTH`, as for mechanisms
 (`linkplan.planner.certificate.integration`). What is judged is then whether the solution is a motion of the differential
 equation, not whether somebody could follow it blindly; how often it was restarted is reported.
 """
@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from linkplan.planner.certificate.boundary import missed
-from linkplan.planner.certificate.flow import RTOL, Rate, flows, side_by_side
-from linkplan.planner.certificate.integration import GROWTH
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL, Rate, flows, side_by_side
+from linkplan.planner.certificate.integration import RESTART_GROWTH
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
@@ -95,7 +95,7 @@ def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, mos
 
 def _most(problem: OdeProblem) -> float:
     """Return by how much an error may grow: what an integration errs by itself is within the tolerance until then."""
-    return max(GROWTH, problem.tolerance / RTOL)
+    return max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL)
 
 
 def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated:

@@ -14,7 +14,6 @@ from linkplan.planner.certificate.certificate import (
     Certificate,
 )
 from linkplan.planner.certificate.collisions import who
-from linkplan.planner.certificate.site_ends import ENDS_SHARE
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Checklist, Item
@@ -122,7 +121,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     ]
     motion = plan.problem.motion
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        allowed = ENDS_SHARE * mechanism.extent_m
+        allowed = BOUNDARY_SHARE * mechanism.extent_m
         error = certificate.site_error_m
         items.append(_item("sites, off where they are asked to be", error <= allowed, error, allowed, "m", None))
     if mechanism.closures:
