@@ -7,12 +7,12 @@ import numpy as np
 BOUNDARY_SHARE = 1e-6
 
 
-def missed(values: np.ndarray, low: np.ndarray, high: np.ndarray, size: np.ndarray | float) -> float:
+def relative_violation(values: np.ndarray, low: np.ndarray, high: np.ndarray, size: np.ndarray | float) -> float:
     """Return the largest amount, in units of `size`, by which values (..., n) lie outside [low, high]; 0 if inside."""
     return float((np.maximum(low - values, values - high) / size).max(initial=0.0))
 
 
-def exactly(asked: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def exact_bounds(asked: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return the bounds, low and high, of prescribed values; infinite where these are NaN or `free`."""
     open_values = np.isnan(asked) if free is None else free
     return np.where(open_values, -np.inf, asked), np.where(open_values, np.inf, asked)

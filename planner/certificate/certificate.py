@@ -14,7 +14,7 @@ from linkplan.models.poses.along import demanded, joint_rates, least_effort, sam
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.turning import whole_turns
-from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exactly, missed
+from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
 from linkplan.planner.certificate.integration import integrate
 from linkplan.planner.certificate.site_ends import ends_off_m, waypoint_off_m, waypoint_times
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
@@ -215,7 +215,7 @@ def _range_failures(mechanism: Mechanism, position: np.ndarray, speed: np.ndarra
 def _turn_error(problem: PlanningProblem, q: np.ndarray) -> float:
     """Return the largest deviation of poses (n, n_q) from whole turns at their end, as a share of their range."""
     mechanism, moved_by = problem.mechanism, q[-1] - q[0]
-    spins = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.goes_on]).max(axis=1, initial=0.0) > 0
+    spins = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.free_spins]).max(axis=1, initial=0.0) > 0
     error = np.where(spins, 0.0, moved_by - whole_turns(mechanism, moved_by))
     return float(np.abs(error).max()) / max(float(np.ptp(q)), _MIN_SPAN)
 
@@ -276,11 +276,14 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         free[1] = problem.adrift | motion.goal_is_free  # a free goal pose is checked by its sites
     elif trajectory.periodic:
         gone = np.stack([-1.0 * np.ones(trajectory.n_s), np.ones(trajectory.n_s)]) * motion.advance
-        asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.tile(problem.goes_on, (2, 1))
+        asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.tile(problem.free_spins, (2, 1))
     else:
         return 0.0
     still = free & (motion.kind == "reach")  # a spin's final speed is free in a reach and periodic in a periodic motion
-    apart = [missed(ends, *exactly(asked, free), span), missed(speeds, *exactly(wanted, still), speed)]
+    apart = [
+        relative_violation(ends, *exact_bounds(asked, free), span),
+        relative_violation(speeds, *exact_bounds(wanted, still), speed),
+    ]
     return max(*apart, *(_waypoint_error(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
 
 
@@ -292,7 +295,7 @@ def _waypoint_error(
     Errors are relative: positions to the motion's span, speeds to its largest speed, sites to the mechanism's extent.
     """
     time = waypoint_times(trajectory, waypoint)
-    position, rate = exactly(waypoint.position), exactly(waypoint.speed)
+    position, rate = exact_bounds(waypoint.position), exact_bounds(waypoint.speed)
     off = waypoint_off_m(problem, trajectory, waypoint, time).max(axis=1) / problem.mechanism.extent_m
     states = zip(trajectory.position_at(time), trajectory.velocity_at(time), off, strict=True)
-    return min(max(missed(s, *position, span), missed(v, *rate, speed), x) for s, v, x in states)
+    return min(max(relative_violation(s, *position, span), relative_violation(v, *rate, speed), x) for s, v, x in states)

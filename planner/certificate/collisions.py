@@ -56,13 +56,13 @@ def _failure(found: tuple[Meeting, ...]) -> str:
     already = f", {1e3 * first.home_depth_m:.2g} mm at home" if first.home_depth_m > 0 else ""
     more = f", and {others} more pair{'s' if others > 1 else ''} of geoms after them" if others else ""
     return (
-        f"{who(first)} collide at t = {first.since:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
+        f"{geom_names(first)} collide at t = {first.since:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
         f' t = {first.deepest_at:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = "note"'
         " plans without them)"
     )
 
 
-def who(meeting: Meeting) -> str:
+def geom_names(meeting: Meeting) -> str:
     """Return a phrase that names two geoms and their bodies."""
     first, second = (
         f"{geom} ({body})" if not geom.endswith(f" of {body}") else geom
@@ -71,12 +71,12 @@ def who(meeting: Meeting) -> str:
     return f"geoms {first} and {second}"
 
 
-def noted(meeting: Meeting) -> str:
+def contact_note(meeting: Meeting) -> str:
     """Return a phrase for a contact that a plan neglects."""
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep along the motion: its forces are not planned for"
     if meeting.since is not None:
-        return f"contact of {who(meeting)} from t = {meeting.since:.5g} s on, {depth}"
+        return f"contact of {geom_names(meeting)} from t = {meeting.since:.5g} s on, {depth}"
     return (
-        f"contact of {who(meeting)}, as deep at home, or on a pin that they share, {depth}; the simulator"
+        f"contact of {geom_names(meeting)}, as deep at home, or on a pin that they share, {depth}; the simulator"
         f" applies them unless told {exclusion(meeting.bodies)}"
     )

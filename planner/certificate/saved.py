@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exactly, missed
+from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
 from linkplan.planner.limits.effort_rate import effort_rates
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -62,7 +62,7 @@ def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
     for what, asked, time in (("start", motion.start, trajectory.breaks_s[0]), ("goal", motion.goal, middle)):
         if asked is None or (what == "goal" and motion.waypoints):
             continue
-        off = missed(trajectory.position_at(np.array([time])), *exactly(asked), span)
+        off = relative_violation(trajectory.position_at(np.array([time])), *exact_bounds(asked), span)
         if not off <= BOUNDARY_SHARE:
             found.append(f"the periodic motion misses its {what} by {off:.3g} of its range")
     return found

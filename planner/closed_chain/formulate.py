@@ -9,7 +9,7 @@ from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system,
 from linkplan.planner.closed_chain.site_end import coordinate_row, site_endpoint
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.path_limit import PathLimit
-from linkplan.planner.problem.limits import free
+from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
@@ -55,9 +55,9 @@ def formulate(
     position, speed, rate = problem.limits.position, problem.limits.speed, scales.position / scales.time_s
     independent, dependent, positive = mechanism.independent, mechanism.dependent, np.tile([0.0, np.inf], (n_works, 1))
     bounds = np.array([limit.bounds(problem, scales) for limit in asked.rows]).reshape(-1, 2)
-    path = np.vstack([bounds, free(len(asked.passed)), positive])
+    path = np.vstack([bounds, free_bounds(len(asked.passed)), positive])
     endpoint, places = site_endpoint(problem, scales.position, n_z)
-    adrift = tuple(np.flatnonzero(problem.goes_on).tolist())
+    adrift = tuple(np.flatnonzero(problem.free_spins).tolist())
     returns = tuple(i for i in range(2 * n_s) if i not in adrift)
     return Formulation(
         build_system=lambda: mechanism_system(mechanism, asked),
@@ -73,7 +73,9 @@ def formulate(
             objective=value,
         ),
         state=np.vstack([position[independent] / scales.position[:, None], speed[independent] / rate[:, None]]),
-        algebraic=np.vstack([position[dependent], free(n_lifted(mechanism)), positive, free(asked.n_unknowns)]),
+        algebraic=np.vstack(
+            [position[dependent], free_bounds(n_lifted(mechanism)), positive, free_bounds(asked.n_unknowns)]
+        ),
         effort=problem.limits.effort,
         path=path,
         own=own,
@@ -224,9 +226,9 @@ def _first_position(problem: PlanningProblem) -> np.ndarray | None:
     """
     motion = problem.motion
     home = problem.mechanism.home[problem.mechanism.independent]
-    if motion.start is not None or not (np.any(problem.goes_on) or (motion.turns is not None and not motion.waypoints)):
+    if motion.start is not None or not (np.any(problem.free_spins) or (motion.turns is not None and not motion.waypoints)):
         return motion.start
-    first = np.where(problem.goes_on, home, np.nan)
+    first = np.where(problem.free_spins, home, np.nan)
     if motion.turns is not None and not motion.waypoints:
         column = int(np.flatnonzero(motion.turns)[0])
         first[column] = home[column]

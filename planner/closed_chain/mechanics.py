@@ -106,13 +106,8 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
             kind, values = limit.unknowns(at, own)
             equations = ca.vertcat(equations, ca.vertcat(*values) - place)
             kinds += (kind,) * limit.n_unknowns
-    path = [limit.row(at, own) for limit, own in zip(asked.limits, numbers, strict=True) if limit.at_nodes]
-    path += [SitePathLimit.coordinate(*where).row(at, ca.SX(0, 1)) for where in asked.passed]
-    kinds += tuple(limit.row_kind for limit in asked.rows) + ("site",) * len(asked.passed)
-    if asked.works:
-        path.append(working - u * at.actuator_speeds / given["power"])
-        kinds += ("work",) * n_u
-    path = ca.vertcat(ca.SX(0, 1), *path)
+    path = _path_rows(asked, at, numbers, working)
+    kinds += tuple(limit.row_kind for limit in asked.rows) + ("site",) * len(asked.passed) + ("work",) * working.numel()
     # Weights apply to integrands in SI and include the conversion of units.
     running = sum((given["weight"][item] * term.integrand(at) for item, term in enumerate(asked.running)), start=ca.SX(0))
     theta = ca.vertcat(*given.values())
@@ -127,6 +122,15 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         n_path=path.numel(),
         kinds=kinds,
     )
+
+
+def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.SX) -> ca.SX:
+    """Return the path quantities at a node: limits' rows, sites' coordinates at waypoints, and P - u w of positive powers."""
+    path = [limit.row(at, own) for limit, own in zip(asked.limits, numbers, strict=True) if limit.at_nodes]
+    path += [SitePathLimit.coordinate(*where).row(at, ca.SX(0, 1)) for where in asked.passed]
+    if asked.works:
+        path.append(working - at.u * at.actuator_speeds / at.units["power"])
+    return ca.vertcat(ca.SX(0, 1), *path)
 
 
 def n_algebraic(mechanism: Mechanism, asked: NodeTerms) -> int:

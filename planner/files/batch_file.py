@@ -15,7 +15,7 @@ from pathlib import Path
 from linkplan.models.catalogue import is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import read_toml
-from linkplan.planner.files.problem_file import beside
+from linkplan.planner.files.problem_file import path_beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import refuse_saved_plan
 from linkplan.planner.files.toml_text import inline
@@ -54,7 +54,7 @@ def read_batch(path: str | Path) -> Batch:
     asked = read(BatchFile, tables, "")
     problem = asked.problem
     if problem not in PROBLEMS:
-        problem = str(beside(problem, path.parent))
+        problem = str(path_beside(problem, path.parent))
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
     if len(asked.case) > MAX_CASES:

@@ -228,14 +228,14 @@ def _complete(folder: Path) -> None:
             return
         listed = {} if old is None else old.files
         coming = [name for name in new.files if (source / name).is_file()]
-        for name in (*coming, *(name for name in listed if name not in new.files)):
+        obsolete = [name for name in listed if name not in new.files]
+        for name in (*coming, *obsolete):
             if os.path.lexists(folder / name) and (old is None or not is_unchanged(folder, name, old)):
                 raise PlanFileError(
                     f"'{folder}' holds '{name}', which changed while it was being replaced; the new result is in '{source}'"
                 )
-        for name in listed:
-            if name not in new.files:
-                (folder / name).unlink(missing_ok=True)
+        for name in obsolete:
+            (folder / name).unlink(missing_ok=True)
         for name in sorted(_folders_of(listed) - _folders_of(new.files), reverse=True):
             _remove_if_empty(folder / name)
         for name in coming:

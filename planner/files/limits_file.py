@@ -9,7 +9,7 @@ from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.sites_file import site_limits_of
 from linkplan.planner.files.values import interval
 from linkplan.planner.keys.limits_section import LimitsSection, MotorSection, RobustSection
-from linkplan.planner.problem.limits import Limits, Motor, free
+from linkplan.planner.problem.limits import Limits, Motor, free_bounds
 from linkplan.planner.problem.robust import Range, Robust
 
 
@@ -101,7 +101,7 @@ def _including_rest(value: float | list[float], where: str) -> tuple[float, floa
 
 def _actuator_rows(table: dict[str, float | list[float]], where: str, mechanism: Mechanism) -> np.ndarray:
     """Return [low, high] (n_u, 2) of a limit per actuator."""
-    rows = free(mechanism.n_u)
+    rows = free_bounds(mechanism.n_u)
     for name, value in table.items():
         rows[actuator_index(mechanism, name, where)] = _including_rest(value, f"{where}.{name}")
     return rows

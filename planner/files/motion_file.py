@@ -79,13 +79,18 @@ def _state(
         # A passive degree of freedom that is not named stays at home.
         result.append(mechanism.home[index] if value is None else joint.read(value))
     if key.endswith("_s"):
-        for index in values:
-            if index not in mechanism.independent:
-                raise ProblemError(
-                    f"{where}.{key} of joint {mechanism.joints[index].name}: its speed follows from"
-                    f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
-                )
+        _refuse_dependent(values, f"{where}.{key}", mechanism)
     return np.array(result)
+
+
+def _refuse_dependent(values: dict[int, float], where: str, mechanism: Mechanism) -> None:
+    """Refuse speeds of dependent joints."""
+    for index in values:
+        if index not in mechanism.independent:
+            raise ProblemError(
+                f"{where} of joint {mechanism.joints[index].name}: its speed follows from"
+                f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
+            )
 
 
 def _end(

@@ -27,7 +27,7 @@ from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
 from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_said
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
@@ -197,7 +197,7 @@ def read_plan(
     build = functools.partial(problem_from_tables, extra_costs=extra_costs, extra_limits=extra_limits)
     problem = _rebuilt_problem(saved, folder, build, overrides)
     if problem.extras and extra_records(problem.extras) != saved.extras:
-        had = extras_said(saved.extras) if saved.extras else "no extra limit or cost"
+        had = extras_text(saved.extras) if saved.extras else "no extra limit or cost"
         raise PlanFileError(f"'{folder}' was planned with {had}; plan.json has their bounds, weights and units; got others")
     if saved.extras and not problem.extras:
         note = f"read without {_lost(saved)}: nothing here was checked against it"
@@ -246,7 +246,7 @@ def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem:
 
 
 def _lost(saved: PlanRecord) -> str:
-    return f"{extras_said(saved.extras)}, Python that the files do not hold"
+    return f"{extras_text(saved.extras)}, Python that the files do not hold"
 
 
 def _rebuilt_problem(

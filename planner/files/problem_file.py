@@ -37,7 +37,7 @@ from linkplan.planner.keys.sections import (
     SolverSection,
     TrackingSection,
 )
-from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_said
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.planning_problem import GuessedPath, PlanningProblem
 from linkplan.planner.problem.reference import Sine
@@ -152,7 +152,7 @@ def file_text(problem: PlanningProblem, tables: Tables | None = None) -> str:
         ProblemError: for a value that TOML cannot express.
     """
     text = toml_text(problem.source if tables is None else tables)
-    return f"# Without {extras_said(problem.extras)}: a problem file holds no Python.\n{text}" if problem.extras else text
+    return f"# Without {extras_text(problem.extras)}: a problem file holds no Python.\n{text}" if problem.extras else text
 
 
 def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str) -> None:
@@ -207,7 +207,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     # Errors in the model's place and pose are problem errors; all others are model errors.
     read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
     asked = read(MechanismSection, section, "mechanism", error=ModelError)
-    place = beside(asked.model, folder)
+    place = path_beside(asked.model, folder)
     if asked.model not in MODELS and is_file(place):
         section["model"] = str(place.resolve())
     mechanism = load_mechanism(
@@ -223,7 +223,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     return replace(mechanism, source=copy.deepcopy(section))
 
 
-def beside(path: str, folder: Path | None) -> Path:
+def path_beside(path: str, folder: Path | None) -> Path:
     """Return a path in a problem file, relative to the file's folder if it exists there, else to the working folder."""
     try:
         there = folder is not None and (folder / path).exists()
@@ -265,7 +265,7 @@ def _guess(section: GuessSection, tables: Tables, mechanism: Mechanism, folder: 
     if section.plan is not None and paths:
         raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
     if section.plan is not None:
-        place = beside(section.plan, folder)
+        place = path_beside(section.plan, folder)
         if not is_folder(place):
             where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
             raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import msgspec
 
 from linkplan.planner.keys.kinds import MAX_NUMBER, Known, Place
-from linkplan.planner.keys.synonyms import meant
+from linkplan.planner.keys.synonyms import suggestion
 
 # Keys of earlier versions, and instructions.
 REMOVED_KEYS = {"solver.name": "linkplan solves with IPOPT, and this key is gone: delete it"}
@@ -21,23 +21,23 @@ _BOUNDS = ("ge", "gt", "le", "lt", "max_length")
 
 def fault(kind: Any, value: object, where: str, known: Known | None = None) -> str | None:
     """Return a message on a value that is not of a type; None if it is."""
-    if _taken(kind, value):
+    if _is_valid(kind, value):
         return None
     bare, about = without_metadata(kind)
     if get_origin(bare) in (Union, types.UnionType):
-        return _of_none(kind, bare, value, where, known)
-    if isinstance(bare, type) and issubclass(bare, msgspec.Struct):
-        return _in_section(bare, value, where, known)
+        return _union_fault(kind, bare, value, where, known)
+    if _is_section(bare):
+        return _section_fault(bare, value, where, known)
     container = get_origin(bare) or bare
     if container is dict and isinstance(value, dict) and value:
-        return _in_table(bare, about, value, where, known)
+        return _table_fault(bare, about, value, where, known)
     if container is list and isinstance(value, list):
-        return _in_list(kind, bare, about, value, where, known)
-    if container is Literal and (isinstance(value, str) or "choices" in about) and len(get_args(bare)) > 1:
-        legal = about.get("choices") or f"legal: {', '.join(get_args(bare))}"
-        return f"unknown {where} '{value}'{meant(str(value), get_args(bare))}; {legal}"
+        return _list_fault(kind, bare, about, value, where, known)
+    choices = get_args(bare) if container is Literal else ()
+    if len(choices) > 1 and (isinstance(value, str) or "choices" in about):
+        return _choice_fault(about, choices, str(value), where)
     if bare is float:
-        return _number(kind, about, value, where)
+        return _number_fault(kind, about, value, where)
     return f"{where} is {words(kind)}, got {got(value)}"
 
 
@@ -54,10 +54,10 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
     for key in value if legal is not None else ():
         if key not in legal and where:
             path = f"{where}.{key}"
-            why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else meant(key, legal)
+            why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else suggestion(key, legal)
             return f"unknown key '{path}'{why}; keys are {', '.join(legal)}"
         if key not in legal:
-            return f"unknown table or key '{key}'{meant(key, legal)}; legal are {', '.join(legal)}"
+            return f"unknown table or key '{key}'{suggestion(key, legal)}; legal are {', '.join(legal)}"
     return None
 
 
@@ -109,7 +109,11 @@ def got(value: object) -> str:
         return "a number of thousands of digits"
 
 
-def _taken(kind: Any, value: object) -> bool:
+def _is_section(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _is_valid(kind: Any, value: object) -> bool:
     try:
         msgspec.convert(value, kind)
     except (msgspec.ValidationError, AttributeError):
@@ -117,12 +121,12 @@ def _taken(kind: Any, value: object) -> bool:
     return True
 
 
-def _of_none(kind: Any, bare: Any, value: object, where: str, known: Known | None) -> str | None:
+def _union_fault(kind: Any, bare: Any, value: object, where: str, known: Known | None) -> str | None:
     """Return a message on a value that fits none of several types: with the type that it resembles, or with all."""
     for one in get_args(bare):
         inner = without_metadata(one)[0]
         container = get_origin(inner) or inner
-        is_section = isinstance(container, type) and issubclass(container, msgspec.Struct)
+        is_section = _is_section(container)
         alike = (
             (container is dict or is_section) and isinstance(value, dict) and value,
             container is list and isinstance(value, list),
@@ -138,7 +142,7 @@ def _of_none(kind: Any, bare: Any, value: object, where: str, known: Known | Non
     return f"{where} is {words(kind)}, got {got(value)}"
 
 
-def _in_section(kind: type[msgspec.Struct], value: object, where: str, known: Known | None) -> str | None:
+def _section_fault(kind: type[msgspec.Struct], value: object, where: str, known: Known | None) -> str | None:
     found = unknown_key(kind, value, where)
     if found is not None or not isinstance(value, dict):
         return found
@@ -151,13 +155,13 @@ def _in_section(kind: type[msgspec.Struct], value: object, where: str, known: Kn
     for field in fields:
         if field.required and field.name not in value:
             inner = without_metadata(field.type)[0]
-            is_section = isinstance(inner, type) and issubclass(inner, msgspec.Struct)
+            is_section = _is_section(inner)
             missing = f"{path[field.name]} is missing; it is {words(field.type)}"
             return fault(inner, {}, path[field.name], known) if is_section else missing
     return None
 
 
-def _in_list(kind: Any, bare: Any, about: dict, value: list, where: str, known: Known | None) -> str:
+def _list_fault(kind: Any, bare: Any, about: dict, value: list, where: str, known: Known | None) -> str:
     if len(value) > about.get("max_length", len(value)):
         return f"{where} is {words(kind)}, got {len(value)} of them"
     inner = get_args(bare)[0]
@@ -165,12 +169,12 @@ def _in_list(kind: Any, bare: Any, about: dict, value: list, where: str, known: 
     return next(filter(None, found), f"{where} is {words(kind)}, got {got(value)}")
 
 
-def _in_table(bare: Any, about: dict, value: dict, where: str, known: Known | None) -> str | None:
+def _table_fault(bare: Any, about: dict, value: dict, where: str, known: Known | None) -> str | None:
     names, inner = get_args(bare)
     legal = get_args(names) if get_origin(names) is Literal else None
     for name, one in value.items():
         if legal is not None and name not in legal:
-            return f"unknown key '{where}.{name}'{meant(name, legal)}; it is one of {', '.join(legal)}"
+            return f"unknown key '{where}.{name}'{suggestion(name, legal)}; it is one of {', '.join(legal)}"
         if known is not None and "noun" in about:
             known(about["noun"], name, where)
         found = fault(inner, one, where + about["item"].format(name) if "item" in about else f"{where}.{name}", known)
@@ -179,7 +183,12 @@ def _in_table(bare: Any, about: dict, value: dict, where: str, known: Known | No
     return None
 
 
-def _number(kind: Any, about: dict[str, Any], value: object, where: str) -> str:
+def _choice_fault(about: dict[str, Any], choices: tuple[str, ...], value: str, where: str) -> str:
+    legal = about.get("choices") or f"legal: {', '.join(choices)}"
+    return f"unknown {where} '{value}'{suggestion(value, choices)}; {legal}"
+
+
+def _number_fault(kind: Any, about: dict[str, Any], value: object, where: str) -> str:
     wanted = f"{where} is {words(kind)}"
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"{wanted}, got {got(value)}"

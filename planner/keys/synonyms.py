@@ -30,7 +30,7 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def meant(asked: str, legal: Iterable[str]) -> str:
+def suggestion(asked: str, legal: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the legal name that a synonym stands for or that is closest; "" if none is close."""
     legal = list(legal)
     synonyms = (name for name in SYNONYMS.get(str(asked).casefold(), ()) if name in legal)

@@ -178,7 +178,7 @@ def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
     return tuple(extras)
 
 
-def extras_said(extras: Sequence) -> str:
+def extras_text(extras: Sequence) -> str:
     """Return a phrase that names extra limits and costs, or their records: "the extra limit 'a' and the extra cost 'b'"."""
     *words, last = [f"the extra {one.kind} '{shown(one.name)}'" for one in extras]
     return f"{', '.join(words)} and {last}" if words else last

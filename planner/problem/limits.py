@@ -8,7 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.sites import SiteLimit
 
 
-def free(n: int) -> np.ndarray:
+def free_bounds(n: int) -> np.ndarray:
     """Return infinite [low, high] rows (n, 2)."""
     return np.tile([-np.inf, np.inf], (n, 1))
 
@@ -71,7 +71,7 @@ class Limits:
         object.__setattr__(self, "site", tuple(self.site))
         for name in ("effort_rate", "power"):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, free(n_u))
+                object.__setattr__(self, name, free_bounds(n_u))
         if self.closure_force is None:
             object.__setattr__(self, "closure_force", np.zeros(0))
         for name in ("effort", "position", "speed", "effort_rate", "power"):

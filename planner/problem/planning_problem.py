@@ -72,7 +72,7 @@ class PlanningProblem:
         return passive
 
     @property
-    def goes_on(self) -> np.ndarray:
+    def free_spins(self) -> np.ndarray:
         """A mask (n_s,) of free coordinates that need not return in a periodic motion: spins that affect nothing else."""
         return self.adrift & self.mechanism.cyclic
 
@@ -168,9 +168,10 @@ class PlanningProblem:
             raise ProblemError(f"[robust] takes actuators that move every degree of freedom, or each its own; {moved}")
         lost = corner_out_of_reach(mechanism, robust.corners)
         if lost is not None:
+            corner = lost.description(tuple(joint.name for joint in mechanism.joints))
             raise ProblemError(
                 f"[robust] keeps one motion for every machine in its ranges; {moved}, and the rest moves otherwise at the"
-                f" corner: {lost.said(tuple(joint.name for joint in mechanism.joints))}; legal are ranges that they make up"
+                f" corner: {corner}; legal are ranges that they make up"
                 " for: the torque constant, friction at joints that they drive"
             )
 

@@ -31,7 +31,7 @@ class Corner:
     torque_factor: float = 1.0
     friction: tuple[tuple[int, float, float], ...] = ()
 
-    def said(self, joints: tuple[str, ...]) -> str:
+    def description(self, joints: tuple[str, ...]) -> str:
         """Return a phrase that describes the corner."""
         words = []
         if self.payload_factor != 1:

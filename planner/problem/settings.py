@@ -153,7 +153,7 @@ class Tracking:
             found.append(np.array([given[name] for name in names]))
         return found[0], found[1]
 
-    def gains_said(self, joints: Sequence[Joint] = ()) -> str:
+    def gains_text(self, joints: Sequence[Joint] = ()) -> str:
         """Return kp and kd as text: one number, or one for each joint by name; with units if all joints are of one kind."""
         kinds = {joint.kind for joint in joints}
         per = {"hinge": ("N.m/rad", "N.m.s/rad"), "slide": ("N/m", "N.s/m")}[kinds.pop()] if len(kinds) == 1 else ("", "")

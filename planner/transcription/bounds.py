@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.planner.transcription.formulation import Formulation
 from linkplan.planner.transcription.interval import IntervalFunctions
-from linkplan.planner.transcription.junctions import places
+from linkplan.planner.transcription.junctions import junction_places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.triplets import Triplets, no_rows
@@ -182,7 +182,7 @@ def given_nodes(formulation: Formulation, mesh: Mesh, nodes: np.ndarray) -> np.n
 def _with_junctions(lower, upper, formulation: Formulation, layout: Layout, mesh: Mesh, bang_efforts, junctions) -> None:
     """Widen the effort bounds beside a junction by the limits' span, and fix the effort at the end of a constrained arc."""
     room, unit = np.diff(formulation.effort, axis=1).ravel(), formulation.units.effort
-    for last, segment, _, way in places(junctions, mesh):
+    for last, segment, _, way in junction_places(junctions, mesh):
         arc, bang = (segment + 1, segment) if way > 0 else (segment, segment + 1)
         beside = last + 1 if way > 0 else last
         for j in np.flatnonzero(np.isnan(bang_efforts[arc]) & ~np.isnan(bang_efforts[bang])):
@@ -210,7 +210,7 @@ def row_bounds(
         interval: the rows.
         breaks_s: (n + 1,) of the mesh [s].
         constrained_paths: (n, n_path) path quantities held at their upper limit (1) or lower limit (-1) at the nodes.
-        meetings: places of junctions from `junctions.places`.
+        meetings: places of junctions from `junction_places`.
         node_at_end: whether an interval ends at a node.
         given: mask (n, n_nodes) of nodes with prescribed positions, where `position_path` needs no bound.
         boundaries: the intervals at which phases begin; a node ends the interval before each where `passed` has a value.
@@ -225,18 +225,8 @@ def row_bounds(
         path = path + formulation.tightening(breaks_s)[:, :, None] * np.array([1.0, -1.0])
     at_open_ends, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
     if constrained_paths is not None:
-        for k, i in zip(*np.nonzero(constrained_paths), strict=True):
-            # The tightest limit of all intervals holds on the whole arc, because an arc is smooth and joins the next one.
-            limit = path[:, i, 1].min() if constrained_paths[k, i] > 0 else path[:, i, 0].max()
-            at_nodes[k, :, i] = limit
-            at_open_ends[k, i] = -np.inf, np.inf  # the nodes already hold the quantity
-            if k and constrained_paths[k - 1, i] == 0 and node_at_end and i not in formulation.rows.open_end_path:
-                at_nodes[k - 1, -1, i] = limit  # a continuous quantity is at its limit when the arc begins
-        for last, _, i, way in meetings:
-            if way > 0:
-                at_nodes[last, -1, i] = at_nodes[last + 1, -1, i]  # the value held on the next arc
-            else:
-                at_open_ends[last + 1, i] = -np.inf, np.inf
+        continuous = set(range(interval.n_path)) - set(formulation.rows.open_end_path) if node_at_end else set()
+        _hold_paths(path, at_nodes, at_open_ends, constrained_paths, meetings, continuous)
     if given is not None and formulation.position_path:
         out_of_the_way = np.array([-10.0, 10.0])  # scaled quantities are of order one, so this never binds
         at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
@@ -252,3 +242,19 @@ def row_bounds(
             own[:, row] += amount[:, interval.own_items[row], None] * np.array([1.0, -1.0])
     both = np.concatenate([own, at_nodes, np.tile(at_open_ends, (1, interval.n_open_ends, 1))], axis=1)
     return both[:, :, 0].ravel(), both[:, :, 1].ravel()
+
+
+def _hold_paths(path, at_nodes, at_open_ends, constrained_paths, meetings, continuous: set[int]) -> None:
+    """Set the bounds at nodes and open ends of held path quantities; `continuous` ones are held from the node before too."""
+    for k, i in zip(*np.nonzero(constrained_paths), strict=True):
+        # The tightest limit of all intervals holds on the whole arc, because an arc is smooth and joins the next one.
+        limit = path[:, i, 1].min() if constrained_paths[k, i] > 0 else path[:, i, 0].max()
+        at_nodes[k, :, i] = limit
+        at_open_ends[k, i] = -np.inf, np.inf  # the nodes already hold the quantity
+        if k and constrained_paths[k - 1, i] == 0 and i in continuous:
+            at_nodes[k - 1, -1, i] = limit  # a continuous quantity is at its limit when the arc begins
+    for last, _, i, way in meetings:
+        if way > 0:
+            at_nodes[last, -1, i] = at_nodes[last + 1, -1, i]  # the value held on the next arc
+        else:
+            at_open_ends[last + 1, i] = -np.inf, np.inf

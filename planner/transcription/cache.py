@@ -110,7 +110,7 @@ def _replaceable(above: Path) -> str | None:
     return None if kept else f"lies in '{above}', which others may write"
 
 
-def find(folder: Path, key: str) -> tuple[Path, dict] | None:
+def find_entry(folder: Path, key: str) -> tuple[Path, dict] | None:
     """Return the library kept under a key and its record; None if there is no complete entry of this user."""
     library = folder / f"{key}.so"
     try:
@@ -123,7 +123,7 @@ def find(folder: Path, key: str) -> tuple[Path, dict] | None:
         return None
 
 
-def used(folder: Path, key: str) -> None:
+def mark_used(folder: Path, key: str) -> None:
     """Set the date of an entry's record to now, if the disk allows it."""
     with contextlib.suppress(OSError):
         os.utime(folder / f"{key}.json")
@@ -170,7 +170,7 @@ def most_bytes() -> float:
     return most * 2**20
 
 
-def keep(built: Path, entry: dict, folder: Path, key: str) -> Path:
+def keep_entry(built: Path, entry: dict, folder: Path, key: str) -> Path:
     """Move a new library and its record into the cache, and return the library's path.
 
     Raises:
@@ -224,7 +224,7 @@ def work_folder(folder: Path) -> Iterator[Path]:
             os.close(lock)
 
 
-def handed_over(folder: Path) -> tuple[Path, int | None]:
+def detached_work_folder(folder: Path) -> tuple[Path, int | None]:
     """Return a new folder to compile in and its lock; the process that takes them over removes the folder.
 
     Raises:

@@ -10,8 +10,8 @@ import numpy as np
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_beside, compiled, node_key
-from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
+from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_in_background, compiled, node_key
+from linkplan.planner.transcription.formulation import Formulation, Start, Units, stretched_durations
 from linkplan.planner.transcription.interval import (
     ChainFunctions,
     IntervalFunctions,
@@ -19,7 +19,7 @@ from linkplan.planner.transcription.interval import (
     interval_of,
     open_end_path,
 )
-from linkplan.planner.transcription.junctions import find_junctions, places
+from linkplan.planner.transcription.junctions import find_junctions, junction_places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.node import NodeFunctions, build_node
@@ -130,7 +130,7 @@ def collocate(
         n_open_ends=interval.n_open_ends,
         n_z_open_end=len(interval.open_end_z),
     )
-    durations = fitted(durations, formulation.boundaries, mesh.phase, formulation.units.time_s)
+    durations = stretched_durations(durations, formulation.boundaries, mesh.phase, formulation.units.time_s)
     linear, linear_lower, linear_upper = linear_rows(
         formulation, layout, mesh, bang_coefficients(bang_efforts, mesh, layout) if least_limit else None
     )
@@ -172,7 +172,7 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     begin = time.perf_counter()
     program = transcribed.program
     layout, mesh, unit = program.layout, program.mesh, formulation.units.time_s
-    durations = fitted(x[layout.durations()] * unit, formulation.boundaries, mesh.phase, unit)
+    durations = stretched_durations(x[layout.durations()] * unit, formulation.boundaries, mesh.phase, unit)
     start = np.array(x)
     start[layout.durations()] = durations / unit
     lower, upper = bounds(
@@ -211,7 +211,7 @@ def _interval(
             return compiled(key, kind, build, deadline)
         found = _built(_BuildRequest(key=(key, kind), by=build))
         if mode == "auto":
-            compile_beside(key, found)
+            compile_in_background(key, found)
         return found
 
     at_open_ends = open_end_path(chosen, rows)
@@ -266,7 +266,7 @@ def _row_bounds(
 ):
     of_intervals = None if constrained_paths is None else constrained_paths[mesh.segment]
     given = given_nodes(formulation, mesh, np.asarray(chosen.nodes, dtype=float))
-    meetings, node_at_end = tuple(places(junctions, mesh)), 1 not in chosen.open_ends
+    meetings, node_at_end = tuple(junction_places(junctions, mesh)), 1 not in chosen.open_ends
     return row_bounds(
         formulation,
         interval,

@@ -29,13 +29,13 @@ import casadi as ca
 from linkplan.models.deadline import NO_DEADLINE, Deadline, waiting_for_child
 from linkplan.models.errors import one_line
 from linkplan.planner.transcription.cache import (
+    detached_work_folder,
     evict,
-    find,
-    handed_over,
-    keep,
+    find_entry,
+    keep_entry,
+    mark_used,
     sweep,
     trusted_folder,
-    used,
     wanted_again,
     work_folder,
 )  # fmt: skip
@@ -131,10 +131,10 @@ def cached(key: str, kind: type[CodeT]) -> CodeT | None:
 def _loaded(folder: Path, key: str, kind: type[CodeT], file: tuple[int, ...]) -> CodeT | None:
     """Return the functions of a library, loaded once as long as its file is unchanged."""
     del file
-    entry = find(folder, key)
+    entry = find_entry(folder, key)
     if entry is None:
         return None
-    used(folder, key)
+    mark_used(folder, key)
     library, record = entry
     functions = {name: ca.external(name, str(library)) for name in record.pop("functions")}
     return kind(**functions, **record)
@@ -158,7 +158,7 @@ def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: 
             record, command = _written(functions, work, key)
             with waiting_for_child():
                 run_with_children(command, work, min(_COMPILER_TIMEOUT_S, left))
-            library = keep(work / f"{key}.so", record, folder, key)
+            library = keep_entry(work / f"{key}.so", record, folder, key)
         evict(folder, key)
         return replace(functions, **{name: ca.external(name, str(library)) for name in _names(functions)})
     except (OSError, subprocess.SubprocessError, RuntimeError) as error:
@@ -180,7 +180,7 @@ class _DetachedProcess(subprocess.Popen):
         super().__del__(_warn=lambda *_, **__: None)
 
 
-def compile_beside(key: str, functions: Code) -> subprocess.Popen | None:
+def compile_in_background(key: str, functions: Code) -> subprocess.Popen | None:
     """Compile functions in a separate process if they were wanted before; return the process.
 
     The first request only leaves a mark in the cache, because functions that are used once are not worth compiling. A later
@@ -192,7 +192,7 @@ def compile_beside(key: str, functions: Code) -> subprocess.Popen | None:
         folder = trusted_folder(make=True)
         if not wanted_again(folder, key):
             return None
-        work, lock = handed_over(folder)
+        work, lock = detached_work_folder(folder)
         try:
             record, command = _written(functions, work, key)
             (work / f"{key}.record").write_text(json.dumps(record), encoding="utf-8")

@@ -14,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from linkplan.planner.transcription.cache import evict, keep
+from linkplan.planner.transcription.cache import evict, keep_entry
 
 
 def run_with_children(command: list[str], work: Path | None, timeout_s: float) -> None:
@@ -47,7 +47,7 @@ def main(folder: Path, work: Path, key: str, timeout_s: float, command: list[str
         if hasattr(os, "nice"):
             os.nice(10)  # the planner has priority
         run_with_children(command, work, timeout_s)
-        keep(work / f"{key}.so", json.loads((work / f"{key}.record").read_text(encoding="utf-8")), folder, key)
+        keep_entry(work / f"{key}.so", json.loads((work / f"{key}.record").read_text(encoding="utf-8")), folder, key)
         evict(folder, key)
         return 0
     except (OSError, ValueError, subprocess.SubprocessError):

@@ -99,7 +99,9 @@ class Start:
     nodes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
 
 
-def fitted(durations: np.ndarray, boundaries: tuple[PhaseBoundary, ...], phase: np.ndarray, time_s: float) -> np.ndarray:
+def stretched_durations(
+    durations: np.ndarray, boundaries: tuple[PhaseBoundary, ...], phase: np.ndarray, time_s: float
+) -> np.ndarray:
     """Return segment durations [s], stretched to meet the prescribed times of phase boundaries."""
     durations = np.array(durations, dtype=float)
     begun, at = 0, 0.0

@@ -59,7 +59,7 @@ def _candidates(
                 yield k, 1 if after else -1, i
 
 
-def places(junctions: np.ndarray | None, mesh: Mesh) -> Iterator[tuple[int, int, int, int]]:
+def junction_places(junctions: np.ndarray | None, mesh: Mesh) -> Iterator[tuple[int, int, int, int]]:
     """Yield per junction the last interval before it, its segment, its path quantity and its direction."""
     if junctions is None:
         return

@@ -13,7 +13,7 @@ from linkplan.planner.certificate.certificate import (
     VELOCITY_SHARE,
     Certificate,
 )
-from linkplan.planner.certificate.collisions import who
+from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Checklist, Item
@@ -148,7 +148,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
 def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
     return [
         _item(
-            f"contact of {who(meeting)}, depth",
+            f"contact of {geom_names(meeting)}, depth",
             plan.problem.contacts != "refuse" or meeting.since is None,
             1e3 * meeting.depth_m,
             0.0 if plan.problem.contacts == "refuse" and meeting.since is not None else None,

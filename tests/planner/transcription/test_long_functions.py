@@ -54,4 +54,4 @@ def test_no_compiler_is_begun_on_what_none_ends(monkeypatch, tmp_path):
     long = _Code(value=ca.Function("value", [x], [ca.sin(x)]))
     monkeypatch.setattr(compiled, "_MAX_INSTRUCTIONS", 0)
     assert compiled.compiled("key", _Code, lambda: long) is long
-    assert [compiled.compile_beside("key", long) for _ in range(2)] == [None, None]
+    assert [compiled.compile_in_background("key", long) for _ in range(2)] == [None, None]
