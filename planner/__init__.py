@@ -1,1 +1,1 @@
-"""From a continuous problem to a certified trajectory."""
+"""Planning: from a continuous problem to a certified trajectory."""

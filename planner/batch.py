@@ -1,4 +1,4 @@
-"""Many problems that vary one, planned one after the other, warm where they differ in numbers alone."""
+"""Planning of many variations of a problem in turn, with warm starts if only numbers differ."""
 
 import copy
 import hashlib
@@ -17,14 +17,14 @@ from linkplan.planner.replan import Planner
 
 
 def check_batch(batch: Batch) -> str:
-    """Return the hash of all that the plans of a batch depend on, after a look at every case.
+    """Check every case of a batch, and return the hash of everything that its plans depend on.
 
     Raises:
         ProblemError: for a case whose settings cannot be used, naming it.
-        ModelError: when a mechanism that is named cannot be used.
+        ModelError: when a named mechanism cannot be used.
     """
     digest, last = hashlib.sha256(), None
-    # Ten thousand problems take gigabytes: each is made to be checked, forgotten, and made again when its turn comes.
+    # Ten thousand problems take gigabytes, so each is built, checked and discarded, and built again for planning.
     for case, problem in _problems(batch, batch.cases):
         check()
         if problem.mechanism is not last:
@@ -35,11 +35,11 @@ def check_batch(batch: Batch) -> str:
 
 
 def plan_cases(batch: Batch, cases: Sequence[Case], say: Say = silent) -> Iterator[tuple[Case, Plan]]:
-    """Yield cases of a batch with their plans, in order; what differs in numbers alone is solved from the last solution.
+    """Yield the cases of a batch with their plans, in order; if only numbers differ, the last solution is the start.
 
     Raises:
         ProblemError: for a case whose settings cannot be used, naming it.
-        ModelError: when a mechanism that is named cannot be used.
+        ModelError: when a named mechanism cannot be used.
     """
     planner = Planner()
     for case, problem in _problems(batch, cases):
@@ -48,7 +48,7 @@ def plan_cases(batch: Batch, cases: Sequence[Case], say: Say = silent) -> Iterat
 
 
 def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, PlanningProblem]]:
-    """Yield each case with its problem; one mechanism serves cases in a row that say the same of it."""
+    """Yield each case with its problem; consecutive cases with equal [mechanism] tables share one mechanism."""
     name, common, folder = read_tables(batch.problem)
     asked: object = None
     mechanism: Mechanism | None = None
@@ -58,7 +58,7 @@ def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, Plann
             for setting in (*batch.common, *case.settings):
                 apply_override(tables, setting)
             wanted = copy.deepcopy(tables.get("mechanism"))
-            # coordinates that a case's own motion chose are not the next one's
+            # Coordinates chosen for one case's motion do not apply to the next case.
             chosen = mechanism is not None and "independent" in mechanism.source and "independent" not in (wanted or {})
             same = mechanism is not None and wanted == asked and not chosen
             problem = problem_from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)

@@ -1,4 +1,4 @@
-"""A plan: the answer to a planning problem, with its certificate, or the sentence that says why there is none."""
+"""The answer to a planning problem: a motion with its certificate, or the reason why there is none."""
 
 from dataclasses import dataclass, field, fields
 
@@ -6,25 +6,25 @@ import numpy as np
 
 from linkplan.models.errors import InfeasibleError
 from linkplan.planner.certificate.certificate import Certificate
-from linkplan.planner.certificate.collisions import noted
+from linkplan.planner.certificate.collisions import contact_note
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 
-# What a plan's status may be, and of these what has a motion that passes.
+# The legal values of a plan's status, and those of plans with a motion that passes.
 STATUSES, PASSED = ("optimal", "feasible", "infeasible", "failed"), ("optimal", "feasible")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Plan:
-    """A motion with its certificate, or none and the reason.
+    """A motion with its certificate, or the reason why there is none.
 
-    `status` is one of `STATUSES`: "optimal" (converged and certified), "feasible" (certified, not known to be the best
-    of the motions near to it), "infeasible" (no motion keeps the limits) or "failed" (no answer was found); `message` says
-    it in a sentence. `objective` is in SI: effort [N2 m2 s or N2 s], time [s], tracking [rad2 s or m2 s]. `details` holds
-    further figures by name, unit in the name. `solved` is the last program with its solution as the starting point, for
-    solving again; None for a motion that was not solved for.
+    `status` is one of `STATUSES`: "optimal" (converged and certified), "feasible" (certified, but not known to be locally
+    optimal), "infeasible" (no motion keeps the limits) or "failed" (no answer was found). `message` explains it in a
+    sentence. `objective` is in SI: effort [N2 m2 s or N2 s], time [s], tracking [rad2 s or m2 s]. `details` holds further
+    values by name, with the unit in the name. `solved` is the last program with its solution as the starting point, for
+    warm starts; None for a motion that needed no solver.
     """
 
     problem: PlanningProblem
@@ -36,16 +36,16 @@ class Plan:
     history: tuple[Step, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
     solved: Transcribed | None = None
-    solved_again: bool = False  # with a built program, from the last solution
+    solved_again: bool = False  # by a warm start of an existing program
 
     def __reduce__(self) -> tuple:
-        """Make it fit for another process: without the program, as a saved one is read."""
+        """Pickle without the program, which a saved plan does not have either."""
         kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "solved"}
         return _unpickled, (kept,)
 
     @property
     def passed(self) -> bool:
-        """Whether it has a motion that passes its certificate, be it the best one or not."""
+        """Whether it has a motion that passes its certificate, optimal or not."""
         return self.status in PASSED
 
     def require(self) -> "Plan":
@@ -60,12 +60,12 @@ class Plan:
 
     @property
     def scheme(self) -> str:
-        """The transcription of the final mesh (the problem's, where nothing was solved)."""
+        """The transcription of the final mesh; the problem's if nothing was solved."""
         return self.problem.mesh.scheme if self.solved is None else self.solved.scheme.name
 
     @property
     def intervals(self) -> int:
-        """The number of intervals of the final mesh (of the problem's, where there is no motion)."""
+        """The number of intervals of the final mesh; the problem's if there is no motion."""
         if self.trajectory is None:
             return self.problem.mesh.intervals
         return len(self.trajectory.breaks_s) - 1
@@ -76,9 +76,9 @@ def _unpickled(kept: dict) -> Plan:
 
 
 def not_honoured(plan: Plan) -> tuple[str, ...]:
-    """Return what a plan leaves out of what its model says: the problem's list, and contacts along the motion."""
+    """Return phrases on what a plan neglects of its model: the problem's list, and contacts along the motion."""
     contacts = () if plan.certificate is None else plan.certificate.contacts
-    return (*plan.problem.not_honoured, *(noted(meeting) for meeting in contacts))
+    return (*plan.problem.not_honoured, *(contact_note(meeting) for meeting in contacts))
 
 
 def tracking_errors(plan: Plan) -> tuple[float, float] | None:

@@ -1,9 +1,9 @@
-"""From a planning problem to a certified plan: the ladder of attempts, and the reason where none leads to a motion.
+"""From a planning problem to a certified plan: a sequence of attempts, then the reason if none gives a motion.
 
-The three tables below are the whole strategy, in order. A rung is tried where its condition holds, within its budget; the
-first plan that passes ends the search, but for a least time that the phase plane knows to be a local one. Repairs mend a
-motion whose certificate does not pass, before the next rung. Diagnoses say why there is no motion, and never return one.
-To add a rung: one function, `(Search, Budget) -> Plan | None`, and one row.
+The three tables below are the whole strategy, in order. A rung is tried if its condition holds, within its budget. The first
+plan that passes ends the search, unless its duration is known from the phase plane to be only a local minimum. Repairs are
+applied to a motion whose certificate fails, before the next rung. Diagnoses give the reason why there is no motion, and
+never return one. A new rung is one function, `(Search, Budget) -> Plan | None`, and one row.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,17 +23,18 @@ from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
 
 
-# The share of the time left that such a start may take: a swing-up's first start is refined without end.
-_SPARING = 0.25
 Climb = Callable[[Search, Budget], Plan | None]
 
 
-def _sparing(start: Climb) -> Climb:
-    """Return a way of looking for a motion that leaves time for rest, where several driven freedoms may wait."""
+def _with_time_to_wait(start: Climb) -> Climb:
+    """Return an attempt limited to a quarter of the time left, if several driven freedoms may wait.
+
+    The first start of a swing-up may otherwise use up all the time in refinement.
+    """
 
     def climb(search: Search, budget: Budget) -> Plan | None:
         spare = search.problem.mechanism.dof > 1 and waiting.may_wait(search)
-        return start(search, replace(budget, share_of_time=_SPARING) if spare else budget)
+        return start(search, replace(budget, share_of_time=0.25) if spare else budget)
 
     return climb
 
@@ -58,7 +59,7 @@ RUNGS: tuple[Rung, ...] = (
     Rung(
         name="the guess given, then a smooth path",
         tried=starts.one_start_is_worth_it,
-        climb=_sparing(starts.from_first_starts),
+        climb=_with_time_to_wait(starts.from_first_starts),
         budget=PATIENT,
     ),
     Rung(
@@ -70,7 +71,7 @@ RUNGS: tuple[Rung, ...] = (
     Rung(
         name="swings",
         tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
-        climb=_sparing(starts.from_swings),
+        climb=_with_time_to_wait(starts.from_swings),
         budget=HURRIED,
     ),
     Rung(
@@ -118,7 +119,7 @@ REPAIRS: tuple[Repair, ...] = (
     ),
 )
 
-# In this order: the first that answers is the reason.
+# In this order: the first diagnosis that applies gives the reason.
 DIAGNOSES = (
     reasons.solver_stopped,
     reasons.one_limit,
@@ -133,15 +134,15 @@ DIAGNOSES = (
 
 
 def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Rung] = RUNGS) -> Plan:
-    """Return the plan of a problem; one without an answer says why in `message`.
+    """Return the plan of a problem; `message` gives the reason if it has no motion.
 
     Args:
-        problem: what to plan; `solver.max_time_s` bounds the whole of it.
-        say: called with a line of progress now and then.
-        rungs: ways of looking for a motion, in order.
+        problem: the problem; `solver.max_time_s` limits the whole of planning.
+        say: called with a line of progress from time to time.
+        rungs: the attempts, in order.
 
     Raises:
-        ProblemError: when start, goal or reference contradict the mechanism itself.
+        ProblemError: when start, goal or reference contradict the mechanism.
     """
     begun, plans = replace(problem, solver=problem.solver.begun()), []
     with recording(_with_the_best(say, plans)):
@@ -154,7 +155,7 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
 
 
 def _planned(problem: PlanningProblem, rungs: Sequence[Rung], plans: list[Plan]) -> Plan:
-    """Return the plan of a problem with a deadline; `plans` takes those that the rungs lead to.
+    """Return the plan of a problem with a deadline; plans of the rungs are appended to `plans`.
 
     Raises:
         OutOfTimeError: when the deadline passes before anything is known.
@@ -167,16 +168,16 @@ def _planned(problem: PlanningProblem, rungs: Sequence[Rung], plans: list[Plan])
 
 
 def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
-    """Return progress that ends in the objective of the best of the plans so far that pass, where there is one."""
+    """Return a progress function that appends the objective of the best passing plan so far."""
 
-    def told(text: str) -> None:
+    def say_with_best(text: str) -> None:
         passed = [plan.objective for plan in plans if plan.passed and plan.objective is not None]
         say(f"{text}; best certified {min(passed):.6g}" if passed else text)
 
-    return told
+    return say_with_best
 
 
 def _diagnosed(search: Search) -> Plan:
-    """Return the plan that says why no motion was found."""
+    """Return the plan with the reason why no motion was found."""
     progress("no motion found; looking for the limit that forbids one")
     return next(plan for diagnosis in DIAGNOSES if (plan := diagnosis(search)) is not None)

@@ -1,13 +1,12 @@
-"""Planning again and again: a program that is built once and solved with new numbers, from the last solution.
+"""Repeated planning with one program, which is built once and solved with new numbers from the last solution.
 
     planner = Planner()
     for goal in goals:
         plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
 
-Payload, boundary states, waypoints, limits, durations, references and weights are numbers of a program and cost no building.
-Where a problem is of another structure (mechanism, kind, terms of the objective, mesh, which limits are finite), or
-where the warm solve does not lead to a plan that is optimal, judged as any other (certificate, contacts, tolerance), it is
-planned from the beginning.
+Payload, boundary states, waypoints, limits, durations, references and weights are numbers of a program and need no new one.
+A problem is planned from the beginning if its structure differs (mechanism, kind, objective terms, mesh, which limits are
+finite), or if the warm solve gives no optimal plan by the usual checks (certificate, contacts, tolerance).
 """
 
 import contextlib
@@ -35,31 +34,27 @@ from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
 
-# A segment within this share of its bounds counts as stopped by them.
-_ROOM = 1e-6
-# Limits that a warm motion overruns between its nodes are tightened so many times.
-_TIGHTENED = 2
-# Newton steps of a real-time iteration: the last two say what is left.
-_STEPS = 3
+# The largest number of times that limits are tightened after a warm motion overran them between its nodes.
+_MAX_TIGHTENINGS = 2
 
 
 class Planner:
-    """A planner that keeps its last program; `plan` answers as `plan_motion` does, sooner where it can.
+    """A planner that keeps its last program; `plan` has the results of `plan_motion`, but is often faster.
 
-    Threads that share one wait for each other: its solver works on one thing at a time. Each with its own do not.
-    A copy is a new one: programs and solvers stay where they are.
+    Threads that share a planner wait for each other, because its solver is not reentrant. A copy is a new planner without
+    programs and solvers.
     """
 
     def __init__(self, say: Say = silent) -> None:
         self._say = say
-        self._alone = threading.RLock()
+        self._lock = threading.RLock()
         self._key: tuple | None = None
-        self._held_at: np.ndarray | None = None  # the effort limits at which the last program holds its bang arcs
+        self._held_at: np.ndarray | None = None  # the effort limits in the last program's bang arcs
         self._last: Transcribed | None = None
         self._solver: Solver | None = None
         self._program: Program | None = None
         self._conditions: Conditions | None = None
-        self._optimum: Optimum | None = None  # of the last program, at its `start`; None until a solver has told
+        self._optimum: Optimum | None = None  # of the last program at its `start`; None until it is computed
 
     def __reduce__(self) -> tuple:
         return Planner, ()
@@ -68,9 +63,9 @@ class Planner:
         """Return the plan of a problem.
 
         Raises:
-            ProblemError: when start, goal or reference contradict the mechanism itself.
+            ProblemError: when start, goal or reference contradict the mechanism.
         """
-        with self._alone:
+        with self._lock:
             begun, plan = replace(problem, solver=problem.solver.begun()), None
             with contextlib.suppress(OutOfTimeError), recording():
                 again = self.solve_again(begun)
@@ -82,50 +77,51 @@ class Planner:
             return replace(plan, problem=problem)
 
     def solve_again(self, problem: PlanningProblem) -> Solution | None:
-        """Return a warm solve of the kept program with a problem's numbers; None where it does not serve or converge.
+        """Return a warm solve of the kept program with a problem's numbers; None if it does not apply or converge.
 
-        The motion is not certified: `plan` does that.
+        The motion is not certified; `plan` does that.
         """
-        with self._alone:
-            if not self._serves(problem):
+        with self._lock:
+            if not self._fits(problem):
                 return None
             solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
-        return solution if solution.converged and not _held_back(problem, solution) else None
+        return solution if solution.converged and not _is_blocked_by_bounds(problem, solution) else None
 
     def step(self, problem: PlanningProblem) -> MotionStep | None:
-        """Return the motion to which three Newton steps by one factorisation lead from the last plan, and its error bounds.
+        """Return the motion after three Newton steps, with one factorisation, from the last plan, and its error bounds.
 
-        For replanning at the rate of control (real-time iteration): a quarter of a whole plan's time, the same in every call
-        but the first, and no certificate is made. The next step begins here; where what is left is not known (`settled` is
-        False), the next one begins where this one did.
+        This is for replanning at the rate of control (real-time iteration). It takes a quarter of a plan's time, the same in
+        every call except the first, and makes no certificate. The next step begins at this motion; if no error bound is
+        known (`settled` is False), it begins where this step began.
 
         Returns:
-            The motion; None where the last plan's program does not serve the problem: `plan` it.
+            The motion; None if the last plan's program does not fit the problem, which then needs `plan`.
 
         Raises:
-            ProblemError: when start or goal contradict the mechanism itself.
+            ProblemError: when start or goal contradict the mechanism.
         """
-        with self._alone:
-            if not self._serves(problem):
+        with self._lock:
+            if not self._fits(problem):
                 return None
-            if self._optimum is None:  # once, after a plan from the beginning
-                self._take(run_solver(self._solver, self._last))
+            if self._optimum is None:  # once after a plan from the beginning
+                self._keep_optimum(run_solver(self._solver, self._last))
             if self._optimum is None:
                 return None
-            start_pose_of(problem)  # refuses what is out of reach
+            start_pose_of(problem)  # raises if a pose is out of reach
             numbered = renumbered(self._last, problem, self._last.start)
             begin = time.perf_counter()
-            found = newton_step(self._conditions_of_last(), self._last, self._optimum, numbered, _STEPS)
+            # Three steps are the fewest that give an error bound.
+            found = newton_step(self._conditions_of_last(), self._last, self._optimum, numbered, most=3)
             step = motion_step(problem, numbered, found, time.perf_counter() - begin)
             if step.settled:
                 self._last, self._optimum = replace(numbered, start=found.optimum.x), found.optimum
             return step
 
-    def _serves(self, problem: PlanningProblem) -> bool:
-        """Return whether the kept program is one of a problem."""
+    def _fits(self, problem: PlanningProblem) -> bool:
+        """Check that the kept program has the structure of a problem."""
         if self._last is None or self._solver is None or structure(problem) != self._key:
             return False
-        # Bang arcs hold the old limits.
+        # Bang arcs contain the old limits.
         return self._held_at is None or bool(np.array_equal(problem.limits.effort, self._held_at))
 
     def _conditions_of_last(self) -> Conditions:
@@ -133,15 +129,17 @@ class Planner:
             self._conditions = conditions_of(self._last.program)
         return self._conditions
 
-    def _take(self, solution: Solution) -> None:
-        """Keep an answer as what the next one begins at."""
+    def _keep_optimum(self, solution: Solution) -> None:
+        """Keep a solution as the next starting point."""
         self._last = replace(solution.transcribed, start=solution.x)
-        told = solution.converged and solution.multipliers is not None and solution.bound_multipliers is not None
-        self._optimum = Optimum(x=solution.x, rows=solution.multipliers, bounds=solution.bound_multipliers) if told else None
+        known = solution.converged and solution.multipliers is not None and solution.bound_multipliers is not None
+        self._optimum = (
+            Optimum(x=solution.x, rows=solution.multipliers, bounds=solution.bound_multipliers) if known else None
+        )
 
     def _certified(self, problem: PlanningProblem, solution: Solution) -> Plan | None:
-        """Return the plan of a warm solution, or None where it is to be planned from the beginning."""
-        start_pose_of(problem)  # refuses what is out of reach
+        """Return the plan of a warm solution, or None if the problem must be planned from the beginning."""
+        start_pose_of(problem)  # raises if a pose is out of reach
         if plain_contradiction(problem) is not None:
             return None
         case = case_of(problem)
@@ -151,23 +149,23 @@ class Planner:
             if trajectory is None or certificate is None:
                 return None
             record(_step(solution, certificate, "constraints tightened" if recorded() else "solved again"))
-            if not case.error_report(certificate).overruns or case.n_tightenings == _TIGHTENED:
+            if not case.error_report(certificate).overruns or case.n_tightenings == _MAX_TIGHTENINGS:
                 break
-            # As of a plan from the beginning: the kept program's own tightening belongs to another motion.
+            # Tightening starts anew, because the kept program's own tightening belongs to another motion.
             case = case.tightened(certificate, trajectory)
             solution = run_solver(self._solver, renumbered(self._last, case.problem, solution.x, case.tightenings))
-            if not solution.converged or _held_back(problem, solution):
+            if not solution.converged or _is_blocked_by_bounds(problem, solution):
                 return None
         objective = own_objective(solution.transcribed, solution.objective, trajectory)
         plan = finished(problem, trajectory, certificate, objective, None)
         if not plan.passed:
             return None
-        self._take(solution)
+        self._keep_optimum(solution)
         return replace(plan, solved_again=True)
 
     def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
         if not is_program_of(solved, problem):
-            return  # a motion kept clear of what was not asked for, say
+            return  # e.g. its motion was kept away from another limit
         self._last, self._key, self._optimum = solved, structure(problem), None
         self._held_at = None if solved.bang_efforts is None else problem.limits.effort
         if solved.program is not self._program:
@@ -176,7 +174,7 @@ class Planner:
 
 
 def _step(solution: Solution, certificate: Certificate, what: str) -> Step:
-    """Return a warm solve as an entry of a plan's history."""
+    """Return the history entry of a warm solve."""
     return Step(
         what=what,
         scheme=solution.transcribed.scheme.name,
@@ -191,11 +189,11 @@ def _step(solution: Solution, certificate: Certificate, what: str) -> Step:
     )
 
 
-def _held_back(problem: PlanningProblem, solution: Solution) -> bool:
-    """Return whether the last motion is in the new one's way.
+def _is_blocked_by_bounds(problem: PlanningProblem, solution: Solution) -> bool:
+    """Check if bounds from the last motion prevent the optimum of the new one.
 
-    A duration would be longer than its guess allows, or a switch time have moved further than it may: its segments are then
-    not the new motion's.
+    A duration may be at its bound from the guess, or a switch time may have moved as far as it can; the segments then do not
+    fit the new motion.
     """
     motion, transcribed = problem.motion, solution.transcribed
     shortest, longest = motion.min_duration_s or 0.0, motion.max_duration_s or np.inf
@@ -205,11 +203,11 @@ def _held_back(problem: PlanningProblem, solution: Solution) -> bool:
     if len(place) == 1:
         return False
     low, high, at = transcribed.lower[place], transcribed.upper[place], solution.x[place]
-    return bool(np.any((np.minimum(at - low, high - at) < _ROOM * at) & (high > low)))
+    return bool(np.any((np.minimum(at - low, high - at) < 1e-6 * at) & (high > low)))
 
 
 def structure(problem: PlanningProblem) -> tuple:
-    """Return what a program is built on: problems with equal structures differ in numbers only."""
+    """Return the structure of a problem's program: problems with equal structures differ in numbers only."""
     limits, motion = problem.limits, problem.motion
     limited = (limits.effort, limits.position, limits.speed, limits.effort_rate, limits.power, limits.closure_force)
     finite = (*(np.isfinite(limit).tobytes() for limit in limited), limits.singular_margin > 0)

@@ -1,4 +1,4 @@
-"""What robustness costs: a plan beside that of the machine as modelled, with the whole of its effort limits."""
+"""The price of robustness: a plan's objective compared with that of the nominal machine within its full effort limits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from linkplan.planner.problem.robust import Robust
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Price:
-    """The objective of a plan that keeps a reserve or corners, and of the nominal one, in the objective's unit."""
+    """The objectives of a plan with a reserve or corners and of the nominal plan, in the objective's unit."""
 
     objective: float
     nominal: float
@@ -20,27 +20,25 @@ class Price:
 
     @property
     def share(self) -> float:
-        """By how much of the nominal objective the plan is dearer."""
+        """The relative increase of the objective over the nominal one."""
         return self.objective / self.nominal - 1 if self.nominal else float("inf")
 
     def sentence(self) -> str:
-        """Return the price in words."""
+        """Return the price as a sentence."""
         unit = f" {self.unit}" if self.unit else ""
-        dearer = f"{100 * self.share:+.3g} %" if self.share < _TIMES else f"{1 + self.share:.3g} times as much"
+        dearer = f"{100 * self.share:+.3g} %" if self.share < 2.0 else f"{1 + self.share:.3g} times as much"
         return (
             f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the machine as"
             f" modelled within its whole limits, {dearer}"
         )
 
 
-# From this share on, a price is said as a factor.
-_TIMES = 2.0
-# The nominal plan's objective among a plan's details, in the objective's SI unit.
+# The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
 _DETAIL = "objective_as_modelled"
 
 
 def nominal_of(problem: PlanningProblem) -> PlanningProblem | None:
-    """Return a problem without its ranges and its reserve; None where it has neither."""
+    """Return a problem without its ranges and its reserve; None if it has neither."""
     limits = problem.limits
     if not problem.robust.corners and not limits.reserve:
         return None
@@ -51,7 +49,7 @@ def nominal_of(problem: PlanningProblem) -> PlanningProblem | None:
 
 
 def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
-    """Return what a plan's ranges and reserve cost; None where it has none, or one of the two plans has no motion."""
+    """Return the price of a plan's ranges and reserve; None if it has none, or one of the two plans has no motion."""
     nominal = nominal_of(plan.problem) if plan.trajectory is not None else None
     if nominal is None:
         return None
@@ -59,17 +57,17 @@ def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
     cheaper = plan_motion(nominal, say)
     if cheaper.trajectory is None or cheaper.objective is None or plan.objective is None:
         return None
-    # The plan itself is a motion of the machine as modelled: no nominal optimum is dearer, whatever a local search found.
+    # The plan itself is a motion of the nominal machine, so the nominal optimum cannot be dearer.
     return _price(plan, min(cheaper.objective, plan.objective))
 
 
 def with_price(plan: Plan, price: Price | None) -> Plan:
-    """Return a plan whose details, which are saved with it, have its price."""
+    """Return a plan with its price in the details, which are saved."""
     return plan if price is None else replace(plan, details={**plan.details, _DETAIL: price.nominal})
 
 
 def saved_price(plan: Plan) -> Price | None:
-    """Return the price that a plan's details have; None where they have none."""
+    """Return the price in a plan's details; None if there is none."""
     nominal = plan.details.get(_DETAIL)
     if plan.objective is None or not isinstance(nominal, int | float):
         return None

@@ -14,8 +14,8 @@ class Trajectory:
     `breaks_s` (n + 1,) are the intervals' ends. Coefficients are Bernstein's on each interval: `position`
     (degree + 1, n, n_s) [rad or m], `velocity` (degree + 1, n, n_s), `effort` (degree + 1, n, n_u) [N.m or N]. Efforts may
     jump at a break, where the later interval's value holds. `start_pose` (n_q,) is the closed pose at the start: with s(t)
-    it fixes the dependent joints. A `periodic` motion goes on beyond its ends, by `advance` a period where it turns for
-    ever; any other rests at its end states.
+    it determines the dependent joints. A `periodic` motion continues beyond its ends, shifted by `advance` per period; any
+    other motion rests at its end states.
     """
 
     breaks_s: np.ndarray
@@ -59,12 +59,12 @@ class Trajectory:
 
     @property
     def advance(self) -> np.ndarray:
-        """What positions (n_s,) [rad] of a periodic motion go on by in a period: whole turns, 0 where they return."""
+        """The change of positions (n_s,) [rad] over a period of a periodic motion: whole turns, or 0."""
         travelled = self.position[-1, -1] - self.position[0, 0]
         return self.periodic * 2 * np.pi * np.round(travelled / (2 * np.pi))
 
     def periods_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return how many periods (n,) of a periodic motion have passed at times (n,); 0 of any other."""
+        """Return the number of whole periods (n,) passed at times (n,); 0 for a motion that is not periodic."""
         return self.periodic * np.floor_divide(np.asarray(time_s, dtype=float) - self.breaks_s[0], self.duration_s)
 
     def _times(self, time_s: np.ndarray) -> np.ndarray:
@@ -84,7 +84,7 @@ class Trajectory:
         return np.where(self._inside(time_s)[:, None], velocity, 0.0)
 
     def slope_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return s' (n, n_s), the planned position's own slope, within the motion: v but for a first-order scheme."""
+        """Return s' (n, n_s), the slope of the planned position; it equals v except for first-order schemes."""
         return PiecewisePolynomial(self.position, self.breaks_s).derivative()(self._times(time_s))
 
     def acceleration_at(self, time_s: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ class Trajectory:
         return np.where(self._inside(time_s)[:, None], acceleration, 0.0)
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return u (n, n_u) [N.m or N] at times (n,); that of the nearer end outside."""
+        """Return u (n, n_u) [N.m or N] at times (n,); outside the motion that of the nearer end."""
         return PiecewisePolynomial(self.effort, self.breaks_s)(self._times(time_s))
 
     def _inside(self, time_s: np.ndarray) -> np.ndarray:
@@ -104,14 +104,14 @@ class Trajectory:
         return self.periodic | ((time >= self.breaks_s[0] - slack) & (time <= self.breaks_s[-1] + slack))
 
     def dense_times(self, per_interval: int) -> np.ndarray:
-        """Return times strictly inside and at both ends of every interval, `per_interval` steps each, increasing.
+        """Return increasing times: every interval's two ends and `per_interval` - 1 times between them.
 
-        A break appears twice, a hair before and at it, so that both sides of a jump in effort are looked at.
+        A break appears twice, just before and at it, so that both sides of a jump in effort are included.
         """
         inner = np.linspace(0.0, 1.0, per_interval + 1)
         inner[-1] = 1.0 - 1e-12
         return self.times_at(inner)
 
     def times_at(self, points: np.ndarray) -> np.ndarray:
-        """Return the times (n_intervals * n,) that stand at shares (n,) of every interval."""
+        """Return the times (n_intervals * n,) at shares (n,) of every interval."""
         return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()

@@ -1,5 +1,5 @@
-"""What holds between the nodes, where the solver imposes nothing.
+"""Certificates: checks of a motion between the nodes, where the solver imposes nothing.
 
 In: a `PlanningProblem` and a `Trajectory`. Out: a `Certificate`: limits on a dense grid, closure gap, dynamics residual,
-the state reached by integrating the reduced model, and contacts on the way.
+the state reached by integrating the reduced model, and contacts along the motion.
 """

@@ -1,14 +1,18 @@
-"""How far a motion's ends are from what is asked of them."""
+"""Errors of a motion's boundary states."""
 
 import numpy as np
 
+# Boundary states, and sites at them, are constraints of the program and kept to rounding: the allowed error as a share of
+# the motion's span or largest speed, or of the mechanism's extent.
+BOUNDARY_SHARE = 1e-6
 
-def missed(values: np.ndarray, low: np.ndarray, high: np.ndarray, size: np.ndarray | float) -> float:
-    """Return by how much of their sizes values (..., n) are outside of [low, high] at the most; 0 where all are within."""
+
+def relative_violation(values: np.ndarray, low: np.ndarray, high: np.ndarray, size: np.ndarray | float) -> float:
+    """Return the largest amount, in units of `size`, by which values (..., n) lie outside [low, high]; 0 if inside."""
     return float((np.maximum(low - values, values - high) / size).max(initial=0.0))
 
 
-def exactly(asked: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds, low and high, of what is asked exactly; infinite where it is NaN or `free`."""
-    nothing = np.isnan(asked) if free is None else free
-    return np.where(nothing, -np.inf, asked), np.where(nothing, np.inf, asked)
+def exact_bounds(asked: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds, low and high, of prescribed values; infinite where these are NaN or `free`."""
+    open_values = np.isnan(asked) if free is None else free
+    return np.where(open_values, -np.inf, asked), np.where(open_values, np.inf, asked)

@@ -1,8 +1,8 @@
-"""The certificate of a plan: what holds between the nodes, where the solver imposes nothing.
+"""The certificate of a plan: checks between the nodes, where the solver imposes nothing.
 
-On a dense grid of the continuous motion: the carried effort and the effort by inverse dynamics against the limits, the
-loops' gap, every joint's range and speed, the distance to a singular pose; and the state reached when the reduced model
-is integrated under the carried effort, against the planned state.
+On a dense grid of the continuous motion it compares the planned effort and the effort by inverse dynamics with the limits,
+and checks the loops' gap, every joint's range and speed, and the distance to a singular pose. It also integrates the reduced
+model under the planned effort and compares the state with the planned state.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from linkplan.models.poses.along import demanded, joint_rates, least_effort, sam
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.turning import whole_turns
-from linkplan.planner.certificate.boundary import exactly, missed
+from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
 from linkplan.planner.certificate.integration import integrate
 from linkplan.planner.certificate.site_ends import ends_off_m, waypoint_off_m, waypoint_times
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
@@ -25,68 +25,65 @@ from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
-# What a certificate must show. Closure: what DESIGN promises. Integration: `INTEGRATION_DEG`, or this. Dynamics: between
-# nodes, efforts that differ from the carried ones by more than this share of the largest carried effort are another
-# motion's. Ranges and speeds: rounding of degrees and no more.
+# Largest gap of a kinematic loop [m], unless the assembly itself is less exact.
 CLOSURE_M = 1e-9
+# Largest difference between the planned and the integrated state of slides [m]; `INTEGRATION_DEG` for hinges.
 INTEGRATION_M = 1e-5
-# A motion over less than this [rad or m] stands still: its errors are shares of that.
-_STILL = 1e-9
+# Smallest span [rad or m] that errors are related to, for motions that stand still.
+_MIN_SPAN = 1e-9
+# Largest error of the planned effort between nodes, as a share of the largest effort: beyond it, the effort is not the
+# motion's.
 DYNAMICS_SHARE = 0.02
-# The planned velocity against the planned position's slope and the integrated model's: first-order schemes differ by
-# their own order, a plan that is put together wrongly by more. Boundary states are bounds of the program: rounding.
+# Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
+# share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.
 VELOCITY_SHARE = 0.02
-BOUNDARY_SHARE = 1e-6
+# Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
 RANGE_SLACK = 1e-9
-
-# A plan that carries no effort at all may miss this much [N.m or N], against rounding, or this share of what its inertia
-# takes: a crank that turns freely for ever, its energy kept. Measured 1e-7.
-_NO_EFFORT, _NO_EFFORT_SHARE = 1e-12, 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Certificate:
-    """Findings on one motion; a list of reasons why it fails, empty where it passes.
+    """Findings on one motion, with a list of failures that is empty if it passes.
 
-    Efforts in the actuators' units; margins are negative outside, infinite where nothing limits; `worst_time_s` says
-    where each finding is worst.
+    Efforts are in the actuators' units. Margins are negative outside a limit and infinite without one. `worst_time_s` is the
+    time of each finding's worst value.
     """
 
     effort_excess: float
     inverse_dynamics_excess: float
     dynamics_residual: float
-    velocity_residual: float  # largest |s' - v|, of the motion's largest speed
-    boundary_error: float  # of the states asked at the ends, of the motion's span and largest speed
-    site_error_m: float  # of sites from where start, waypoints and goal ask them
-    closure_gap_m: float  # largest, an angle by what it moves at the mechanism's extent: what is judged
+    velocity_residual: float  # largest |s' - v|, as a share of the motion's largest speed
+    boundary_error: float  # of the prescribed states at the ends, as a share of the motion's span and largest speed
+    site_error_m: float  # of the sites prescribed at start, waypoints and goal
+    closure_gap_m: float  # largest; angles count as the displacement at the mechanism's extent
     closure_gaps: dict[str, float]  # largest by unit: "m" of points and slides, "rad" of angles, hinges and their tendons
     integration_error_deg: float
     integration_error_m: float
-    integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
+    integration_restarts: int  # restarts of the integration because of an unstable motion; 0 as a rule
     position_margin: np.ndarray  # (n_q,) [rad or m]
     speed_margin: np.ndarray  # (n_q,)
-    singularity_ratio: float  # least det J_z along the motion, of that at home
+    singularity_ratio: float  # least det J_z along the motion, relative to home
     peak_effort: np.ndarray  # (n_u,)
     peak_power: np.ndarray  # (n_u,) [W], mechanical
     peak_closure_force: np.ndarray  # (n_closures,) [N]
-    margins: tuple[Margin, ...]  # of the limits beyond effort, range and speed
-    speed_overrun: np.ndarray  # (n_q, n_intervals) by how much of itself a joint's speed limit is overrun in each
-    position_overrun: np.ndarray  # (n_q, n_intervals) by how much of its span a joint's range is left in each
-    growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed in all
-    residual_share: np.ndarray  # (n_intervals,) of the dynamics residual, in shares of what is allowed
+    margins: tuple[Margin, ...]  # of the limits other than effort, range and speed
+    speed_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's speed limit, as a share of it
+    position_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's range, as a share of its span
+    growth: np.ndarray  # (n_intervals,) growth of the integration error, as a share of the allowed total
+    residual_share: np.ndarray  # (n_intervals,) dynamics residual, as a share of the allowed one
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
-    unmendable: tuple[str, ...] = ()  # those of the failures that no other mesh mends: a servo's range, contacts
+    unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts
     contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.collisions
 
     @property
     def passed(self) -> bool:
-        """Whether everything holds."""
+        """Whether there is no failure."""
         return not self.failures
 
     @property
     def mendable(self) -> bool:
-        """Whether there are failures that another mesh may mend."""
+        """Whether another mesh may mend a failure."""
         return any(failure not in self.unmendable for failure in self.failures)
 
 
@@ -94,8 +91,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     """Return the certificate of a motion against its problem's limits.
 
     Raises:
-        AssemblyError: when the motion leaves what the loops allow.
-        OutOfTimeError: when the deadline of judging passes before its poses are known.
+        AssemblyError: when the loops cannot close along the motion.
+        OutOfTimeError: when the certificate's deadline passes before its poses are known.
     """
     mechanism, limits, until = problem.mechanism, problem.limits, problem.solver.certificate_deadline
     samples = samples_of(problem, trajectory)
@@ -122,7 +119,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     )
     ratio = float(singularity_ratios(problem, q).min())
     others = margins(samples)
-    speed = max(float(np.abs(v).max()), _STILL / trajectory.duration_s)
+    speed = max(float(np.abs(v).max()), _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
     if problem.motion.turns is not None:
@@ -135,40 +132,37 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     in_m = float(integrated.position[~hinge].max(initial=0.0))
     velocity_error, growth = integrated.velocity, integrated.growth
 
-    failures = []
-    if not np.all(np.isfinite(integrated.position)) and until.passed:
-        failures.append(f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
-    if effort_excess > 0:
-        failures.append(f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s")
     inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
-    allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), _NO_EFFORT, _NO_EFFORT_SHARE * float(inertial))
-    if dynamics_residual > allowed:
-        failures.append(
+    # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
+    allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), 1e-12, 1e-6 * float(inertial))
+    gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
+    findings = (
+        (effort_excess > 0, f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s"),
+        (
+            dynamics_residual > allowed,
             f"between nodes the motion needs {dynamics_residual:.3g} more effort than planned"
-            f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})"
-        )
-    if velocity_residual > VELOCITY_SHARE or not velocity_error <= VELOCITY_SHARE:
-        failures.append(
-            f"the planned velocity is not that of the planned position: {100 * max(velocity_residual, velocity_error):.3g} %"
-            " of the largest speed apart"
-        )
-    if boundary_error > BOUNDARY_SHARE:
-        failures.append(f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed")
-    failures += sites_off
-    if closure_gap > max(CLOSURE_M, mechanism.closed_m):
-        gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
-        failures.append(f"a kinematic loop opens by {gaps} at t = {worst['closure_gap_m']:.4g} s")
-    if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
-        apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
-        apart = f"{in_deg:.3g} deg (allowed: {INTEGRATION_DEG:g} deg)" if not in_deg <= INTEGRATION_DEG else apart
-        failures.append(f"the state integrated under the planned effort ends {apart} from the planned state")
-    for what, margin in (("range", position_margin), ("speed limit", speed_margin)):
-        for joint, value in zip(mechanism.joints, margin, strict=True):
-            if value < -RANGE_SLACK:
-                failures.append(
-                    f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}"
-                    f"{'/s' if 'speed' in what else ''} at t = {worst[f'{what} of {joint.name}']:.4g} s"
-                )
+            f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})",
+        ),
+        (
+            velocity_residual > VELOCITY_SHARE or not velocity_error <= VELOCITY_SHARE,
+            "the planned velocity is not that of the planned position:"
+            f" {100 * max(velocity_residual, velocity_error):.3g} % of the largest speed apart",
+        ),
+        (
+            boundary_error > BOUNDARY_SHARE,
+            f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed",
+        ),
+        *((True, sentence) for sentence in sites_off),
+        (
+            closure_gap > max(CLOSURE_M, mechanism.closed_m),
+            f"a kinematic loop opens by {gaps} at t = {worst['closure_gap_m']:.4g} s",
+        ),
+    )
+    failures = [sentence for broken, sentence in findings if broken]
+    if not np.all(np.isfinite(integrated.position)) and until.passed:
+        failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
+    failures += _integration_failures(in_deg, in_m)
+    failures += _range_failures(mechanism, position_margin, speed_margin, worst)
     unmendable = _ctrl_failures(samples)
     failures += unmendable + [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
@@ -200,16 +194,34 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     )
 
 
+def _integration_failures(in_deg: float, in_m: float) -> list[str]:
+    """Return the sentence on an integrated state that is too far from the planned state, if it is."""
+    apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if not in_m <= INTEGRATION_M else ""
+    apart = f"{in_deg:.3g} deg (allowed: {INTEGRATION_DEG:g} deg)" if not in_deg <= INTEGRATION_DEG else apart
+    return [f"the state integrated under the planned effort ends {apart} from the planned state"] if apart else []
+
+
+def _range_failures(mechanism: Mechanism, position: np.ndarray, speed: np.ndarray, worst: dict[str, float]) -> list[str]:
+    """Return a sentence for each joint whose least margin (n_q,) of position or speed is negative."""
+    return [
+        f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}{per} at t ="
+        f" {worst[f'{what} of {joint.name}']:.4g} s"
+        for what, per, margin in (("range", "", position), ("speed limit", "/s", speed))
+        for joint, value in zip(mechanism.joints, margin, strict=True)
+        if value < -RANGE_SLACK
+    ]
+
+
 def _turn_error(problem: PlanningProblem, q: np.ndarray) -> float:
-    """Return by how much poses (n, n_q) of whole turns end beside their start, as a share of their range."""
+    """Return the largest deviation of poses (n, n_q) from whole turns at their end, as a share of their range."""
     mechanism, moved_by = problem.mechanism, q[-1] - q[0]
-    spins = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.goes_on]).max(axis=1, initial=0.0) > 0
+    spins = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.free_spins]).max(axis=1, initial=0.0) > 0
     error = np.where(spins, 0.0, moved_by - whole_turns(mechanism, moved_by))
-    return float(np.abs(error).max()) / max(float(np.ptp(q)), _STILL)
+    return float(np.abs(error).max()) / max(float(np.ptp(q)), _MIN_SPAN)
 
 
 def _ctrl_failures(samples: Samples) -> list[str]:
-    """Return a sentence for each servo that would need a ctrl beyond a range that is no limit of the program."""
+    """Return a sentence for each servo whose ctrl would exceed a range that the program does not impose."""
     actuators, failures = samples.problem.mechanism.actuators, []
     if not any(actuator.is_servo for actuator in actuators):
         return failures
@@ -226,10 +238,10 @@ def _ctrl_failures(samples: Samples) -> list[str]:
 
 
 def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v, time, worst):
-    """Return, of positions and of speeds, the least distances (n_q,) of every joint to its limits, negative outside.
+    """Return, for positions and for speeds, every joint's least distance (n_q,) to its limits, negative outside.
 
-    And by how much (n_q, n_intervals) they are overrun in each interval: a share of the range's span, of the speed limit.
-    Between samples, independent joints are no further out than their polynomials' Bernstein coefficients.
+    The overruns (n_q, n_intervals) follow, as shares of the range's span or of the speed limit. Between samples, the
+    Bernstein coefficients of independent joints bound the distance.
     """
     rates = joint_rates(mechanism, q, v)
     found = []
@@ -251,34 +263,39 @@ def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v,
 
 
 def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:
-    """Return how far the motion's ends are from the states asked, positions by its span and speeds by its largest."""
+    """Return the largest error of the states at both ends, relative to the motion's span and largest speed."""
     motion = problem.motion
     ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])
     speeds = np.stack([trajectory.velocity[0, 0], trajectory.velocity[-1, -1]])
-    span = max(float(np.ptp(trajectory.position)), _STILL)
+    span = max(float(np.ptp(trajectory.position)), _MIN_SPAN)
     if motion.kind == "reach":
         rest = np.zeros(trajectory.n_s)
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
         free = np.zeros_like(ends, dtype=bool)
-        free[1] = problem.adrift | motion.goal_is_free  # its end is where the sites are asked to be
+        free[1] = problem.adrift | motion.goal_is_free  # a free goal pose is checked by its sites
     elif trajectory.periodic:
         gone = np.stack([-1.0 * np.ones(trajectory.n_s), np.ones(trajectory.n_s)]) * motion.advance
-        asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.tile(problem.goes_on, (2, 1))
+        asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.tile(problem.free_spins, (2, 1))
     else:
         return 0.0
-    still = free & (motion.kind == "reach")  # a spin's speed may be any at the end, and returns with a period
-    apart = [missed(ends, *exactly(asked, free), span), missed(speeds, *exactly(wanted, still), speed)]
-    return max(*apart, *(_passed_by(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
+    still = free & (motion.kind == "reach")  # a spin's final speed is free in a reach and periodic in a periodic motion
+    apart = [
+        relative_violation(ends, *exact_bounds(asked, free), span),
+        relative_violation(speeds, *exact_bounds(wanted, still), speed),
+    ]
+    return max(*apart, *(_waypoint_error(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
 
 
-def _passed_by(problem: PlanningProblem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
-    """Return how far a motion passes a waypoint by, at its instant or at the break that comes nearest.
+def _waypoint_error(
+    problem: PlanningProblem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float
+) -> float:
+    """Return a motion's error at a waypoint, at its time or at the nearest break.
 
-    Positions by the motion's span, speeds by its largest, sites by the mechanism's extent.
+    Errors are relative: positions to the motion's span, speeds to its largest speed, sites to the mechanism's extent.
     """
     time = waypoint_times(trajectory, waypoint)
-    position, rate = exactly(waypoint.position), exactly(waypoint.speed)
+    position, rate = exact_bounds(waypoint.position), exact_bounds(waypoint.speed)
     off = waypoint_off_m(problem, trajectory, waypoint, time).max(axis=1) / problem.mechanism.extent_m
     states = zip(trajectory.position_at(time), trajectory.velocity_at(time), off, strict=True)
-    return min(max(missed(s, *position, span), missed(v, *rate, speed), x) for s, v, x in states)
+    return min(max(relative_violation(s, *position, span), relative_violation(v, *rate, speed), x) for s, v, x in states)

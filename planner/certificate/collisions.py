@@ -1,6 +1,6 @@
-"""The collision check of a planned motion: what a certificate says of contacts.
+"""The check of a planned motion for collisions.
 
-A plan knows no contact forces: geoms that collide on the way, and do not overlap by construction, make it false.
+Plans contain no contact forces. A motion along which geoms collide is therefore wrong, unless they overlap by construction.
 """
 
 from dataclasses import replace
@@ -14,35 +14,33 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
-# Poses checked on an interval, and on a fine mesh in all; between them more are checked where geoms come near.
-_PER_INTERVAL, _SAMPLES = 12, 5000
-
 
 def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
-    """Return a motion's certificate with the contacts along it; it fails where geoms meet, unless they are only noted.
+    """Return a motion's certificate with the contacts along it; it fails if geoms collide, unless contacts are only noted.
 
-    Refinement certifies a motion many times, on which contacts do not depend; they are checked once, at the end.
+    Contacts are checked once, at the end, and not with each of refinement's certificates, which hardly change them.
     """
     if not may_collide(problem.mechanism.model):
         return certificate
     n = len(trajectory.breaks_s) - 1
-    time = np.unique(trajectory.dense_times(max(1, min(_PER_INTERVAL, _SAMPLES // n))))
+    # Twelve poses per interval, fewer on fine meshes; more are checked where geoms come near.
+    time = np.unique(trajectory.dense_times(max(1, min(12, 5000 // n))))
     solver = problem.solver
     try:
         poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, solver.judging_deadline)
         found = meetings(problem.mechanism, time, poses, trajectory.position_at, solver.judging_deadline)
     except OutOfTimeError:
-        said = f"its check for contacts ran out of the plan's {solver.max_time_s:g} s (solver.max_time_s)"
-        return replace(certificate, failures=(*certificate.failures, said))
+        late = f"its check for contacts ran out of the plan's {solver.max_time_s:g} s (solver.max_time_s)"
+        return replace(certificate, failures=(*certificate.failures, late))
     if problem.contacts == "refuse" and new_meetings(found):
-        said = (_failure(new_meetings(found)),)
-        failures, unmendable = certificate.failures + said, certificate.unmendable + said
+        collision = (_failure(new_meetings(found)),)
+        failures, unmendable = certificate.failures + collision, certificate.unmendable + collision
         return replace(certificate, contacts=found, failures=failures, unmendable=unmendable)
     return replace(certificate, contacts=found)
 
 
 def unavoidable(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> bool:
-    """Return whether geoms collide where every motion passes: between start and goal of a single freedom."""
+    """Check whether geoms collide at poses between start and goal of a mechanism with one degree of freedom."""
     start, goal = problem.motion.start, problem.motion.goal
     if problem.contacts != "refuse" or problem.mechanism.dof != 1 or start is None or goal is None:
         return False
@@ -53,19 +51,19 @@ def unavoidable(problem: PlanningProblem, trajectory: Trajectory, certificate: C
 
 
 def _failure(found: tuple[Meeting, ...]) -> str:
-    """Return the sentence on the first of the contacts that make a plan false, and how many there are."""
+    """Return the sentence on the first collision of a plan, with the number of others."""
     first, others = found[0], len(found) - 1
     already = f", {1e3 * first.home_depth_m:.2g} mm at home" if first.home_depth_m > 0 else ""
     more = f", and {others} more pair{'s' if others > 1 else ''} of geoms after them" if others else ""
     return (
-        f"{who(first)} collide at t = {first.since:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
+        f"{geom_names(first)} collide at t = {first.since:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
         f' t = {first.deepest_at:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = "note"'
         " plans without them)"
     )
 
 
-def who(meeting: Meeting) -> str:
-    """Return the words for two geoms and their bodies."""
+def geom_names(meeting: Meeting) -> str:
+    """Return a phrase that names two geoms and their bodies."""
     first, second = (
         f"{geom} ({body})" if not geom.endswith(f" of {body}") else geom
         for geom, body in zip((meeting.first, meeting.second), meeting.bodies, strict=True)
@@ -73,12 +71,12 @@ def who(meeting: Meeting) -> str:
     return f"geoms {first} and {second}"
 
 
-def noted(meeting: Meeting) -> str:
-    """Return the words for a contact that a plan leaves out."""
+def contact_note(meeting: Meeting) -> str:
+    """Return a phrase for a contact that a plan neglects."""
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep along the motion: its forces are not planned for"
     if meeting.since is not None:
-        return f"contact of {who(meeting)} from t = {meeting.since:.5g} s on, {depth}"
+        return f"contact of {geom_names(meeting)} from t = {meeting.since:.5g} s on, {depth}"
     return (
-        f"contact of {who(meeting)}, as deep at home, or on a pin that they share, {depth}; the simulator"
+        f"contact of {geom_names(meeting)}, as deep at home, or on a pin that they share, {depth}; the simulator"
         f" applies them unless told {exclusion(meeting.bodies)}"
     )

@@ -1,9 +1,9 @@
 """Coefficients of Dormand and Prince's explicit Runge-Kutta method of order eight with twelve stages, DOP853.
 
 Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, 2nd edition 1993, section II.10, and the authors'
-dop853.f: A[i] are the weights of stage i, C its place in the step, B the step's weights; E5 and E3 weigh the stages and the
-slope at the end to the errors of the embedded methods of orders five and three. They are scipy.integrate.DOP853's to the
-last digit; that package takes longer to import than a small plan takes to solve.
+dop853.f. A[i] are the weights of stage i, C the stages' places in the step, B the weights of the step. E5 and E3 are the
+weights of the stages and the final slope in the error estimates of orders five and three. All equal those of
+scipy.integrate.DOP853, whose import takes longer than planning a small problem.
 """
 
 # fmt: off

@@ -1,9 +1,9 @@
-"""Integration under a plan's efforts, interval by interval: restarted at each interval's end, where efforts may jump.
+"""Integration under a plan's efforts, interval by interval, because efforts may jump at an interval's end.
 
-By Dormand and Prince's method of order eight (Hairer, Norsett & Wanner, Solving ODEs I, section II.10): `strides` takes even
-steps, many intervals in one call of a CasADi function, and judges their errors afterwards by the method's own estimate;
-`flow` is scipy's, with adaptive steps, for intervals where even ones are too long. `stiff_flow` is for intervals on which it
-needs too many: the implicit method Radau IIA of order five (ibid. II, section IV.8), whose steps damping does not bound.
+`strides` takes even steps of Dormand and Prince's method of order eight (Hairer, Norsett & Wanner, Solving ODEs I, section
+II.10), many intervals in one call of a CasADi function, and then checks the method's own error estimate. `flow` is scipy's
+version with adaptive steps, for intervals on which even steps are too long. `stiff_flow` is the implicit method Radau IIA of
+order five (ibid. II, section IV.8), for intervals on which damping makes explicit steps too short.
 """
 
 import functools
@@ -18,31 +18,31 @@ from linkplan.models.interrupts import check
 from linkplan.models.poses.along import evaluated
 from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
-# The integration's own error: two digits below the 1e-10 that certificates speak of.
-RTOL, _ATOL = 1e-12, 1e-13
-# The most evaluations of the dynamics on one interval, sixteen hundred steps (of the implicit method three thousand); where
-# a motion is one, some ten do. At a fold where the reduced dynamics end, steps become ever smaller.
-_EVALUATIONS = 20_000
+# Error tolerances of the integration: two digits below the 1e-10 that certificates show.
+INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-12, 1e-13
+# Largest number of evaluations of the dynamics on one interval: sixteen hundred explicit or three thousand implicit steps.
+# Feasible motions need about ten steps. At a fold, where the reduced dynamics end, steps become ever smaller.
+_MAX_EVALUATIONS = 20_000
 
-# Steps an interval, half of them to its middle: adaptive ones are one or two on the knee's meshes.
-_STEPS = 2
-# Intervals in one call, few at first: where steps are too long, what follows is lost.
+# Even steps on an interval; half of them end at its middle. Adaptive methods take one or two on a four-bar's meshes.
+_STEPS_PER_INTERVAL = 2
+# Numbers of intervals in one call, few at first: if a step is too long, all that follow in the call are lost.
 _STRETCHES = (1, 4, 16, 64)
 
-# From the time since an interval's beginning [s] and the state (n,) to its rate (n,).
+# From the time since the beginning of an interval [s] and the state (n,) to its rate (n,).
 Rate = Callable[[float, np.ndarray], np.ndarray]
 
 
-class _CrawlsError(Exception):
-    """Integration of an interval needs more evaluations than any feasible motion does, or more time than there is."""
+class _TooManyStepsError(Exception):
+    """Integration of an interval needs more evaluations than any feasible motion, or more time than the deadline allows."""
 
 
 def flow(
     rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, until: Deadline = NO_DEADLINE
 ) -> np.ndarray | None:
-    """Return the states (m, n) at shares (m,) of an interval, from one at its beginning; None where it fails.
+    """Return the states (m, n) at shares (m,) of an interval, from the state at its beginning; None if it fails.
 
-    What is not done `until` a deadline has failed.
+    Integration also fails when the deadline `until` passes.
     """
     return _flown(_counted(rate, until), width_s, state, shares, method="DOP853")
 
@@ -55,26 +55,33 @@ def stiff_flow(
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
 ) -> np.ndarray | None:
-    """Return what `flow` does, by an implicit method, with the derivative (n, n) of the rate by the state."""
+    """Integrate as `flow` does, by an implicit method, with the derivative (n, n) of the rate by the state."""
     counted = _counted(rate, until)
     try:
         return _flown(counted, width_s, state, shares, method="Radau", jac=jacobian)
-    except (ValueError, np.linalg.LinAlgError):  # numbers that are not finite, where an infeasible motion diverges
+    except (ValueError, np.linalg.LinAlgError):  # an infeasible motion diverges to infinite numbers
         return None
 
 
 def _flown(counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, *, method, jac=None) -> np.ndarray | None:
     import scipy
 
-    atol = _ATOL * np.maximum(1.0, np.abs(state))
+    atol = _INTEGRATION_ATOL * np.maximum(1.0, np.abs(state))
     own = {} if jac is None else {"jac": jac}
-    # An infeasible motion may diverge: the outcome shows it, and needs no warnings.
+    # An infeasible motion may diverge; the result shows it without warnings.
     with np.errstate(all="ignore"):
         try:
             result = scipy.integrate.solve_ivp(
-                counted, (0.0, width_s), state, method=method, rtol=RTOL, atol=atol, t_eval=shares * width_s, **own
+                counted,
+                (0.0, width_s),
+                state,
+                method=method,
+                rtol=INTEGRATION_RTOL,
+                atol=atol,
+                t_eval=shares * width_s,
+                **own,
             )
-        except _CrawlsError:
+        except _TooManyStepsError:
             return None
     reached = result.success and result.y.shape[1] == len(shares) and np.all(np.isfinite(result.y[:, -1]))
     return result.y.T if reached else None
@@ -87,14 +94,14 @@ def flows(
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
 ) -> Iterator[np.ndarray | None]:
-    """Yield the states (m, n) on one interval after the other, each from where the last ended; None where one fails.
+    """Yield the states (m, n) on each interval, starting from the end of the one before; None where integration fails.
 
     Args:
-        rate_on: an interval's right-hand side, by its number.
+        rate_on: returns an interval's right-hand side by its index.
         breaks_s: (n + 1,) of the intervals [s].
         state: (n,) at the start.
-        shares: shares (n_shares,) of an interval, the last of them 1.
-        until: as of `flow`.
+        shares: shares (n_shares,) of an interval; the last is 1.
+        until: deadline.
     """
     for k, width in enumerate(np.diff(breaks_s)):
         reached = flow(rate_on(k), width, state, shares, until)
@@ -105,13 +112,13 @@ def flows(
 
 
 def _counted(rate: Rate, until: Deadline) -> Rate:
-    """Return a right-hand side that may be called so often, and so long, and no more."""
+    """Return a right-hand side that raises `_TooManyStepsError` after too many calls or after the deadline."""
     calls = itertools.count()
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
         check()
-        if next(calls) > _EVALUATIONS or until.passed:
-            raise _CrawlsError
+        if next(calls) > _MAX_EVALUATIONS or until.passed:
+            raise _TooManyStepsError
         return rate(t, y)
 
     return counted
@@ -120,14 +127,14 @@ def _counted(rate: Rate, until: Deadline) -> Rate:
 def strides(
     rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: np.ndarray, until: Deadline = NO_DEADLINE
 ) -> np.ndarray:
-    """Return the states (m, 2, n) in the middle and at the end of the first m intervals, all but where a step is too long.
+    """Return the states (m, 2, n) at the middle and end of the first m intervals, up to the first too long step.
 
     Args:
         rate: (state (n,), input (k,), share of the interval) to the state's rate (n,).
         widths_s: (n_intervals,) [s].
-        inputs: (n_intervals, k), what is constant over each.
+        inputs: (n_intervals, k), constant on each interval.
         state: (n,) at the start.
-        until: as of `flow`.
+        until: deadline.
     """
     found: list[np.ndarray] = [np.empty((0, 2, len(state)))]
     begin, longest = 0, 4
@@ -136,8 +143,8 @@ def strides(
         length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
         some = slice(begin, begin + length)
         ends, middles, errors = evaluated(_stretch(rate, length), state, inputs[some].T, widths_s[some])
-        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, _STEPS)
-        good = length if np.all(short) else int(np.argmin(short)) // _STEPS
+        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, _STEPS_PER_INTERVAL)
+        good = length if np.all(short) else int(np.argmin(short)) // _STEPS_PER_INTERVAL
         found.append(np.stack([middles, ends]).transpose(2, 0, 1)[:good])
         if good < length:
             break
@@ -153,21 +160,21 @@ def side_by_side(
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
 ) -> np.ndarray | None:
-    """Return the states (n_intervals, m, n) at shares of every interval, each from a state of its own; None where one fails.
+    """Return the states (n_intervals, m, n) at shares of every interval, each from its own initial state; None on failure.
 
-    A step from each share to the next, of all intervals in one call; where that is too long an interval is taken by `flow`.
+    One step leads from each share to the next, for all intervals in one call. `flow` repeats intervals with too long steps.
 
     Args:
-        rate: as of `strides`.
+        rate: see `strides`.
         widths_s: (n_intervals,) [s].
-        inputs: (n_intervals, k), what is constant over each.
+        inputs: (n_intervals, k), constant on each interval.
         states: (n_intervals, n) at their beginnings.
-        shares: (m,) of an interval, increasing from above 0 to 1.
-        until: as of `flow`.
+        shares: (m,) of an interval, increasing, above 0 and up to 1.
+        until: deadline.
     """
     n, ends, found = len(widths_s), states.T, []
     good, one, slope = np.ones(n, dtype=bool), _step(rate).map(n), rate.map(n)
-    with np.errstate(all="ignore"):  # a motion may diverge within an interval: `flow` says whether it does
+    with np.errstate(all="ignore"):  # a motion may diverge within an interval, which `flow` then confirms
         (slopes,) = evaluated(slope, ends, inputs.T, np.zeros(n))
         for at, to in itertools.pairwise(np.append(0.0, shares)):
             check()
@@ -189,10 +196,10 @@ def side_by_side(
 def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
     """Return a right-hand side on an interval for numpy.
 
-    It is called some thousand times per motion: CasADi reads and writes numpy's memory without copies.
+    It is called thousands of times per motion, so CasADi reads and writes numpy's memory without copies.
     """
     buffer, evaluate = function.buffer()
-    # All of these live as long as the right-hand side: CasADi keeps addresses only.
+    # The right-hand side keeps references to these arrays, because CasADi keeps addresses only.
     state, flat, at, result = np.zeros(function.size1_in(0)), np.array(inputs), np.zeros(1), np.zeros(function.size1_out(0))
     for index, array in enumerate((state, flat, at)):
         buffer.set_arg(index, memoryview(array))
@@ -209,15 +216,15 @@ def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
 
 
 def _short(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, steps: int) -> np.ndarray:
-    """Return which steps (steps * m,) are short enough, from states (n, m) to (n, m), by their errors (2 n, steps * m)."""
-    scale = _ATOL * np.maximum(1.0, np.abs(before)) + RTOL * np.maximum(np.abs(before), np.abs(ends))
+    """Return a mask (steps * m,) of short enough steps from states (n, m) to (n, m), by their errors (2 n, steps * m)."""
+    scale = _INTEGRATION_ATOL * np.maximum(1.0, np.abs(before)) + INTEGRATION_RTOL * np.maximum(np.abs(before), np.abs(ends))
     fifth, third = (np.square(e / np.repeat(scale, steps, axis=1)).sum(axis=0) for e in np.split(errors, 2))
     return fifth <= np.sqrt((fifth + 0.01 * third) * len(before))
 
 
 @functools.lru_cache(maxsize=16)
 def _stretch(rate: ca.Function, length: int) -> ca.Function:
-    """Return (state, inputs, widths) -> states at intervals' ends and middles, errors of the steps, over some intervals."""
+    """Return (state, inputs, widths) -> states at the ends and middles of intervals, errors of the steps."""
     one = _over_interval(rate)
     return one if length == 1 else one.mapaccum(length)
 
@@ -227,18 +234,19 @@ def _over_interval(rate: ca.Function) -> ca.Function:
     """Return (state, inputs, width) -> states at an interval's end and middle, errors of its steps."""
     begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
     one, x, slope, states, errors = _step(rate), begin, rate(begin, given, 0.0), [], []
-    for step in range(_STEPS):
-        x, slope, *of_step = one(x, slope, given, width / _STEPS, step / _STEPS, 1 / _STEPS)
+    for step in range(_STEPS_PER_INTERVAL):
+        share = 1 / _STEPS_PER_INTERVAL
+        x, slope, *of_step = one(x, slope, given, width / _STEPS_PER_INTERVAL, step / _STEPS_PER_INTERVAL, share)
         states.append(x)
         errors.append(of_step)
     both = ca.vertcat(*(ca.horzcat(*of) for of in zip(*errors, strict=True)))
-    return ca.Function("stride", [begin, given, width], [x, states[_STEPS // 2 - 1], both])
+    return ca.Function("stride", [begin, given, width], [x, states[_STEPS_PER_INTERVAL // 2 - 1], both])
 
 
 def _step(rate: ca.Function) -> ca.Function:
     """Return one step of h seconds: (state, its rate, inputs, h, share at its beginning, its share) -> state, rate, errors.
 
-    The errors are those of order five and three.
+    The errors are the estimates of orders five and three.
     """
     n = rate.size1_in(0)
     begin, slope, given = ca.MX.sym("x", n), ca.MX.sym("k", n), ca.MX.sym("c", rate.size1_in(1))

@@ -1,10 +1,10 @@
-"""The reduced model integrated under a plan's efforts, against the plan.
+"""Integration of the reduced model under a plan's efforts, and its errors against the plan.
 
-From the start to the end in one go, as a rule. Where a motion is unstable (it passes upright, or waits there) an error grows
-along it by many orders of magnitude, and after some seconds rounding alone decides where the model ends: then every interval
-is integrated from the planned state, its defect is propagated by the motion's own transition matrices, and the integration
-is restarted wherever an error would have grown by `GROWTH`. What is judged is then whether the plan is a motion of the
-model, not whether somebody could follow it blindly; how often it was restarted is reported.
+As a rule the model is integrated once from the start to the end. Along an unstable motion (one that passes upright, or waits
+there) errors grow by many orders of magnitude, and after some seconds rounding determines the final state. Then every
+interval is integrated from the planned state, its defect is propagated by the motion's own transition matrices, and the
+integration is restarted whenever an error would have grown by `RESTART_GROWTH`. The certificate then shows that the plan is
+a motion of the model, not that open-loop control could follow it. It reports the number of restarts.
 """
 
 import functools
@@ -22,19 +22,16 @@ from linkplan.planner.certificate.flow import called, flow, stiff_flow, strides
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
 
-# An error that has grown so much restarts the integration: rounding, grown so, is far below a certificate's hundredth of a
-# degree.
-GROWTH = 1e4
-# Size of the steps by which transition matrices are found, of the motion's spans and speeds.
-_STEP = 1e-6
+# Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
+RESTART_GROWTH = 1e4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Integrated:
-    """How far the integrated model is from a plan.
+    """Errors of the integrated model against a plan.
 
-    `position` (n_s,) [rad or m] and `velocity` [share of the largest speed] are the largest errors, `growth` (n_intervals,)
-    is what each interval adds to them in shares of `allowed`, `restarts` counts the restarts.
+    `position` (n_s,) [rad or m] and `velocity` [share of the largest speed] are the largest errors. `growth` (n_intervals,)
+    is each interval's contribution in shares of `allowed`. `restarts` counts the restarts.
     """
 
     position: np.ndarray
@@ -48,28 +45,28 @@ def integrate(
 ) -> Integrated:
     """Return the integrated model's errors against a plan.
 
-    All joints are integrated, q' = Gamma v, v' = M_r^-1 (...): closure is then an outcome and not an assumption.
+    All joints are integrated, q' = Gamma v, v' = M_r^-1 (...), so closure is a result and not an assumption.
 
     Args:
         mechanism: the model.
         trajectory: the plan.
         speed: its largest speed [rad/s or m/s].
         allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
-        until: when integration is given up.
+        until: deadline of the integration.
     """
-    whole = _in_one_go(mechanism, trajectory, speed, allowed, until)
+    whole = _integrated_once(mechanism, trajectory, speed, allowed, until)
     if np.all(whole.position <= allowed):
         return whole
     try:
-        return _anew(mechanism, trajectory, speed, allowed, until) or whole
-    except (AssemblyError, OutOfTimeError):  # an infeasible motion, or no time left
+        return _integrated_with_restarts(mechanism, trajectory, speed, allowed, until) or whole
+    except (AssemblyError, OutOfTimeError):  # the motion is infeasible, or the deadline has passed
         return whole
 
 
-def _in_one_go(
+def _integrated_once(
     mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline
 ) -> Integrated:
-    """Return the errors of one integration, sampled in the middle of every interval and on both sides of every break."""
+    """Return the errors of one integration, sampled at the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
     state = np.concatenate([start, trajectory.velocity[0, 0]])
@@ -85,16 +82,16 @@ def _in_one_go(
     errors[:m] = np.abs(inside[:, :, independent] - planned).max(axis=1, initial=0.0)
     if m == n:
         velocity_error = float(np.abs(inside[:, :, n_q:] - speeds).max()) / speed
-    with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
+    with np.errstate(invalid="ignore"):  # after a failed integration: infinity minus infinity
         growth = np.abs(np.diff(np.vstack([np.zeros(mechanism.dof), errors]), axis=0) / allowed).max(axis=1)
     growth = np.nan_to_num(growth, nan=np.inf)
     return Integrated(position=errors.max(axis=0), velocity=velocity_error, growth=growth, restarts=0)
 
 
-def _anew(
+def _integrated_with_restarts(
     mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline
 ) -> Integrated | None:
-    """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
+    """Return the errors propagated from interval to interval with restarts; None if no restart was needed."""
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
     function, inputs = _rate(mechanism, *trajectory.effort[:, 0].shape), _inputs(trajectory)
     widths = np.diff(trajectory.breaks_s)
@@ -103,7 +100,7 @@ def _anew(
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
     ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
-    last = np.array([1.0])
+    last, step = np.array([1.0]), 1e-6  # the finite differences' step, in shares of the motion's spans and speeds
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
         pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k], until)[0]
@@ -114,17 +111,16 @@ def _anew(
     errors, defects, restarts = np.zeros((n, 2 * n_s)), np.zeros((n, n_s)), 0
     for k in range(n):
         there = [arrives(k, begins[k])]
-        there += [arrives(k, begins[k] + _STEP * unit[i] * np.eye(2 * n_s)[i]) for i in range(2 * n_s)]
+        there += [arrives(k, begins[k] + step * unit[i] * np.eye(2 * n_s)[i]) for i in range(2 * n_s)]
         if any(reached is None for reached in there):
             return None
-        transition = (
-            np.array([(reached - there[0]) / _STEP for reached in there[1:]]).T / unit[:, None]
-        )  # of errors in units
+        # The transition matrix of errors in units.
+        transition = np.array([(reached - there[0]) / step for reached in there[1:]]).T / unit[:, None]
         defect = (there[0] - ends[k]) / unit
         error = transition @ error + defect
         carried = transition @ carried
         errors[k], defects[k] = np.abs(error), np.abs(defect[:n_s])
-        if np.abs(carried).max() > GROWTH:
+        if np.abs(carried).max() > RESTART_GROWTH:
             error, carried, restarts = np.zeros(2 * n_s), np.eye(2 * n_s), restarts + 1
     if not restarts:
         return None
@@ -136,7 +132,7 @@ def _anew(
 
 
 def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: Deadline) -> np.ndarray:
-    """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval up to one that fails."""
+    """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval before a failure."""
     widths, inputs = np.diff(trajectory.breaks_s), _inputs(trajectory)
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
     reached, halves, stiff = np.array([[state, state]]), np.array([0.5, 1.0]), False
@@ -146,7 +142,7 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
         if (k := len(reached) - 1) < len(widths):
             rates, begin = called(rate, inputs[k], widths[k]), reached[-1, 1]
             half = None if stiff else flow(rates, widths[k], begin, halves, until)
-            if half is None:  # and so are the intervals after one that is stiff
+            if half is None:  # after one stiff interval the others are taken as stiff too
                 half = stiff_flow(rates, _slope_on(rate, inputs[k], widths[k]), widths[k], begin, halves, until)
                 stiff = half is not None
             if half is None:
@@ -156,13 +152,13 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
 
 
 def _inputs(trajectory: Trajectory) -> np.ndarray:
-    """Return the coefficients of every interval's efforts (n_intervals, k), flat."""
+    """Return the coefficients of every interval's efforts as rows (n_intervals, k)."""
     return trajectory.effort.transpose(1, 2, 0).reshape(trajectory.effort.shape[1], -1)
 
 
 @functools.lru_cache(maxsize=16)
 def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
-    """Return the model's right-hand side: (state, flat coefficients of the efforts, share of the interval) to its rate."""
+    """Return the model's right-hand side: (state, effort coefficients as a column, share of the interval) to its rate."""
     n = mechanism.n_q + mechanism.dof
     x, flat, tau = ca.SX.sym("x", n), ca.SX.sym("u", n_coefficients * n_u), ca.SX.sym("tau")
     effort = bernstein_value(ca.reshape(flat, n_coefficients, n_u), tau).T
@@ -171,7 +167,7 @@ def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
 
 
 def _slope_on(function: ca.Function, inputs: np.ndarray, width: float) -> Callable[[float, np.ndarray], np.ndarray]:
-    """Return the derivative (n, n) of a right-hand side by the state on an interval, for numpy."""
+    """Return the derivative (n, n) of an interval's right-hand side by the state, for numpy."""
     slope = _slope(function)
     return lambda t, y: np.array(slope(y, inputs, t / width))
 

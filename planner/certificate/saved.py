@@ -1,6 +1,6 @@
-"""What a certificate leaves to whoever made the motion, judged again where a plan is read.
+"""Checks of a motion that is read from a file, beyond the certificate.
 
-Its duration, its reference, the pose in the middle of a periodic motion, and the objective's value as an integral.
+They compare its duration, its reference, the pose in the middle of a periodic motion, and its objective as an integral.
 """
 
 import casadi as ca
@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.boundary import exactly, missed
+from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
 from linkplan.planner.limits.effort_rate import effort_rates
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -17,27 +17,16 @@ from linkplan.planner.problem.scales import Scales
 from linkplan.planner.problem.terms import motor_losses
 from linkplan.planner.trajectory import Trajectory
 
-# Durations are numbers of a program, found to rounding and kept in full.
-_DURATION_SHARE = 1e-8
-# States in the middle of a periodic motion are bounds of the program; a reference that is followed exactly is a polynomial
-# through it: measured below 1e-8 of its span with forty intervals a period.
-_STATE_SHARE = 1e-6
-# An integral by ten points an interval against the program's own quadrature at its nodes: the coarsest mesh and scheme that
-# pass a certificate differ by some thousandths, positive work, which has kinks, by a few hundredths.
-_OBJECTIVE_SHARE, _KINKED_SHARE = 0.01, 0.05
-# A term that makes efforts smooth may stand in the objective of tracking and of work: its own integral is no less than this.
-_SMOOTHED_SHARE = 0.5
-# What a term integrates counts as none below this share of its natural scale: a hundred times the solver's tolerance.
-_NEGLIGIBLE_SHARE = 1e-6
-_POINTS = 10
+# Gauss-Legendre points per interval.
+_QUADRATURE_POINTS = 10
 
 
 def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: float | None) -> tuple[str, ...]:
-    """Return the sentences on where a motion is not what its problem asks, or not what was said of it; empty where all fits.
+    """Return sentences on the differences between a motion and its problem or its saved objective; empty if there are none.
 
-    `objective` is the value that was saved with the motion; None, as of plans that have none, is not judged.
+    `objective` is the saved value; None is not checked.
     """
-    motion, lasts = problem.motion, trajectory.duration_s
+    motion, duration = problem.motion, trajectory.duration_s
     found = []
     if trajectory.periodic and motion.kind == "reach":
         found.append("a reach does not repeat, and the motion is marked as periodic")
@@ -49,9 +38,10 @@ def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: f
         low = high = motion.duration_s
     elif motion.kind == "track" and problem.reference is not None:
         low = high = problem.reference.period_s
-    if not low * (1 - _DURATION_SHARE) <= lasts <= high * (1 + _DURATION_SHARE):
+    rounding = 1e-8  # durations are unknowns of the program, found to rounding and saved in full
+    if not low * (1 - rounding) <= duration <= high * (1 + rounding):
         asked = f"{low:.9g} s" if low == high else f"{low:.9g} to {high:.9g} s"
-        found.append(f"the motion lasts {lasts:.9g} s, asked for was {asked}")
+        found.append(f"the motion lasts {duration:.9g} s, asked for was {asked}")
     found += _off_states(problem, trajectory)
     if objective is not None:
         found += _off_objective(problem, trajectory, objective)
@@ -61,9 +51,10 @@ def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: f
 def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
     motion, span = problem.motion, max(float(np.ptp(trajectory.position)), 1e-9)
     if motion.kind == "track" and problem.reference is not None:
-        time = trajectory.dense_times(_POINTS)
+        time = trajectory.dense_times(_QUADRATURE_POINTS)
         off = np.abs(trajectory.position_at(time) - problem.reference.derivative(time - trajectory.breaks_s[0])).max()
-        return [f"the reference is missed by {off / span:.3g} of its range"] if not off <= _STATE_SHARE * span else []
+        # The polynomials of an exactly followed reference miss it by less than 1e-8 of its span, with forty in a period.
+        return [f"the reference is missed by {off / span:.3g} of its range"] if not off <= BOUNDARY_SHARE * span else []
     if motion.kind != "periodic":
         return []
     found = []
@@ -71,32 +62,35 @@ def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
     for what, asked, time in (("start", motion.start, trajectory.breaks_s[0]), ("goal", motion.goal, middle)):
         if asked is None or (what == "goal" and motion.waypoints):
             continue
-        off = missed(trajectory.position_at(np.array([time])), *exactly(asked), span)
-        if not off <= _STATE_SHARE:
+        off = relative_violation(trajectory.position_at(np.array([time])), *exact_bounds(asked), span)
+        if not off <= BOUNDARY_SHARE:
             found.append(f"the periodic motion misses its {what} by {off:.3g} of its range")
     return found
 
 
-def _off_objective(problem: PlanningProblem, trajectory: Trajectory, said: float) -> list[str]:
+def _off_objective(problem: PlanningProblem, trajectory: Trajectory, saved: float) -> list[str]:
     try:
         value, size = objective_value(problem, trajectory)
-    except AssemblyError:  # a motion off its loops has failed its certificate already
+    except AssemblyError:  # the certificate already reports a motion off its loops
         return []
-    objective, size = problem.objective, max(abs(said), size)
-    share = _KINKED_SHARE if any(term.positive_power for term in objective.terms.values()) else _OBJECTIVE_SHARE
-    nothing = negligible_objective(problem, trajectory)
-    below = (_SMOOTHED_SHARE if objective.is_smoothed else share) * size + nothing
-    if said - below <= value <= said + share * size + nothing:
+    objective, size = problem.objective, max(abs(saved), size)
+    # The program's quadrature differs by some thousandths on the coarsest meshes, for positive work with its kinks by some
+    # hundredths. A smoothing term in the program may explain up to half of the saved value.
+    share = 0.05 if any(term.positive_power for term in objective.terms.values()) else 0.01
+    negligible = negligible_objective(problem, trajectory)
+    below = (0.5 if objective.is_smoothed else share) * size + negligible
+    if saved - below <= value <= saved + share * size + negligible:
         return []
-    return [f"its objective is said to be {said:.6g}, and that of the motion is {value:.6g}"]
+    return [f"its objective is said to be {saved:.6g}, and that of the motion is {value:.6g}"]
 
 
-@np.errstate(all="ignore")  # a motion that was changed on disk may last 1e200 s
+@np.errstate(all="ignore")  # the duration in an edited file may be 1e200 s
 def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> float:
-    """Return the objective [SI] that counts as none: a motion that needs no work has what the solver's rounding leaves.
+    """Return the objective [SI] that counts as zero: a motion without work still has the solver's rounding.
 
-    It is the same share of every term's quantity on its natural scale: a radian, or the mechanism's extent, of each joint;
-    the actuator's effort limit, or where there is none the largest effort of the motion and the inertia's over its duration.
+    It is 1e-6 of every term's quantity on its natural scale, a hundred times the solver's tolerance. The scales are a
+    radian or the mechanism's extent for each joint, and the effort limit; without a limit, the motion's largest effort or,
+    if larger, the effort that accelerates the inertia within the duration.
     """
     mechanism, T = problem.mechanism, np.float64(trajectory.duration_s)
     unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.independent_joints])
@@ -108,7 +102,7 @@ def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> fl
     effort = np.where(np.isfinite(largest), largest, asked)
     natural = Scales(time_s=T, position=unit, effort=effort, residual=maps @ effort, length_m=mechanism.extent_m)
     floors = [
-        problem.objective.weight(name) * _NEGLIGIBLE_SHARE**term.order * np.sum(term.size(natural, problem.motors))
+        problem.objective.weight(name) * 1e-6**term.order * np.sum(term.size(natural, problem.motors))
         for name, term in problem.objective.terms.items()
         if term.order
     ]
@@ -119,9 +113,9 @@ def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> tuple[f
     """Return the integrals of a motion's objective and of its terms' absolute values [SI], by Gauss-Legendre quadrature.
 
     Raises:
-        AssemblyError: when the motion leaves what the loops allow.
+        AssemblyError: when the loops cannot close along the motion.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
+    nodes, weights = np.polynomial.legendre.leggauss(_QUADRATURE_POINTS)
     time = trajectory.times_at(0.5 + 0.5 * nodes)
     width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
     objective, reference = problem.objective, problem.reference

@@ -1,26 +1,25 @@
-"""Sites at a motion's start, waypoints and goal: how far they are from where they are asked to be."""
+"""Errors of sites at a motion's start, waypoints and goal."""
 
 import numpy as np
 
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
-# Sites end within this share of the mechanism's extent of where they are asked: as boundary states do of their span.
-ENDS_SHARE = 1e-6
-# Start and goal may be beyond a limit by this share of the extent: what inverse kinematics and rounding leave.
+# Start and goal may exceed a limit by this share of the extent, because inverse kinematics and rounding are inexact.
 SITE_SLACK = 2e-9
 
 
 def ends_off_m(
     problem: PlanningProblem, trajectory: Trajectory, time: np.ndarray, q: np.ndarray
 ) -> tuple[float, tuple[str, ...]]:
-    """Return how far [m] sites are from where start, waypoints and goal ask them, at the most, and sentences on that.
+    """Return the largest error [m] of the sites prescribed at start, waypoints and goal, and sentences on errors.
 
     Args:
-        problem: with what is asked; of a periodic motion the goal is in its middle.
+        problem: the problem; the goal of a periodic motion lies in its middle.
         trajectory: the motion.
         time: (n,) [s] along it, from its start to its end.
         q: poses (n, n_q) at those times.
@@ -35,28 +34,28 @@ def ends_off_m(
         for point in points:
             off = point.off_m(places_of(problem.mechanism, point.index, pose)[0])
             worst = max(worst, off)
-            if not off <= ENDS_SHARE * problem.mechanism.extent_m:
+            if not off <= BOUNDARY_SHARE * problem.mechanism.extent_m:
                 failures.append(f"site {point.site} is {off:.3g} m away from where motion.{name}_at asks it")
     for k, waypoint in enumerate(motion.waypoints):
         if waypoint.at:
             apart = waypoint_off_m(problem, trajectory, waypoint, waypoint_times(trajectory, waypoint))
             off, point = float(apart.max(axis=1).min()), waypoint.at[int(apart[apart.max(axis=1).argmin()].argmax())]
             worst = max(worst, off)
-            if not off <= ENDS_SHARE * problem.mechanism.extent_m:
+            if not off <= BOUNDARY_SHARE * problem.mechanism.extent_m:
                 failures.append(f"site {point.site} is {off:.3g} m away from where motion.waypoints[{k}].at asks it")
     return worst, tuple(failures)
 
 
 def waypoint_times(trajectory: Trajectory, waypoint: Waypoint) -> np.ndarray:
-    """Return the instants (n,) [s] at which a motion may pass a waypoint: its own, or all breaks where that is free."""
+    """Return the times (n,) [s] at which a motion may pass a waypoint: its own time, or all breaks if that is free."""
     return trajectory.breaks_s if waypoint.time_s is None else trajectory.breaks_s[:1] + waypoint.time_s
 
 
 def waypoint_off_m(problem: PlanningProblem, trajectory: Trajectory, waypoint: Waypoint, time: np.ndarray) -> np.ndarray:
-    """Return how far [m] a waypoint's sites are from their places (n, n_sites) at times (n,) [s]."""
+    """Return the distances [m] (n, n_sites) of a waypoint's sites from their prescribed places at times (n,) [s]."""
     if not waypoint.at:
         return np.zeros((len(time), 1))
-    # Loops are followed from break to break, whatever instant is asked for.
+    # Loops are followed from break to break, so the result does not depend on the given times.
     along, back = np.unique(np.concatenate([trajectory.breaks_s, time]), return_inverse=True)
     until = problem.solver.judging_deadline
     poses = follow(problem.mechanism, trajectory.position_at(along), trajectory.start_pose, until)

@@ -1,5 +1,5 @@
-"""Mechanisms as a client of transcription and refinement.
+"""Planning problems of mechanisms, as formulations for the transcription and cases for refinement.
 
-In: a `PlanningProblem`, a guess and a mesh. Out: its `Formulation` with reduced dynamics and lifted dependent coordinates,
-a solution as a `Trajectory`, and motions that are prescribed, by inverse dynamics alone.
+In: a `PlanningProblem`, a guess and a mesh. Out: its `Formulation` with reduced dynamics and lifted dependent coordinates, a
+solution as a `Trajectory`, and prescribed motions, which need inverse dynamics only.
 """

@@ -1,4 +1,4 @@
-"""The plan of a certified motion: its status by the certificate, its message in words."""
+"""The plan of a certified motion: its status from the certificate, and its message."""
 
 from dataclasses import replace
 
@@ -23,10 +23,10 @@ def finished(
     *,
     optimal: bool = True,
 ) -> Plan:
-    """Return the plan of a certified motion, however it was come by: it is judged here and nowhere else.
+    """Return the plan of a certified motion; every search and every prescribed motion ends here.
 
-    It passes where the certificate does, contacts along the motion included, and the tolerance that was asked for is met:
-    "optimal" where the motion is the best of those near to it as far as is known, else "feasible".
+    The plan passes if its certificate, including contacts along the motion, passes and the tolerance is met. Its status is
+    then "optimal" if the motion is locally optimal as far as known, else "feasible".
     """
     certificate = with_contacts(problem, trajectory, certificate)
     plan = Plan(
@@ -71,12 +71,12 @@ def finished(
 
 
 def optimality(problem: PlanningProblem) -> str:
-    """Return the words with which the message of an optimal plan begins."""
+    """Return the first words of an optimal plan's message."""
     return f"{problem.objective.name.replace('_', ' ')}-optimal "
 
 
 def _failure(plan: Plan) -> str | None:
-    """Return the words on what a motion's certificate shows against it, or on the tolerance that it misses; else None."""
+    """Return the reason why a motion's certificate fails or its tolerance is missed; else None."""
     certificate, tolerance = plan.certificate, plan.problem.mesh.tolerance_deg
     if not certificate.passed:
         return f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"

@@ -1,4 +1,4 @@
-"""A mechanism's planning problem as refinement sees it."""
+"""A mechanism's planning problem as a case for refinement."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -9,7 +9,7 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
-from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate
+from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import choose_scales, trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
@@ -22,26 +22,21 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
-# What the integrated state is refined towards where no tolerance is asked for [deg].
-_TARGET_DEG = 1e-6
-# What the objective is to change by from mesh to mesh at the most where that is looked at, relative; with limits on power of
-# several freedoms, where jumps stay inside intervals.
-_OBJECTIVE, _JUMPS_INSIDE = 1e-7, 1e-6
-# Speed limits are tightened where they were overrun so many times, then everywhere: what is left moves about, and is little.
-_LOCAL = 1
+# Tolerance of the integrated state if the problem gives none [deg].
+_DEFAULT_TOLERANCE_DEG = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MechanismCase:
-    """A `planner.refinement.case.Case` of a planning problem; certificates are against `asked`, solves within `problem`."""
+    """A `planner.refinement.case.Case`: solves use `problem` with tightened limits, certificates the `asked` problem."""
 
     problem: PlanningProblem
     asked: PlanningProblem
     tightenings: tuple[Tightening, ...] = ()
     n_tightenings: int = 0
-    kinks: bool = True  # whether to look for kinks of efforts that do not jump
-    smoothing: float = SMOOTHING  # as of `formulate`
-    enclosed: bool = False  # whether limits on power and pin force are kept at every instant
+    kinks: bool = True  # whether to seek kinks of continuous efforts
+    smoothing: float = SMOOTHING_WEIGHT  # see `formulate`
+    enclosed: bool = False  # whether limits on power and pin force are imposed at every instant
     target: RefinementTarget = field(init=False)
 
     def __post_init__(self) -> None:
@@ -53,7 +48,7 @@ class MechanismCase:
         return transcribe(self.problem, start, mesh, durations, **kept, **options)
 
     def motion(self, solution: Solution) -> Trajectory | None:
-        """Return a solution's trajectory; None where the solver took it to another branch."""
+        """Return a solution's trajectory; None if the solver moved to another assembly branch."""
         try:
             return trajectory_of(solution.transcribed, solution.x, self.asked.limits.effort)
         except AssemblyError:
@@ -64,14 +59,14 @@ class MechanismCase:
         return motion_of(motion)
 
     def certify(self, motion: Trajectory) -> Certificate | None:
-        """Return a trajectory's certificate; None where it leaves the branch, or no time is left."""
+        """Return a trajectory's certificate; None if it leaves its assembly branch or the deadline passes."""
         try:
             return certify(self.asked, motion)
         except (AssemblyError, OutOfTimeError):
             return None
 
     def error_report(self, certificate: Certificate) -> ErrorReport:
-        """Return what a certificate says to refinement."""
+        """Return the certificate's findings that refinement needs."""
         over = [certificate.speed_overrun, certificate.position_overrun]
         over += [margin.overrun[None] for margin in certificate.margins if margin.of.tightened is not None]
         least = min(certificate.position_margin.min(), certificate.speed_margin.min())
@@ -85,10 +80,10 @@ class MechanismCase:
         )
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
-        """Return the case with limits tightened by what the motion overran them."""
+        """Return the case with limits tightened by the amounts that the motion overran."""
         further = tightenings_of(certificate.margins, certificate.speed_overrun, motion.breaks_s)
         further = evened(further) if self.enclosed else further
-        everywhere = self.n_tightenings >= _LOCAL
+        everywhere = self.n_tightenings >= 1  # after the first time overruns are small and move between intervals
         problem = _tightened(self.problem, certificate, speeds=everywhere)
         return replace(self, problem=problem, tightenings=self.tightenings + further, n_tightenings=self.n_tightenings + 1)
 
@@ -98,17 +93,17 @@ class MechanismCase:
 
 
 def case_of(problem: PlanningProblem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:
-    """Return the case of a problem; `kinks` says whether kinks of efforts that do not jump are looked for.
+    """Return the case of a problem; with `kinks`, refinement seeks the kinks of continuous efforts.
 
-    Limits on power of several freedoms are kept at every instant. Of one freedom the phase plane knows which limit follows
-    on which, and their arcs are held; `enclosed` says that they, and limits on pin force, are kept at every instant too.
+    Limits on power of several freedoms are imposed at every instant. With one freedom the phase plane gives the order of the
+    constrained arcs, and these are held; with `enclosed`, limits on power and pin force are imposed at every instant too.
     """
     powers = problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
     return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed or (powers and problem.mechanism.dof > 1))
 
 
 def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
-    """Return what a guess along limits on power and pin force holds along its arcs."""
+    """Return the arcs along limits on effort, power and pin force that a guess holds."""
     system = formulate(problem, choose_scales(problem, guess)).build_system()
     kinds = np.array(system.kinds[system.n_equations :])
     paths = np.zeros((len(guess.power_arcs), len(kinds)), dtype=int)
@@ -119,12 +114,12 @@ def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
 
 
 def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> RefinementTarget:
-    """Return what the best motion of a problem looks like, and how exact it is to be.
+    """Return the expected structure of a problem's optimum, and the accuracy to reach.
 
-    Efforts jump between limits, none and arcs where time or work count; where their squares do, they bend where they reach a
-    limit and have no jumps; where time alone counts they are at their limits wherever no other limit binds. The objective's
-    change is looked at where limits on coefficients cost what a motion does not show. With limits on power kept at every
-    instant switches are not looked for: jumps may stand inside intervals.
+    Efforts jump between their limits, zero and constrained arcs if time or work is minimised. They are continuous with kinks
+    at their limits if squared efforts are minimised. In least time they are at their limits wherever no other limit binds.
+    The change of the objective is checked where limits on coefficients may cost something that the motion itself does not
+    show. With limits on power imposed at every instant, switches are not sought, and jumps may lie inside intervals.
     """
     objective = problem.objective
     continuous_efforts = objective.efforts("bend")
@@ -132,7 +127,7 @@ def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Refinem
     switches = not enclosed and (objective.efforts("jump") or bending) and not objective.efforts("smooth")
     lines = any(motor is not None and motor.has_line for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
-    tolerance = _OBJECTIVE if switches and (lines or bent) else None
+    tolerance = 1e-7 if switches and (lines or bent) else None
     return RefinementTarget(
         effort_limit=problem.limits.effort,
         switches=switches,
@@ -140,20 +135,20 @@ def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Refinem
         continuous_efforts=continuous_efforts,
         strictness=_strictness(problem),
         tolerance_given=problem.mesh.tolerance_deg is not None,
-        objective_tolerance=_JUMPS_INSIDE if enclosed else tolerance,
+        objective_tolerance=1e-6 if enclosed else tolerance,  # looser, because jumps may lie inside intervals
         kinks_at_limits=True,
         enclosed=enclosed,
-        layers=any(frictions_of(problem.mechanism.model)),  # where dry friction turns over
+        layers=any(frictions_of(problem.mechanism.model)),  # thin layers where dry friction changes its sign
     )
 
 
 def _strictness(problem: PlanningProblem) -> float:
-    """Return how many times more exact than a certificate demands the integrated state is to be."""
-    return INTEGRATION_DEG / (problem.mesh.tolerance_deg or _TARGET_DEG)
+    """Return the ratio of the certificate's integration tolerance to the problem's."""
+    return INTEGRATION_DEG / (problem.mesh.tolerance_deg or _DEFAULT_TOLERANCE_DEG)
 
 
 def is_exact(problem: PlanningProblem, certificate: Certificate) -> bool:
-    """Return whether a motion's integrated state is within what is asked, or refined towards where nothing is."""
+    """Check a motion's integration error against the problem's tolerance or the default one."""
     strict = _strictness(problem)
     return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
         certificate.integration_error_m * strict <= INTEGRATION_M
@@ -161,7 +156,7 @@ def is_exact(problem: PlanningProblem, certificate: Certificate) -> bool:
 
 
 def _tightened(problem: PlanningProblem, certificate: Certificate, *, speeds: bool) -> PlanningProblem:
-    """Return a problem with ranges, effort rates and maybe speeds tightened by what a motion overran, and a tenth more."""
+    """Return a problem with ranges, effort rates and optionally speeds tightened by 1.1 times the overrun."""
     limits = problem.limits
     changed: dict = {}
     inward = 1.1 * np.maximum(0.0, -certificate.position_margin)[:, None] * np.array([1.0, -1.0])

@@ -1,4 +1,4 @@
-"""A mechanism's planning problem as a formulation: which functions it needs, and the numbers of its limits and objective."""
+"""A mechanism's planning problem as a formulation: its functions and the numbers of its limits and objective."""
 
 from collections.abc import Callable
 
@@ -9,17 +9,17 @@ from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system,
 from linkplan.planner.closed_chain.site_end import coordinate_row, site_endpoint
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.path_limit import PathLimit
-from linkplan.planner.problem.limits import free
+from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
 from linkplan.planner.transcription.interval import COSTS, IntervalRows
 
-# Weight of the squared effort rate where no other term makes the effort smooth (tracking, work), all in scaled units. Where
-# limits bind, the motion nearest in position alone chatters at the ends of its bang arcs (Fuller's phenomenon); with this
-# weight, a swing over the whole limit in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's span.
-SMOOTHING = 2.5e-9
+# Weight of the squared effort rate for objectives that leave efforts non-smooth (tracking, work), in scaled units. Without
+# it the nearest motion chatters at the ends of its bang arcs where limits bind (Fuller's phenomenon). With it, a swing over
+# the whole limit in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's span.
+SMOOTHING_WEIGHT = 2.5e-9
 
 
 def formulate(
@@ -30,18 +30,18 @@ def formulate(
     enclosed: bool = False,
     least_limit: bool = False,
     tightenings: tuple[Tightening, ...] = (),
-    smoothing: float = SMOOTHING,
+    smoothing: float = SMOOTHING_WEIGHT,
 ) -> Formulation:
     """Return a problem's formulation.
 
     Args:
         problem: what to plan.
         scales: units of its unknowns.
-        position_rows: whether independent ranges are kept between the nodes by constraint rows.
-        enclosed: whether limits on power and pin force are kept between the nodes by constraint rows.
-        least_limit: leave the objective out: only a motion is sought.
-        tightenings: how far limits are tightened over the motion, where it overran them between nodes.
-        smoothing: the weight of the squared effort rate where nothing else makes the effort smooth, in scaled units.
+        position_rows: impose the ranges of independent joints between the nodes too.
+        enclosed: impose limits on power and pin force between the nodes too.
+        least_limit: omit the objective, because only a motion is sought.
+        tightenings: amounts by which limits are tightened along the motion, because it overran them between nodes.
+        smoothing: the weight of the squared effort rate if the objective leaves efforts non-smooth, in scaled units.
     """
     mechanism, objective, motion = problem.mechanism, problem.objective, problem.motion
     n_s, n_u = mechanism.dof, mechanism.n_u
@@ -55,9 +55,9 @@ def formulate(
     position, speed, rate = problem.limits.position, problem.limits.speed, scales.position / scales.time_s
     independent, dependent, positive = mechanism.independent, mechanism.dependent, np.tile([0.0, np.inf], (n_works, 1))
     bounds = np.array([limit.bounds(problem, scales) for limit in asked.rows]).reshape(-1, 2)
-    path = np.vstack([bounds, free(len(asked.passed)), positive])
+    path = np.vstack([bounds, free_bounds(len(asked.passed)), positive])
     endpoint, places = site_endpoint(problem, scales.position, n_z)
-    adrift = tuple(np.flatnonzero(problem.goes_on).tolist())
+    adrift = tuple(np.flatnonzero(problem.free_spins).tolist())
     returns = tuple(i for i in range(2 * n_s) if i not in adrift)
     return Formulation(
         build_system=lambda: mechanism_system(mechanism, asked),
@@ -73,7 +73,9 @@ def formulate(
             objective=value,
         ),
         state=np.vstack([position[independent] / scales.position[:, None], speed[independent] / rate[:, None]]),
-        algebraic=np.vstack([position[dependent], free(n_lifted(mechanism)), positive, free(asked.n_unknowns)]),
+        algebraic=np.vstack(
+            [position[dependent], free_bounds(n_lifted(mechanism)), positive, free_bounds(asked.n_unknowns)]
+        ),
         effort=problem.limits.effort,
         path=path,
         own=own,
@@ -95,7 +97,7 @@ def formulate(
 
 
 def _node_terms(problem: PlanningProblem, limits: tuple[PathLimit, ...], *, least_limit: bool) -> NodeTerms:
-    """Return what is looked at in a node."""
+    """Return the terms that are evaluated at a node."""
     passed = {(site, axis) for waypoint in problem.motion.waypoints for site, axis, _ in waypoint.open_coordinates}
     return NodeTerms(
         running=() if least_limit else tuple(term for term in problem.objective.terms.values() if term.exact is None),
@@ -105,7 +107,7 @@ def _node_terms(problem: PlanningProblem, limits: tuple[PathLimit, ...], *, leas
 
 
 def _passed_rows(problem: PlanningProblem, asked: NodeTerms) -> tuple[tuple[int, int, float], ...]:
-    """Return for each coordinate of a site that a waypoint asks for: its phase boundary, its path quantity, its value."""
+    """Return (phase boundary, path quantity, value) for each coordinate of a site that a waypoint prescribes."""
     return tuple(
         (k + 1, len(asked.rows) + asked.passed.index((site, axis)), coordinate_row(problem.mechanism, site, axis, at))
         for k, waypoint in enumerate(problem.motion.waypoints)
@@ -125,7 +127,7 @@ def _interval_rows(
     costs: tuple[str, ...],
     tightenings: tuple[Tightening, ...],
 ) -> tuple[IntervalRows, dict[str, np.ndarray], dict[str, Callable[[np.ndarray], np.ndarray]]]:
-    """Return an interval's own rows, their bounds by kind, and how far those that nodes leave free are tightened."""
+    """Return an interval's own rows, their bounds by kind, and by kind the tightening of the enclosed ones."""
     fields: dict[str, list] = {}
     bounds: dict[str, list] = {}
     enclosed: dict[str, list[TightenedRow]] = {}
@@ -150,7 +152,7 @@ def _interval_rows(
 
 
 def _exact_costs(problem: PlanningProblem, scales: Scales, smoothing: float | None, value: float) -> dict[str, np.ndarray]:
-    """Return the costs of an interval that are integrated exactly, with their weights on the scaled unknowns."""
+    """Return the exactly integrated costs of an interval, with their weights on the scaled unknowns."""
     found: dict[str, np.ndarray] = {}
     for name, term in problem.objective.terms.items():
         if term.exact is not None:
@@ -162,7 +164,7 @@ def _exact_costs(problem: PlanningProblem, scales: Scales, smoothing: float | No
 
 
 def _theta(problem: PlanningProblem, asked: NodeTerms, scales: Scales, value: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the function from times (n, m) [s] to the parameters of nodes there (n, m, n_theta)."""
+    """Return the function from times (n, m) [s] to node parameters (n, m, n_theta)."""
     before, after = node_numbers(problem, asked, scales, value)
 
     def theta(times: np.ndarray) -> np.ndarray:
@@ -176,7 +178,7 @@ def _theta(problem: PlanningProblem, asked: NodeTerms, scales: Scales, value: fl
 
 
 def _advance(problem: PlanningProblem, scales: Scales, returns: tuple[int, ...]) -> np.ndarray | float:
-    """Return by how much the states `returns` of a periodic motion have gone on at its end, scaled; 0 where they return."""
+    """Return the scaled difference between end and start of the periodic states `returns`."""
     if problem.motion.turns is None:
         return 0.0
     return np.concatenate([problem.motion.advance / scales.position, np.zeros(problem.mechanism.dof)])[list(returns)]
@@ -217,16 +219,16 @@ def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[Phase
 
 
 def _first_position(problem: PlanningProblem) -> np.ndarray | None:
-    """Return the positions (n_s,) in which a periodic motion begins, NaN where they are free; None where all are.
+    """Return the start positions (n_s,) of a periodic motion, NaN where they are free; None if all are free.
 
-    A motion that turns for ever passes every angle, and begun at any of them it is as good: it begins at home's. So does a
-    spin on which nothing depends.
+    A joint that turns endlessly passes every angle, so its motion may begin at any; it begins at home. The same holds for a
+    spin that affects nothing else.
     """
     motion = problem.motion
     home = problem.mechanism.home[problem.mechanism.independent]
-    if motion.start is not None or not (np.any(problem.goes_on) or (motion.turns is not None and not motion.waypoints)):
+    if motion.start is not None or not (np.any(problem.free_spins) or (motion.turns is not None and not motion.waypoints)):
         return motion.start
-    first = np.where(problem.goes_on, home, np.nan)
+    first = np.where(problem.free_spins, home, np.nan)
     if motion.turns is not None and not motion.waypoints:
         column = int(np.flatnonzero(motion.turns)[0])
         first[column] = home[column]

@@ -1,4 +1,4 @@
-"""Initial guesses: motions that close the kinematic loops, keep the boundary states and need a feasible effort."""
+"""Initial guesses: motions that close the kinematic loops, meet the boundary states and need a feasible effort."""
 
 import functools
 import itertools
@@ -18,21 +18,16 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
-_SAMPLES = 121
-# The longest and shortest durations considered for a free one [s].
-_DURATIONS = (1e-5, 1e4)
-# A motion whose last given waypoint is later than its guessed end is guessed to last this much longer than that.
-_AFTER_THE_LAST = 1.25
-# A motion that moves less than this [rad], or as little of the mechanism's extent, is bent as if it moved so far.
-_LEAST_SPAN = 0.1
+_GUESS_SAMPLES = 121
+# Ratio of the guessed duration to the time of the last waypoint with a prescribed time, if the guess would end before that.
+_LAST_WAYPOINT_STRETCH = 1.25
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Guess:
     """A motion to start from: functions of time (n,) giving (n, n_s) and efforts (n, n_u), and its duration.
 
-    `boundaries_s` (n_boundaries,) are its phase boundaries, the instants at start, waypoints and goal; None where there are
-    no waypoints.
+    `boundaries_s` (n_boundaries,) are the times of its phase boundaries (start, waypoints, goal); None without waypoints.
     """
 
     position: Callable[[np.ndarray], np.ndarray]
@@ -42,13 +37,13 @@ class Guess:
     duration_s: float
     start_pose: np.ndarray
     boundaries_s: np.ndarray | None = None
-    swings: int = 1  # swings that it is made of: each wants intervals of its own
-    # (n_switches,) instants between its phase boundaries at which its efforts switch
+    swings: int = 1  # number of swings; each needs its own intervals
+    # (n_switches,) switch times between its phase boundaries
     switch_times_s: np.ndarray | None = None
-    bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between those and the phase boundaries
-    # (n_segments, n_u) 1 or -1 where an actuator is at its upper or lower limit on power there, its bang effort then NaN
+    bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between switch times and phase boundaries
+    # (n_segments, n_u) 1 or -1 if an actuator is at its upper or lower limit on power; its bang effort is then NaN
     power_arcs: np.ndarray | None = None
-    # (n_segments, n_limited_closures) 1 where a closure's force is at its limit there, the bang effort then NaN
+    # (n_segments, n_limited_closures) 1 if a closure's force is at its limit; the bang effort is then NaN
     force_arcs: np.ndarray | None = None
 
 
@@ -65,9 +60,9 @@ def motion_of(trajectory: Trajectory) -> Guess:
 
 
 def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
-    """Return a motion to start from: the reference itself, or the smoothest path through the phase boundaries.
+    """Return the first motion to start from: the reference, or the smoothest path through the phase boundaries.
 
-    A free duration is the shortest that the effort limits allow on that path.
+    A free duration is the shortest that the effort limits allow on this path.
     """
     motion = problem.motion
     if motion.kind != "reach" and problem.reference is not None and not motion.waypoints:
@@ -91,19 +86,19 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
 
 
 def perturbed_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
-    """Yield endless further starts: the first guess bent by a few half waves of random size, the same in every run."""
+    """Yield endlessly the first guess with a few half waves of pseudo-random size added, the same in every run."""
     base = first_guess(problem, start_pose)
-    times = np.linspace(0.0, base.duration_s, _SAMPLES)
+    times = np.linspace(0.0, base.duration_s, _GUESS_SAMPLES)
     s = base.position(times)
     unit = np.array([1.0 if j.kind == "hinge" else problem.mechanism.extent_m for j in problem.mechanism.independent_joints])
-    span = np.maximum(np.ptp(s, axis=0), _LEAST_SPAN * unit)
+    span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)  # a guess that hardly moves is bent by this much
     for number in itertools.count(1):
         offset = perturbation(number, times / base.duration_s, span).offset
         yield f"perturbed guess {number}", _splined(times, s + offset, base.start_pose, base.boundaries_s)
 
 
 def closes(problem: PlanningProblem, guess: Guess) -> bool:
-    """Return whether a guess stays within what the loops allow.
+    """Check that the loops can be closed along a guess.
 
     Raises:
         OutOfTimeError: when the problem's deadline passes meanwhile.
@@ -116,9 +111,9 @@ def closes(problem: PlanningProblem, guess: Guess) -> bool:
 
 
 def boundary_times(problem: PlanningProblem, duration: float) -> np.ndarray | None:
-    """Return the instants (n_boundaries,) [s] of start, waypoints and goal in a guess, free ones shared out by distance.
+    """Return the times (n_boundaries,) [s] of start, waypoints and goal in a guess, free times distributed by distance.
 
-    None where there are no phase boundaries on the way.
+    None if the motion has neither waypoints nor a periodic goal.
     """
     motion = problem.motion
     if not motion.waypoints:
@@ -129,13 +124,13 @@ def boundary_times(problem: PlanningProblem, duration: float) -> np.ndarray | No
     along = np.concatenate([[0.0], np.cumsum(steps)])
     given = [(0, 0.0), *((k + 1, w.time_s) for k, w in enumerate(motion.waypoints) if w.time_s is not None)]
     last = given[-1][1]
-    given.append((len(states) - 1, duration if duration > last else _AFTER_THE_LAST * last))
+    given.append((len(states) - 1, duration if duration > last else _LAST_WAYPOINT_STRETCH * last))
     index, at = (np.array(x) for x in zip(*given, strict=True))
     return np.interp(along, along[index], at)
 
 
 def _boundary_positions(problem: PlanningProblem) -> np.ndarray:
-    """Return positions (n_boundaries, n_s) of start, waypoints and goal, what is free put in between."""
+    """Return the positions (n_boundaries, n_s) of start, waypoints and goal, with free ones interpolated."""
     motion = problem.motion
     first = motion.start
     if first is None:
@@ -149,13 +144,13 @@ def _boundary_positions(problem: PlanningProblem) -> np.ndarray:
 
 
 def _within(problem: PlanningProblem, duration: float) -> float:
-    """Return a duration brought within the bounds on a free one."""
+    """Return a duration clipped to the bounds on a free duration."""
     motion = problem.motion
     return float(np.clip(duration, motion.min_duration_s or 0.0, motion.max_duration_s or np.inf))
 
 
 def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
-    """Return the guess that a problem carries, stretched to its duration; None where it leaves what the loops allow."""
+    """Return the problem's own guess, stretched to its duration; None if there is no guess or the loops cannot close."""
     given, motion = problem.guess, problem.motion
     if given is None:
         return None
@@ -188,7 +183,7 @@ def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, boundarie
 
 
 def _guess_along(path: PiecewisePolynomial, duration: float, start_pose: np.ndarray) -> Guess:
-    """Return a path as a guess, its efforts left to inverse dynamics."""
+    """Return a path as a guess whose efforts follow from inverse dynamics."""
     return Guess(
         position=path,
         velocity=path.derivative(1),
@@ -200,9 +195,9 @@ def _guess_along(path: PiecewisePolynomial, duration: float, start_pose: np.ndar
 
 
 def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[Guess]:
-    """Yield motions for a reach that build up energy by swinging first: back from the goal before it, or beyond it and back.
+    """Yield motions for a reach that gain energy by swinging: first away from the goal, or past the goal and back.
 
-    Where effort is short of gravity's, the way straight there is not open, and a solver that starts on it finds none.
+    With less effort than gravity needs, the direct way is infeasible, and a solver that starts on it fails.
     """
     motion = problem.motion
     if motion.kind != "reach" or motion.waypoints:
@@ -218,7 +213,7 @@ def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterat
 
 
 def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False) -> PiecewisePolynomial:
-    """Return quintics through the phase boundaries, with no acceleration there (Flash & Hogan 1985), at rest where asked."""
+    """Return quintics through the phase boundaries with zero acceleration there (Flash & Hogan 1985); `rests`: and speed."""
     motion = problem.motion
     if motion.waypoints:
         times, s = boundary_times(problem, duration), _boundary_positions(problem)
@@ -235,7 +230,7 @@ def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False)
         last = motion.goal if motion.kind == "reach" else first + motion.advance
         s = np.vstack([first, motion.goal, last] if there_and_back else [first, last])
         v = np.zeros_like(s)
-    if motion.turns is not None and not rests:  # steadily
+    if motion.turns is not None and not rests:  # constant speed
         v[:, motion.turns != 0] = (motion.advance / duration)[motion.turns != 0]
     if motion.kind == "reach":
         v[0] = motion.start_speed if motion.start_speed is not None else 0.0
@@ -244,20 +239,20 @@ def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False)
 
 
 def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> float:
-    """Return the duration at which the smooth path just asks for the whole effort limit; bisection in log time."""
+    """Return the duration at which the smooth path needs exactly the effort limit, by bisection in the log of time."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     given = [w.time_s for w in problem.motion.waypoints if w.time_s is not None]
     if given:
-        return _AFTER_THE_LAST * given[-1]
+        return _LAST_WAYPOINT_STRETCH * given[-1]
     unit = _smooth_path(problem, 1.0)
-    tau = np.linspace(0.0, 1.0, _SAMPLES)
+    tau = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
     try:
         poses = follow(mechanism, unit(tau), start_pose, problem.solver.deadline)
-    except AssemblyError:  # the path leaves what the loop allows; how fast it could be gone along says nothing
+    except AssemblyError:  # the loops cannot close along the path, so its duration is arbitrary
         return 1.0
 
-    # In the pace r = 1 / T speeds are r v_0 + v_1 and accelerations r^2 a_0 + r a_1, with the ends' given speeds in v_1 and
-    # a_1. Efforts are quadratic in r, dampers that are not linear apart: three paces tell all the others.
+    # With the pace r = 1 / T, speeds are r v_0 + v_1 and accelerations r^2 a_0 + r a_1; the prescribed speeds at the ends
+    # give v_1 and a_1. Efforts are quadratic in r except for nonlinear dampers, so three paces determine all others.
     twice = _smooth_path(problem, 2.0)
     v, a = (np.array([path.derivative(order)(path.breaks[-1] * tau) for path in (unit, twice)]) for order in (1, 2))
     v_1, a_1 = 2 * v[1] - v[0], 4 * a[1] - a[0]
@@ -270,7 +265,7 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
         effort = still + pace * linear + pace**2 * quadratic
         return float(np.max(np.maximum(effort - limit[:, 1], limit[:, 0] - effort)))
 
-    low, high = (float(np.log(d)) for d in _DURATIONS)
+    low, high = np.log(1e-5), np.log(1e4)  # [s]
     if not np.all(np.isfinite(limit)) or excess(high) > 0:
         return 1.0
     for _ in range(40):
@@ -280,8 +275,8 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """Whose poses are asked for: the same for the same mechanism and guess, whatever the deadline."""
+class _PosesRequest:
+    """An argument for the memoised `_even_poses`: equal for equal mechanism and guess, whatever the deadline."""
 
     mechanism: Mechanism
     guess: Guess
@@ -289,23 +284,23 @@ class _Asked:
 
 
 def even_poses(problem: PlanningProblem, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
-    """Return even times (n,) over a guess and its closed poses (n, n_q) at them: looked at once, by all who ask.
+    """Return evenly spaced times (n,) over a guess and its closed poses (n, n_q) there; the result is memoised.
 
     Raises:
-        AssemblyError: where its loops open.
+        AssemblyError: if its loops cannot close.
         OutOfTimeError: when the problem's deadline passes meanwhile.
     """
-    return _even_poses(_Asked(problem.mechanism, guess, problem.solver.deadline))
+    return _even_poses(_PosesRequest(problem.mechanism, guess, problem.solver.deadline))
 
 
 @functools.lru_cache(maxsize=4)
-def _even_poses(asked: _Asked) -> tuple[np.ndarray, np.ndarray]:
-    times = np.linspace(0.0, asked.guess.duration_s, _SAMPLES)
-    poses = poses_along(asked.mechanism, asked.guess, times, asked.deadline)
+def _even_poses(request: _PosesRequest) -> tuple[np.ndarray, np.ndarray]:
+    times = np.linspace(0.0, request.guess.duration_s, _GUESS_SAMPLES)
+    poses = poses_along(request.mechanism, request.guess, times, request.deadline)
     times.flags.writeable = poses.flags.writeable = False
     return times, poses
 
 
 def poses_along(mechanism: Mechanism, guess: Guess, time_s: np.ndarray, deadline: Deadline = NO_DEADLINE) -> np.ndarray:
-    """Return the closed poses (n, n_q) of a guess at increasing times (n,); raises as of `follow`."""
+    """Return the closed poses (n, n_q) of a guess at increasing times (n,), with the exceptions of `follow`."""
     return follow(mechanism, guess.position(time_s), guess.start_pose, deadline)

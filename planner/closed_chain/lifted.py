@@ -1,12 +1,13 @@
-"""Rates, accelerations and multipliers of dependent joints as unknowns of their own, where their elimination is long.
+"""Rates, accelerations and multipliers of dependent joints as unknowns, where eliminating them gives long expressions.
 
-Reduced dynamics solve with J_z, the closure's derivative by the dependent joints, in symbols. Where loops are not closed one
-after another, as under a platform on six legs, J_z is one block: of 15 joints it makes 3.4 million operations of a node's
-second derivatives. Lifted (Albersmeyer & Diehl, SIAM J. Optim. 20, 2010), the same equations are
+Reduced dynamics solve symbolically with J_z, the closure's derivative by the dependent joints. If the loops cannot be closed
+one after another, as under a platform on six legs, J_z is one block: with 15 joints a node's second derivatives have 3.4
+million operations. In lifted form (Albersmeyer & Diehl, SIAM J. Optim. 20, 2010), the same equations are
 
-    phi(q) = 0,   J q' = 0,   J q'' + J' q' = 0,   M q'' + h - B u - J^T mu = 0,
+    phi(q) = 0,   J q' = 0,   J q'' + J' q' = 0,   M q'' + h - B u - J^T mu = 0.
 
-in which nothing is solved: 3 n_z unknowns and rows more, and expressions as short as the tree's. The motions are the same.
+Nothing is solved symbolically: there are 3 n_z more unknowns and rows, and the expressions are as short as those of the
+tree. The motions are the same.
 """
 
 import functools
@@ -16,25 +17,27 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 
-# Operations of Gamma, the solution with J_z, beyond which a program is lifted. Andrews' squeezer has 322 and is not. Seconds
-# of processor time for a plan before and lifted, objectives the same: a wishbone (1,418) 12.7 and 8.9, a delta robot (1,544)
-# 3.0 and 1.8, in least time 5.2 and 2.8, a platform on six rods (14,931) 51 and 9.
-_LONG = 1_000
+# Operations of Gamma (the solution with J_z) above which a program is lifted. Andrews' squeezer has 322 and is not.
+# Processor time [s] of a plan without and with lifting, at equal objectives: a wishbone (1,418 operations) 12.7 and 8.9, a
+# delta robot (1,544) 3.0 and 1.8, in least time 5.2 and 2.8, a platform on six rods (14,931) 51 and 9.
+_MAX_ELIMINATION_OPERATIONS = 1_000
 
 
 @functools.lru_cache(maxsize=16)
 def is_lifted(mechanism: Mechanism) -> bool:
-    """Return whether a mechanism's program is lifted."""
-    return not mechanism.dynamics.projected and mechanism.dynamics.velocity_map.n_instructions() > _LONG
+    """Check if a mechanism's program is lifted."""
+    return (
+        not mechanism.dynamics.projected and mechanism.dynamics.velocity_map.n_instructions() > _MAX_ELIMINATION_OPERATIONS
+    )
 
 
 def n_lifted(mechanism: Mechanism) -> int:
-    """Return the number of unknowns beyond the dependent joints' positions: their rates, accelerations, and multipliers."""
+    """Return the number of lifted unknowns: rates and accelerations of dependent joints, and multipliers."""
     return 3 * len(mechanism.dependent) if is_lifted(mechanism) else 0
 
 
 def in_order(mechanism: Mechanism, independent: ca.SX, dependent: ca.SX) -> ca.SX:
-    """Return values of all joints (n_q,) from those of the independent and of the dependent ones."""
+    """Return the values of all joints (n_q,) from those of the independent and the dependent joints."""
     order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
     return ca.vertcat(independent, dependent)[[int(i) for i in order]]
 
@@ -42,7 +45,7 @@ def in_order(mechanism: Mechanism, independent: ca.SX, dependent: ca.SX) -> ca.S
 def lifted_rows(
     mechanism: Mechanism, unknowns: ca.SX, call, given: dict[str, ca.SX], motion: tuple[ca.SX, ca.SX, ca.SX, ca.SX]
 ) -> tuple[ca.SX, tuple[str, ...], ca.SX]:
-    """Return a node's rows beside phi, what they are, and the rates (n_q,) of all joints.
+    """Return a node's rows other than phi, their kinds, and the rates (n_q,) of all joints.
 
     Args:
         mechanism: the mechanism.
@@ -81,7 +84,7 @@ def _closure(mechanism: Mechanism) -> ca.Function:
 def lifted_start(
     mechanism: Mechanism, poses: np.ndarray, v: np.ndarray, a: np.ndarray, effort: np.ndarray, time_s: float, force: float
 ) -> np.ndarray:
-    """Return the unknowns (n, 3 n_z) along poses (n, n_q) with v, a (n, n_s) and efforts (n, n_u), scaled."""
+    """Return the scaled unknowns (n, 3 n_z) along poses (n, n_q) with v, a (n, n_s) and efforts (n, n_u)."""
     dynamics, dependent, found = mechanism.dynamics, mechanism.dependent, []
     rows = dynamics.independent_closure.numel_out(0)
     for pose, speed, acceleration, u in zip(poses, v, a, effort, strict=True):

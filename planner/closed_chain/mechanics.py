@@ -1,9 +1,9 @@
 """A mechanism as a system for the transcription: closure and reduced dynamics at a node, all scaled.
 
-Second-order coordinates are the independent joints. Algebraic unknowns are the dependent ones (lifted: tied by phi(s, z)
-= 0) and, where positive work costs, each actuator's positive power (P >= u w, P >= 0: exact, with no kink in the program),
-and those that limits take which are kept at every instant.
-Equations: phi(q) / length and (inverse_dynamics(q, v, a) - Gamma^T B u) / scale. Path quantities: the limits' rows.
+Second-order coordinates are the independent joints. Algebraic unknowns are the dependent joints (tied by phi(s, z) = 0);
+each actuator's positive power P if work is minimised (P >= u w and P >= 0 are exact and leave no kink in the program); and
+the unknowns of limits that are imposed at every instant. Equations: phi(q) / length and (inverse_dynamics(q, v, a) -
+Gamma^T B u) / scale. Path quantities: the limits' rows.
 """
 
 import functools
@@ -27,10 +27,10 @@ from linkplan.planner.transcription.system import System, node_symbols
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeTerms:
-    """What is looked at in a node, the structure of its functions.
+    """The terms evaluated at a node, which determine the structure of its functions.
 
-    `running` are an objective's terms that are integrals of a quantity at nodes; `limits` those with rows or unknowns there;
-    `passed` sites' coordinates (site, axis) that waypoints ask for.
+    `running` are the objective's terms that are integrals of a quantity at nodes. `limits` have rows or unknowns at nodes.
+    `passed` are the sites' coordinates (site, axis) that waypoints prescribe.
     """
 
     running: tuple[Term, ...] = ()
@@ -39,7 +39,7 @@ class NodeTerms:
 
     @property
     def tracked(self) -> bool:
-        """Whether there is a reference."""
+        """Whether a running cost needs the reference."""
         return any("reference" in term.needs for term in self.running)
 
     @property
@@ -49,12 +49,12 @@ class NodeTerms:
 
     @property
     def n_unknowns(self) -> int:
-        """The number of algebraic unknowns that limits take."""
+        """The number of algebraic unknowns of the limits."""
         return sum(limit.n_unknowns for limit in self.limits)
 
     @property
     def rows(self) -> tuple[PathLimit, ...]:
-        """The limits that are rows at nodes."""
+        """The limits with rows at nodes."""
         return tuple(limit for limit in self.limits if limit.at_nodes)
 
 
@@ -62,8 +62,8 @@ class NodeTerms:
 def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """Return a mechanism's system.
 
-    A node's parameters are, in this order: the weights of the running costs; the reference (n_s,), scaled, where it is
-    tracked; the scales; the limits' numbers; the payload's.
+    A node's parameters are, in this order: weights of the running costs; the scaled reference (n_s,) if it is tracked;
+    scales; numbers of the limits; numbers of the payload.
     """
     n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
     node = node_symbols(n_s, 0, n_algebraic(mechanism, asked), n_u)
@@ -106,14 +106,9 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
             kind, values = limit.unknowns(at, own)
             equations = ca.vertcat(equations, ca.vertcat(*values) - place)
             kinds += (kind,) * limit.n_unknowns
-    path = [limit.row(at, own) for limit, own in zip(asked.limits, numbers, strict=True) if limit.at_nodes]
-    path += [SitePathLimit.coordinate(*where).row(at, ca.SX(0, 1)) for where in asked.passed]
-    kinds += tuple(limit.row_kind for limit in asked.rows) + ("site",) * len(asked.passed)
-    if asked.works:
-        path.append(working - u * at.actuator_speeds / given["power"])
-        kinds += ("work",) * n_u
-    path = ca.vertcat(ca.SX(0, 1), *path)
-    # Weights are of integrands in SI: they hold the units too.
+    path = _path_rows(asked, at, numbers, working)
+    kinds += tuple(limit.row_kind for limit in asked.rows) + ("site",) * len(asked.passed) + ("work",) * working.numel()
+    # Weights apply to integrands in SI and include the conversion of units.
     running = sum((given["weight"][item] * term.integrand(at) for item, term in enumerate(asked.running)), start=ca.SX(0))
     theta = ca.vertcat(*given.values())
     column = ca.densify(ca.vertcat(equations, path, running))
@@ -129,8 +124,17 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     )
 
 
+def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.SX) -> ca.SX:
+    """Return the path quantities at a node: limits' rows, sites' coordinates at waypoints, and P - u w."""
+    path = [limit.row(at, own) for limit, own in zip(asked.limits, numbers, strict=True) if limit.at_nodes]
+    path += [SitePathLimit.coordinate(*where).row(at, ca.SX(0, 1)) for where in asked.passed]
+    if asked.works:
+        path.append(working - at.u * at.actuator_speeds / at.units["power"])
+    return ca.vertcat(ca.SX(0, 1), *path)
+
+
 def n_algebraic(mechanism: Mechanism, asked: NodeTerms) -> int:
-    """Return the number of algebraic unknowns: dependent joints, what is lifted, powers where work costs, limits' own."""
+    """Return the number of algebraic unknowns: dependent joints, lifted unknowns, positive powers, limits' unknowns."""
     return len(mechanism.dependent) + n_lifted(mechanism) + (mechanism.n_u if asked.works else 0) + asked.n_unknowns
 
 
@@ -140,7 +144,7 @@ def _split(column: ca.SX, sizes: list[int]) -> list[ca.SX]:
 
 
 def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
-    """Return a caller of the reduced dynamics' functions by name, a payload's numbers being parameters."""
+    """Return a function that calls the reduced dynamics by name, with the payload's numbers as parameters."""
     if mechanism.payload is None:
         return lambda name, *arguments: getattr(mechanism.dynamics, name)(*arguments)
     dynamics = mechanism.parametric_dynamics()

@@ -1,4 +1,4 @@
-"""Motions that are prescribed: a reference followed exactly, with the effort that it takes."""
+"""Prescribed motions: a reference followed exactly, with the effort that it needs."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,14 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_integral, bernstein_matrix
 
-# Degree of the polynomials that stand for a smooth reference on an interval: with forty intervals a period, its
+# Degree of the polynomials that represent a smooth reference on an interval. With forty intervals in a period, their
 # interpolation error is at rounding.
-_DEGREE = 8
-# Samples of a period while a frequency is sought: a peak between them is missed by less than a hundred-thousandth of it.
-_COARSE = 721
-# Where a reference this many times slower still breaks a limit, its frequency is not what is wrong with it.
-_SLOWEST = 1000.0
+_REFERENCE_DEGREE = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Demand:
-    """The largest excess of a motion over a limit: which, where, when, how much; `needed` and `limit` as in the files."""
+    """The largest excess of a motion over a limit; `needed` and `limit` are in the units of problem files."""
 
     what: str  # "effort", "range" or "speed"
     name: str  # of the actuator or joint
@@ -31,7 +27,7 @@ class Demand:
     time_s: float
 
     def sentence(self, subject: str) -> str:
-        """Return the demand in words, `subject` being what makes it."""
+        """Return the demand as a sentence with the given subject."""
         needed = _figure(self.needed)
         if self.what == "effort":
             where = f"{self.name} to give {needed} {self.unit}"
@@ -45,32 +41,32 @@ class Demand:
 
 
 def _figure(value: float) -> str:
-    """Return a number with four digits, large ones with one decimal: 120.0, 5.3, 0.145."""
+    """Return a number with four digits, or one decimal if it is large: 120.0, 5.3, 0.145."""
     return f"{value:.1f}" if abs(value) >= 99.95 else f"{value:.4g}"
 
 
 def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:
-    """Return the reference as a trajectory, its efforts by inverse dynamics."""
+    """Return the reference as a trajectory with efforts by inverse dynamics."""
     mechanism, reference = problem.mechanism, problem.reference
     duration = problem.motion.duration_s or reference.period_s
     n = max(8, int(np.ceil(problem.mesh.intervals * duration / reference.period_s)))
     breaks = np.linspace(0.0, duration, n + 1)
     h = np.diff(breaks)[:, None]
-    tau = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
-    to_bernstein = np.linalg.inv(bernstein_matrix(_DEGREE, tau))
+    tau = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_REFERENCE_DEGREE + 1) + 0.5) / (_REFERENCE_DEGREE + 1))
+    to_bernstein = np.linalg.inv(bernstein_matrix(_REFERENCE_DEGREE, tau))
     time = (breaks[:-1, None] + h * tau).ravel()
     s, v, a = (reference.derivative(time, order) for order in range(3))
     poses = follow(mechanism, s, start_pose, problem.solver.deadline)
     effort, _ = needed_effort(mechanism, poses, v, a)
 
     def coefficients(values: np.ndarray) -> np.ndarray:
-        return np.einsum("pj,kjs->pks", to_bernstein, values.reshape(n, _DEGREE + 1, -1))
+        return np.einsum("pj,kjs->pks", to_bernstein, values.reshape(n, _REFERENCE_DEGREE + 1, -1))
 
     s0, v0 = reference.derivative(breaks[:-1], 0), reference.derivative(breaks[:-1], 1)
-    first = np.einsum("pj,jks->pks", bernstein_integral(_DEGREE), coefficients(a))
+    first = np.einsum("pj,jks->pks", bernstein_integral(_REFERENCE_DEGREE), coefficients(a))
     velocity = v0 + h * first
-    second = np.einsum("pj,jks->pks", bernstein_integral(_DEGREE + 1), first)
-    steps = (np.arange(_DEGREE + 3) / (_DEGREE + 2))[:, None, None]
+    second = np.einsum("pj,jks->pks", bernstein_integral(_REFERENCE_DEGREE + 1), first)
+    steps = (np.arange(_REFERENCE_DEGREE + 3) / (_REFERENCE_DEGREE + 2))[:, None, None]
     return Trajectory(
         breaks_s=breaks,
         position=s0 + steps * h * v0 + h**2 * second,
@@ -82,24 +78,24 @@ def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:
 
 
 def is_whole(number: float) -> bool:
-    """Return whether a ratio is a whole number, to rounding of typed-in decimals."""
+    """Check if a ratio is a whole number, except for the rounding of decimal input."""
     return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
 
 
 def rounded_down(value: float, digits: int = 4) -> float:
-    """Return a positive number cut to some digits: a bound that is printed must still be kept."""
+    """Return a positive number rounded down to some digits, so that a printed bound is still valid."""
     unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
     return float(np.floor(value / unit) * unit)
 
 
 def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float | None:
-    """Return the highest frequency [Hz] at which the reference keeps every limit, its amplitude kept; None where none does.
+    """Return the highest frequency [Hz] at which the reference keeps every limit at its amplitude; None if there is none.
 
-    Bisection between the asked frequency, which is too high, and a thousandth of it.
+    The frequency is found by bisection between the asked frequency, which is too high, and a thousandth of it.
     """
     mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
-    time = np.linspace(0.0, reference.period_s, _COARSE)
-    # The same at every frequency.
+    time = np.linspace(0.0, reference.period_s, 721)  # misses peaks between samples by less than 1e-5 of their height
+    # Poses are the same at every frequency.
     poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
     v, a = reference.derivative(time, 1), reference.derivative(time, 2)
     if not np.all((limits.position[:, 0] <= poses) & (poses <= limits.position[:, 1])):
@@ -113,7 +109,7 @@ def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float
         return bool(np.all(inside[0]) and np.all(inside[1]))
 
     high = problem.reference.frequency_hz
-    low = high / _SLOWEST
+    low = high / 1000.0
     if not keeps(low):
         return None
     while high - low > 1e-7 * high:
@@ -123,9 +119,9 @@ def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float
 
 
 def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand | None:
-    """Return what the reference, followed exactly, asks most beyond a limit; None where it keeps all of them.
+    """Return the largest excess over a limit, relative to it, of the reference followed exactly; None if it keeps all.
 
-    The largest excess relative to its limit; its instant is refined to the reference's own peak.
+    The time of the excess is refined to the reference's own peak.
     """
     import scipy
 
@@ -134,13 +130,13 @@ def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand
     time = np.linspace(0.0, duration, 2001)
     poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
 
-    def looked_at(t: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(t: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q = follow(mechanism, reference.derivative(t), start, problem.solver.deadline)
         v, a = reference.derivative(t, 1), reference.derivative(t, 2)
         effort, _ = needed_effort(mechanism, q, v, a)
         return effort, q, joint_rates(mechanism, q, v)
 
-    sampled = looked_at(time, start_pose)
+    sampled = evaluate(time, start_pose)
     bounds = {"effort": limits.effort, "range": limits.position, "speed": limits.speed}
     worst = None
     for index, what in enumerate(bounds):
@@ -159,7 +155,7 @@ def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand
     low, high = time[max(at - 1, 0)], time[min(at + 1, len(time) - 1)]
 
     def negative(t: float) -> float:
-        return -sign * float(looked_at(np.array([t]), poses[at])[index][0, column])
+        return -sign * float(evaluate(np.array([t]), poses[at])[index][0, column])
 
     best = scipy.optimize.minimize_scalar(negative, bounds=(low, high), method="bounded", options={"xatol": 1e-12})
     needed = sign * -float(best.fun)

@@ -1,4 +1,4 @@
-"""The plan of a motion that is prescribed: followed exactly, or the limit that forbids it and what would be allowed."""
+"""The plan of a prescribed motion: the exact reference, or the limit that forbids it and the highest feasible frequency."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from linkplan.planner.refinement.history import progress
 
 
 def plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray) -> Plan:
-    """Return the plan of a reference that is to be followed exactly."""
+    """Return the plan of a reference that must be followed exactly."""
     progress("following the reference")
     demand = reference_demand(problem, start_pose)
     if demand is not None:

@@ -1,4 +1,4 @@
-"""Sites at the phase boundaries of a program: waypoints and the end of a motion that leave their pose open."""
+"""Sites at the phase boundaries of a program, where waypoints and goals leave the pose free."""
 
 import casadi as ca
 import numpy as np
@@ -10,25 +10,25 @@ from linkplan.planner.transcription.system import Endpoint
 
 
 def coordinate_row(mechanism: Mechanism, site: int, axis: int, value: float) -> float:
-    """Return what the row of a site's coordinate is where that is `value` [m]."""
+    """Return the value of a site coordinate's row at the coordinate `value` [m]."""
     return float(value - site_at_home(mechanism, site)[axis]) / mechanism.extent_m
 
 
 def site_endpoint(problem: PlanningProblem, unit: np.ndarray, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
-    """Return what is asked of the end of a motion with an open pose, and its parameters: the sites' coordinates [m].
+    """Return the endpoint rows of a motion with a free goal pose, and their parameters: the sites' coordinates [m].
 
-    None and no parameters where the pose at the end is given.
+    If the goal pose is prescribed, there is no endpoint and no parameter.
 
     Args:
-        problem: of the motion.
-        unit: of the independent positions (n_s,) [rad or m].
-        n_z: the number of algebraic unknowns, of which the dependent joints are the first.
+        problem: the problem.
+        unit: units of the independent positions (n_s,) [rad or m].
+        n_z: the number of algebraic unknowns; the dependent joints come first.
     """
     mechanism, motion = problem.mechanism, problem.motion
     if not motion.goal_is_free:
         return None, np.zeros(0)
     n_s, n_dependent = mechanism.dof, len(mechanism.dependent)
-    first, last, lasts = (ca.SX.sym(name, size) for name, size in (("first", 2 * n_s), ("last", 2 * n_s), ("lasts", 1)))
+    first, last, duration = (ca.SX.sym(*of) for of in (("first", 2 * n_s), ("last", 2 * n_s), ("duration", 1)))
     asked = ca.SX.sym("asked", len(motion.goal_rows))
     z = ca.SX.sym("z", n_z)
     order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
@@ -36,7 +36,7 @@ def site_endpoint(problem: PlanningProblem, unit: np.ndarray, n_z: int) -> tuple
     places = mechanism.dynamics.site_places(q)
     at = ca.vertcat(*[places[:, point.index] for point in motion.goal_at])[list(motion.goal_rows)]
     column = ca.vertcat((at - asked) / mechanism.extent_m, 0.0)
-    inputs = [first, last, lasts, asked, *([z] if n_dependent else [])]
+    inputs = [first, last, duration, asked, *([z] if n_dependent else [])]
     points = np.concatenate([point.point for point in motion.goal_at])[list(motion.goal_rows)]
     function = ca.Function("site_end", inputs, [column])
     return Endpoint(function=function, n_rows=len(motion.goal_rows), algebraic=bool(n_dependent)), points

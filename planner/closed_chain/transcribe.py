@@ -1,4 +1,4 @@
-"""A mechanism's planning problem as a formulation, transcribed, and a solution of it as a trajectory."""
+"""The transcription of a mechanism's planning problem, and the trajectory of a solution."""
 
 from dataclasses import dataclass, replace
 
@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate
+from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.lifted import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
@@ -23,15 +23,12 @@ from linkplan.planner.transcription.schemes import scheme
 
 __all__ = ["Transcribed", "choose_scales", "own_objective", "renumbered", "trajectory_of", "transcribe"]
 
-# The least effort that is a unit, of what gives the reduced inertia the span in the duration.
-_LEAST_NEED = 1e-6
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Origin:
-    """What a mechanism's program was made of: the mechanism, its units, and a closed pose (n_q,) near the start.
+    """The origin of a mechanism's program: the mechanism, its units, and a closed pose (n_q,) near the start.
 
-    `smoothing` is the weight of the squared effort rate beside the objective, in scaled units; 0 where there is none.
+    `smoothing` is the weight of the squared effort rate that is added to the objective, in scaled units.
     """
 
     mechanism: Mechanism
@@ -41,7 +38,7 @@ class Origin:
 
 
 def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
-    """Return units of order one: durations, spans, limits, or the guess's needs where they are far below the limits."""
+    """Return units of order one: durations, spans, limits, or the guess's efforts if these are far below the limits."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     times, poses = (samples[::2] for samples in even_poses(problem, guess))
     s = guess.position(times)
@@ -50,10 +47,10 @@ def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])
     span = np.ptp(s, axis=0)
     position = np.where(span > 1e-3 * unit, span, unit)
-    # A motion that needs next to nothing, at rest where weight balances: rounding is no unit.
+    # A motion at rest in balance needs almost no effort. Its unit is then 1e-6 of the effort that accelerates the inertia.
     inertia = sampled(mechanism.dynamics.reduced_inertia, poses[:1])[0]
     maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])
-    least = _LEAST_NEED * np.abs(inertia @ position).max() / guess.duration_s**2 / np.maximum(np.abs(maps).max(), 1e-300)
+    least = 1e-6 * np.abs(inertia @ position).max() / guess.duration_s**2 / np.maximum(np.abs(maps).max(), 1e-300)
     need = np.maximum(np.abs(need).max(axis=0), least)
     largest = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=1)
     if problem.objective.has("time"):
@@ -63,7 +60,7 @@ def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
     effort = np.where(effort > 0, effort, 1.0)
     residual = np.abs(maps).max(axis=0) @ effort
     residual = np.where(residual > 0, residual, effort.max())
-    # On a spin actuators have no leverage but rounding's, which is no unit: what its own motion takes is.
+    # On a spin the actuators' leverage is rounding and no unit. The effort of the spin's own motion is the unit.
     spins, rates, none = np.isin(mechanism.independent, mechanism.passive_dofs), position / guess.duration_s, 0.0 * position
     moved, still = (mechanism.dynamics.inverse_dynamics(poses[0], v, none) for v in (rates, none))
     own = np.abs(inertia) @ rates / guess.duration_s + np.abs(np.array(moved - still)).ravel()
@@ -89,7 +86,7 @@ def transcribe(
     bang_efforts: np.ndarray | None = None,
     constrained_paths: np.ndarray | None = None,
     tightenings: tuple[Tightening, ...] = (),
-    smoothing: float = SMOOTHING,
+    smoothing: float = SMOOTHING_WEIGHT,
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
 
@@ -99,14 +96,14 @@ def transcribe(
         mesh: intervals; its segments have `durations` (n_segments,) [s] in the guess.
         durations: guessed durations of the segments.
         scales: units; chosen from the guess by default.
-        position_rows: whether independent ranges are kept between the nodes by constraint rows.
-        enclosed: whether limits on power and pin force are kept between the nodes by constraint rows.
-        least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
+        position_rows: impose the ranges of independent joints between the nodes too.
+        enclosed: impose limits on power and pin force between the nodes too.
+        least_limit: minimise the common factor on the effort limits instead of the objective.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
-        constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
+        constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower limit (-1) over whole
             segments.
-        tightenings: how far limits are tightened, where a motion overran them between nodes.
-        smoothing: as of `formulate`.
+        tightenings: amounts by which limits are tightened, because a motion overran them between nodes.
+        smoothing: see `formulate`.
     """
     scales = scales or choose_scales(problem, guess)
     formulation = formulate(
@@ -138,20 +135,20 @@ def transcribe(
 def renumbered(
     transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray, tightenings: tuple[Tightening, ...] = ()
 ) -> Transcribed:
-    """Return a program with another problem's numbers in it: nothing is built.
+    """Return a program with the numbers of another problem, without building it again.
 
     Args:
-        transcribed: of a problem with the same mechanism, kind, terms of the objective and mesh, limited in the same places.
-        problem: whose numbers to take.
-        x: unknowns to start from, as a rule the last solution; a fixed duration is the new problem's.
-        tightenings: as of `transcribe`.
+        transcribed: program of a problem with the same mechanism, kind, objective terms, mesh and kinds of limits.
+        problem: gives the new numbers.
+        x: unknowns to start from, usually the last solution; a fixed duration is replaced by the new problem's.
+        tightenings: see `transcribe`.
     """
     again = renumbered_with(transcribed, _with_numbers_of(problem, transcribed, tightenings), x)
     return replace(again, origin=replace(transcribed.origin, mechanism=problem.mechanism))
 
 
 def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
-    """Return whether a program has the rows that a problem asks for: one that was solved with another limit has more."""
+    """Check that a program has the rows of a problem; a program for other limits has different rows."""
     own, asked = transcribed.formulation, _with_numbers_of(problem, transcribed)
     return (
         repr(own.rows) == repr(asked.rows)
@@ -175,9 +172,9 @@ def _with_numbers_of(
 
 
 def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory) -> float:
-    """Return a motion's objective in SI without the smoothing of efforts that its program had beside it.
+    """Return a motion's objective in SI without the smoothing term of its program.
 
-    That is smoothing x unit x T x integral of (u' / U)^2 dt, over all actuators, exact for the efforts' polynomials.
+    The term is smoothing x unit x T x integral of (u' / U)^2 dt over all actuators, exact for the efforts' polynomials.
     """
     origin: Origin = transcribed.origin
     if not origin.smoothing:
@@ -194,7 +191,7 @@ def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory
 
 
 def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: Formulation) -> Start:
-    """Return a guess as a scaled start: loops closed, efforts by inverse dynamics where it has none."""
+    """Return a guess as a scaled start, with closed loops, and efforts by inverse dynamics if the guess has none."""
     mechanism = problem.mechanism
     rate = scales.position / scales.time_s
     limits = [limit for limit in limits_of(problem, enclosed=formulation.rows.encloses) if limit.n_unknowns]
@@ -222,7 +219,7 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: 
 
 
 def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Trajectory:
-    """Return the continuous motion of a program's unknowns x (n,); efforts are cut at `limit` against rounding."""
+    """Return the motion of a program's unknowns x (n,), with efforts clipped to `limit` against rounding."""
     curves, origin = curves_of(transcribed, x, limit), transcribed.origin
     return Trajectory(
         breaks_s=curves.breaks_s,

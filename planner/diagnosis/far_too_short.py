@@ -1,4 +1,4 @@
-"""Durations that are far too short: said before any search, from the shortest motion and from the smooth path's efforts."""
+"""Durations that are far too short, found before any search from the shortest motion and the smooth path's efforts."""
 
 from dataclasses import dataclass
 
@@ -12,15 +12,14 @@ from linkplan.planner.search.durations import longest
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_time import shortest_motion
 
-# A duration below this share of the shortest motion's is beyond doubt: least times found are local ones by some percent.
-_FAR = 0.1
-# The share of the smooth path's efforts at which it is not counted as driven.
-_NOTHING = 1e-6
+# A duration below this share of the shortest motion's is surely infeasible: least times found are local, but within
+# percents.
+_INFEASIBLE_DURATION_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PathEffort:
-    """What the smooth path asks for most beyond a limit: the factor on it, that of inertia alone, the sentence."""
+    """The smooth path's largest excess over an effort limit: the factor, the factor without gravity, and a sentence."""
 
     factor: float
     inertial_factor: float
@@ -28,10 +27,10 @@ class PathEffort:
 
 
 def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
-    """Return the sentence on a reach of a small share of the least duration, with its figures; None for any other.
+    """Return a sentence and its numbers if a reach is given only a small share of its least duration; else None.
 
-    Of one degree of freedom the phase plane knows the shortest motion at once. Of more it is planned where the smooth path
-    asks for so large efforts that it matters.
+    With one degree of freedom the phase plane gives the shortest motion at once. With more it is planned if the smooth path
+    needs far larger efforts than allowed.
     """
     problem, asked = search.problem, longest(search.problem)
     motion = problem.motion
@@ -40,10 +39,11 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
     if any(waypoint.time_s is not None for waypoint in motion.waypoints):
         return None
     path = path_effort(problem, search.smooth)
-    if path is None or path.inertial_factor < 1 / _FAR**2:  # inertia's efforts go with the square of the pace
+    # Efforts of inertia grow with the square of the pace.
+    if path is None or path.inertial_factor < 1 / _INFEASIBLE_DURATION_SHARE**2:
         return None
     shortest, about = _shortest(search)
-    if shortest is None or asked > _FAR * shortest:
+    if shortest is None or asked > _INFEASIBLE_DURATION_SHARE * shortest:
         return None
     sentence = (
         f"infeasible: {asked:.4g} s is {shortest / asked:.3g} times too short: {path.sentence};"
@@ -53,7 +53,7 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
 
 
 def _shortest(search: Search) -> tuple[float | None, str]:
-    """Return the least duration [s] that is known, None where none is, and the word on how exact it is."""
+    """Return the least known duration [s], or None, and the word "about " if it is approximate."""
     if search.quickest is not None and search.quickest.boundaries_s is None:
         return search.quickest.duration_s, "about "
     found = shortest_motion(search)
@@ -61,7 +61,7 @@ def _shortest(search: Search) -> tuple[float | None, str]:
 
 
 def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
-    """Return what a path asks of the actuator, or of the undriven joint, that it asks for most; None where loops open."""
+    """Return the largest effort that a path needs relative to its limit, and undriven efforts; None if loops open."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     try:
         time, q = even_poses(problem, guess)
@@ -73,7 +73,7 @@ def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
     missed = tau - np.einsum("ksu,ku->ks", maps, effort)
     held = least_effort(sampled(mechanism.dynamics.inverse_dynamics, q, 0 * v, 0 * a)[:, :, 0], maps)
     bound = np.where(effort > 0, limit[:, 1], limit[:, 0])
-    widest = np.abs(limit).max(axis=1)  # to a side to which an actuator gives nothing, the other one's limit is the measure
+    widest = np.abs(limit).max(axis=1)  # the scale if an actuator gives nothing in the needed direction
     factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
     inertial = np.abs(effort - held) / widest
     at, column = np.unravel_index(int(np.argmax(factors)), factors.shape)
@@ -87,7 +87,7 @@ def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
     else:
         sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g}"
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
-    if abs(missed[k, row]) > _NOTHING * np.abs(effort).max():
+    if abs(missed[k, row]) > 1e-6 * np.abs(effort).max():
         joint = mechanism.independent_joints[row]
         sentence += (
             f", and no actuator gives the {missed[k, row]:.4g} {'N.m' if joint.kind == 'hinge' else 'N'} on {joint.name}"

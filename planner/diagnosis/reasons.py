@@ -1,6 +1,6 @@
-"""Diagnoses: each asks one question of a problem without a motion and answers with a plan that says why, or with None.
+"""Diagnoses: functions that return a plan with a reason why a problem has no motion, or None if their reason does not apply.
 
-None of them returns a motion. What they compute is how far the limits would have to give, on motions made without them.
+None of them returns a motion. They compute how far limits would have to be relaxed, on motions planned without them.
 """
 
 from dataclasses import replace
@@ -28,12 +28,9 @@ from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import enough_time
 from linkplan.planner.solvers.outcome import why_stopped
 
-# Durations this near to one another, relative, are the same.
-_SAME = 1e-9
-
 
 def contradicted(search: Search) -> Plan | None:
-    """Return the plan that names a limit which no motion can keep, found without solving."""
+    """Return the plan that names a limit which no motion can keep, if this is clear without solving."""
     problem = search.problem
     sentence = plain_contradiction(problem)
     if sentence is None:
@@ -44,25 +41,25 @@ def contradicted(search: Search) -> Plan | None:
 
 
 def too_short(search: Search) -> Plan | None:
-    """Return the plan that says that a duration is a small share of the shortest one's, found without a search for it."""
+    """Return the plan that says that a duration is far below the shortest, if this is clear without a search."""
     found = far_too_short(search)
     return None if found is None else _infeasible(search, *found, shortest=False)
 
 
 def solver_stopped(search: Search) -> Plan | None:
-    """Return the plan that says why the solver stopped before it had an answer."""
+    """Return the plan with the reason why the solver stopped before a result."""
     reason = why_stopped(search.stopped or "", search.problem.solver.max_time_s)
     return None if reason is None else _failed(search, reason)
 
 
 def one_limit(search: Search) -> Plan | None:
-    """Return the plan that names the limit without which there is a motion, and the least that it would have to be."""
+    """Return the plan that names the limit without which there is a motion, and the least feasible value of it."""
     found = (_without(search, kind) for kind in relaxed_kinds(search.problem))
     return next((plan for plan in found if plan is not None), None)
 
 
 def efforts_contradicted(search: Search) -> Plan | None:
-    """Return the plan that says that the solver missed a motion which the phase plane knows."""
+    """Return the plan that says that the solver missed a motion of the phase plane."""
     if not _over(search) or not enough_time(search) or ControlLimit.of(search.problem):
         return None
     known = search.quickest.duration_s
@@ -70,7 +67,7 @@ def efforts_contradicted(search: Search) -> Plan | None:
 
 
 def efforts_without_proof(search: Search) -> Plan | None:
-    """Return the plan that names the least efforts found, where energy may be built up in ways that no start has tried."""
+    """Return the plan that names the least efforts found, for problems with swings that no start has tried."""
     if not _over(search) or not may_swing(search.problem):
         return None
     sentence, _ = effort_sentence(search.problem, search.named_limit)
@@ -78,7 +75,7 @@ def efforts_without_proof(search: Search) -> Plan | None:
 
 
 def efforts(search: Search) -> Plan | None:
-    """Return the plan that says what efforts a motion would need."""
+    """Return the plan that names the efforts that a motion would need."""
     if not _over(search):
         return None
     sentence, details = effort_sentence(search.problem, search.named_limit)
@@ -86,7 +83,7 @@ def efforts(search: Search) -> Plan | None:
 
 
 def efforts_without_other_limits(search: Search) -> Plan | None:
-    """Return the plan that says what efforts are missing even without the other limits."""
+    """Return the plan that names the efforts that are missing even without the other limits."""
     problem = search.within(HURRIED)
     kinds, bare = relaxed_kinds(problem), problem
     if not kinds:
@@ -106,9 +103,9 @@ def ranges(search: Search) -> Plan | None:
 
 
 def efforts_by_the_phase_plane(search: Search) -> Plan | None:
-    """Return the plan that says by what factor efforts are short; of one degree of freedom the phase plane decides that.
+    """Return the plan that names the factor by which efforts are too small, for one degree of freedom.
 
-    It leaves out all limits but those of effort, speed and range, so that what it forbids is forbidden.
+    The phase plane ignores all limits except effort, speed and range, so whatever it excludes is infeasible.
     """
     least = least_share(search.problem, search.start_pose, longest(search.problem))
     if least is None or least[0] <= GRID_ERROR_FACTOR_AT_SPEED_LIMIT:
@@ -120,7 +117,7 @@ def efforts_by_the_phase_plane(search: Search) -> Plan | None:
 
 def nothing_found(search: Search) -> Plan:
     """Return the plan that says that neither a motion nor a reason was found."""
-    stopped = solver_stopped(search)  # on the way to a reason
+    stopped = solver_stopped(search)  # while looking for a reason
     if stopped is not None:
         return stopped
     status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
@@ -134,7 +131,7 @@ def _over(search: Search) -> bool:
 
 
 def _without(search: Search, kind: type[PathLimit]) -> Plan | None:
-    """Return the plan that says by how much a motion made without a limit overruns it; None where it is not to blame."""
+    """Return the plan that says by how much a motion planned without a limit violates it; None if it keeps the limit."""
     problem, guess = search.within(HURRIED), search.smooth
     mesh, durations = first_mesh(problem, guess)
     word = f"without limits on {kind.key}"
@@ -151,18 +148,18 @@ def _without(search: Search, kind: type[PathLimit]) -> Plan | None:
 
 
 def _infeasible(search: Search, sentence: str, details: dict[str, float], *, shortest: bool = True) -> Plan:
-    """Return the plan that says that no motion keeps the limits: never beside a motion that is known to.
+    """Return the plan that says that no motion keeps the limits.
 
-    One that takes no longer than what is asked is none of the duration asked; but it forbids the word.
+    If a motion of at most the given duration is known, the problem is not proved infeasible and the status is "failed".
     """
     problem: PlanningProblem = search.problem
     message = sentence + (shortest_sentence(search, details) if shortest else "")
     known, asked = details.get("shortest_duration_s"), longest(problem)
-    if known is not None and known <= asked * (1 + _SAME):
+    if known is not None and known <= asked * (1 + 1e-9):
         return _failed(search, f"a motion of {known:.7g} s keeps every limit, one of {asked:.7g} s was not found", details)
     return Plan(problem=problem, status="infeasible", message=message, history=recorded(), details=details)
 
 
 def _failed(search: Search, reason: str, details: dict[str, float] | None = None) -> Plan:
-    said = f"failed: {reason}"
-    return Plan(problem=search.problem, status="failed", message=said, history=recorded(), details=details or {})
+    message = f"failed: {reason}"
+    return Plan(problem=search.problem, status="failed", message=message, history=recorded(), details=details or {})

@@ -1,4 +1,4 @@
-"""Which limit forbids a motion: each kind taken away in turn, and the least that it would have to be."""
+"""The least relaxation of one kind of limit that admits a motion."""
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from linkplan.planner.solvers.solve import build_solver, run_solver, solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
-# Halvings of the range of a limit's factor: its least is then known to four digits of what a motion without it comes to.
-_HALVINGS = 13
-
 
 def least_of(
     problem: PlanningProblem,
@@ -23,12 +20,12 @@ def least_of(
     mesh: Mesh,
     durations: np.ndarray,
 ) -> Trajectory:
-    """Return the motion for which a limit has to be relaxed least: bisection of a common factor on it, solved warm.
+    """Return the motion with the least relaxation of a limit, by bisection of a common factor with warm solves.
 
     Args:
-        problem: one without a motion.
-        kind: of the limit.
-        motion: made without it; what is returned where none comes nearer.
+        problem: a problem without a motion.
+        kind: the kind of limit.
+        motion: a motion planned without the limit; returned if no motion is closer to the limit.
         mesh: of the solves.
         durations: of the mesh's segments in the motion [s].
     """
@@ -42,7 +39,7 @@ def least_of(
     if not best.converged:
         return motion
     solver = build_solver(transcribed.program, problem.solver, warm=True)
-    for _ in range(_HALVINGS):
+    for _ in range(13):  # resolves the factor to four digits of its range
         if problem.solver.deadline.passed:
             break
         middle = 0.5 * (near + far)

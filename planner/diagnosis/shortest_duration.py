@@ -1,4 +1,4 @@
-"""The shortest feasible duration of a motion between two states: the same ladder, asked for a motion of least time."""
+"""The shortest feasible duration of a motion, found by planning a motion of least time."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from linkplan.planner.search.least_time import shortest_motion
 
 
 def shortest_sentence(search: Search, details: dict[str, float]) -> str:
-    """Return the words on the shortest feasible duration, where it can be found; its figure goes into the details."""
+    """Return a phrase on the shortest feasible duration, if it can be found, and add its value to the details."""
     problem, motion = search.problem, search.problem.motion
     if motion.kind != "reach" or motion.stays or not np.isfinite(longest(problem)):
         return ""

@@ -1,4 +1,4 @@
 """Problems, batches and plans on disk.
 
-In: TOML tables and folders. Out: `PlanningProblem`, `Batch` and `Plan` values, and the same written whole or not at all.
+In: TOML tables and folders. Out: `PlanningProblem`, `Batch` and `Plan` values, and their files, written whole or not at all.
 """

@@ -1,4 +1,4 @@
-"""A member of a zip archive: its declared size is read before its bytes are, since 8 MB can hold 8 GB of zeros."""
+"""Members of zip archives, read only up to their declared size, because 8 MB can hold 8 GB of zeros."""
 
 import zipfile
 

@@ -1,8 +1,8 @@
-"""Batch files: many problems that vary one.
+"""Batch files: many variations of one problem.
 
-A batch file is TOML: `problem`, a built-in name or a file; `set`, settings for all of them; then `[[case]]` tables with
-`name` and
-`set` (a list of "key=value"), or a `[sweep]` table of key = list of values, of which every combination is a case.
+A batch file is TOML. `problem` is a built-in name or a file, and `set` holds settings for all cases. The cases are
+`[[case]]` tables with `name` and `set` (a list of "key=value"), or every combination of a `[sweep]` table of key = list of
+values.
 """
 
 import itertools
@@ -15,22 +15,20 @@ from pathlib import Path
 from linkplan.models.catalogue import is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import read_toml
-from linkplan.planner.files.problem_file import beside
+from linkplan.planner.files.problem_file import path_beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import refuse_saved_plan
 from linkplan.planner.files.toml_text import inline
 from linkplan.planner.keys.batch_sections import BatchFile
 from linkplan.planner.keys.reading import read
 
-# More cases than this are a slip of the keyboard: at a fifth of a second each they take half an hour.
+# More cases are probably a typing error: at a fifth of a second each they take half an hour.
 MAX_CASES = 10_000
-# Names of folders have fewer bytes than this on any disk, with room for what is put behind them.
-MOST_BYTES = 100
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Case:
-    """One problem of a batch: its name, fit for a folder, and its settings ("key=value") on the batch's problem."""
+    """One problem of a batch: its name, which can name a folder, and its settings ("key=value")."""
 
     name: str
     settings: tuple[str, ...]
@@ -38,7 +36,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Batch:
-    """A problem, settings on it that are common to all, and the cases that vary it."""
+    """A problem, settings for all cases, and the cases."""
 
     problem: str
     common: tuple[str, ...]
@@ -52,21 +50,11 @@ def read_batch(path: str | Path) -> Batch:
         ProblemError: for anything in the file that cannot be used.
     """
     path = Path(path)
-    legal = "a batch is a TOML file with problem, and [[case]] or [sweep]"
-    refuse_saved_plan(str(path), "batch", legal)
-    if is_folder(path):
-        raise ProblemError(f"batch '{path}' is a folder; {legal}")
-    if not is_there(path):
-        raise ProblemError(f"batch '{path}'{nearest_source(str(path), ())} is not a file; {legal}")
-    tables = read_toml(path, f"batch '{path}'")
-    if "motion" in tables and "problem" not in tables:
-        raise ProblemError(f"batch '{path}' is a problem file, which plan takes; {legal}")
-    if "problem" not in tables:
-        raise ProblemError(f"batch '{path}' names no problem; {legal}")
+    tables = _batch_tables(path)
     asked = read(BatchFile, tables, "")
     problem = asked.problem
     if problem not in PROBLEMS:
-        problem = str(beside(problem, path.parent))
+        problem = str(path_beside(problem, path.parent))
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
     if len(asked.case) > MAX_CASES:
@@ -75,7 +63,7 @@ def read_batch(path: str | Path) -> Batch:
     cases = tuple(Case(name=name, settings=tuple(settings)) for name, settings in listed)
     names = [case.name for case in cases]
     for name in names:
-        if not name.isprintable() or len(name.encode()) >= MOST_BYTES:
+        if not name.isprintable() or len(name.encode()) >= 100:  # disks limit file names to 255 bytes, with suffixes
             raise ProblemError(f"case.name is a word that can name a folder, got {name!r}")
     alike = Counter(map(_on_disk, names))
     twice = sorted({name for name in names if alike[_on_disk(name)] > 1})
@@ -87,8 +75,24 @@ def read_batch(path: str | Path) -> Batch:
     return Batch(problem=problem, common=tuple(asked.set), cases=cases)
 
 
+def _batch_tables(path: Path) -> dict:
+    """Return a batch file's tables; refuse other files."""
+    legal = "a batch is a TOML file with problem, and [[case]] or [sweep]"
+    refuse_saved_plan(str(path), "batch", legal)
+    if is_folder(path):
+        raise ProblemError(f"batch '{path}' is a folder; {legal}")
+    if not is_there(path):
+        raise ProblemError(f"batch '{path}'{nearest_source(str(path), ())} is not a file; {legal}")
+    tables = read_toml(path, f"batch '{path}'")
+    if "motion" in tables and "problem" not in tables:
+        raise ProblemError(f"batch '{path}' is a problem file, which plan takes; {legal}")
+    if "problem" not in tables:
+        raise ProblemError(f"batch '{path}' names no problem; {legal}")
+    return tables
+
+
 def _on_disk(name: str) -> str:
-    """Return a name as disks compare it that tell neither upper from lower case nor normal forms of Unicode."""
+    """Return a name as file systems compare it that ignore case and normal forms of Unicode."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
@@ -111,7 +115,7 @@ def _swept(table: dict) -> list[tuple[str, list[str]]]:
 
 
 def _flat(table: dict, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield dotted keys, whether they were quoted or TOML made tables of them."""
+    """Yield dotted keys, whether they were quoted or parsed by TOML into nested tables."""
     for key, value in table.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{key}.")

@@ -1,4 +1,4 @@
-"""Columns of samples as files: CSV for people, Parquet for programs, units in the heads and in the schema."""
+"""Columns of samples as files: CSV for people, Parquet for programs; headers and schema contain units."""
 
 import csv
 import io
@@ -8,7 +8,7 @@ import numpy as np
 
 from linkplan.models.extras import load_extra
 
-# Heads end in the unit of their column; the first ending that fits counts.
+# Column headers end in a unit; the first ending that fits counts.
 _UNITS = {
     "_deg_s2": "deg/s2", "_deg_s": "deg/s", "_deg": "deg",
     "_m_s2": "m/s2", "_m_s": "m/s", "_m": "m",
@@ -17,22 +17,22 @@ _UNITS = {
 
 
 def unit_of(head: str) -> str:
-    """Return the unit of a column by its head: of "O_deg_s" it is deg/s."""
+    """Return the unit of a column by its header: for "O_deg_s" it is deg/s."""
     return next((unit for ending, unit in _UNITS.items() if head.endswith(ending)), "1")
 
 
 def csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:
-    """Return columns (n,) as CSV, one row a sample, in twelve digits."""
+    """Return columns (n,) as CSV with twelve digits, one row per sample."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    # What begins so is a formula to a spreadsheet.
+    # Spreadsheets would read these headers as formulas.
     writer.writerow([f"'{head}" if head[:1] in "=+-@" else head for head in columns])
     writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
     return text.getvalue().encode("utf-8")
 
 
 def parquet_bytes(columns: Mapping[str, np.ndarray], about: Mapping[str, str]) -> bytes:
-    """Return columns (n,) as Parquet, exactly; each has its unit in its field's metadata, the schema's own is `about`.
+    """Return columns (n,) as Parquet without rounding, with units in the fields' metadata and `about` in the schema's.
 
     Raises:
         MissingPackageError: when pyarrow is not installed.

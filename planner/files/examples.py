@@ -1,7 +1,7 @@
-"""Examples of those keys of a problem file that have no single default: for files that are begun anew. Light.
+"""Examples of the keys of a problem file that have no single default, for new problem files. Quick to import.
 
-Types, units, defaults and meanings are the sections' to know, and a test holds this table against theirs in both directions.
-Examples have names in braces in place of a mechanism's own, {hinge}, {slide}, {actuator}, ..., see `NEEDS`.
+Types, units, defaults and meanings are defined in the sections; a test checks that this table has the same keys. Examples
+have placeholders in braces for a mechanism's names, {hinge}, {slide}, {actuator}, ...; see `NEEDS`.
 """
 
 from collections.abc import Mapping
@@ -12,13 +12,13 @@ from linkplan.planner.keys.quantities import QUANTITIES
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
-    """A key's value as TOML, and which of `NEEDS` a mechanism must have for it."""
+    """A key's value as TOML, and the items of `NEEDS` that a mechanism must have for it."""
 
     text: str
     needs: tuple[str, ...] = ()
 
 
-# What an example may name, of a mechanism: joints of either kind, independent ones of either kind, ...; what it may need.
+# Kinds of objects that an example needs: joints of either kind, independent joints of either kind, ...
 NEEDS = ("hinge", "slide", "free_hinge", "free_slide", "actuator", "closure", "site", "body", "fully_driven")
 
 
@@ -26,9 +26,9 @@ def _example(text: str, needs: str = "") -> Example:
     return Example(text=text, needs=tuple(needs.split()))
 
 
-# What quantities need, by what has one each.
+# The need of a quantity, by the kind of object that it belongs to.
 _OF = {"hinge": "free_hinge", "slide": "free_slide", "actuator": "actuator", "body": "body"}
-# Of [imperfections]: sizes of a machine that was built with some care.
+# Values for [imperfections]: those of a carefully built machine.
 _SIZES = {
     "period_factor": "{ normal = [1.0, 1e-4] }",
     "phase_periods": "[0.0, 1.0]",
@@ -69,7 +69,7 @@ _SIZES = {
 _PAYLOAD = "{ body = {body_name}, mass_kg = 1.0, com_m = [0.0, 0.0, 0.0], inertia_kgm2 = [1e-3, 1e-3, 1e-3] }"
 _MOTOR = "{ torque_constant = 0.5, resistance_ohm = 0.1, stall_effort = {effort_high}, {no_load} }"
 
-# By the key's path; that of [motors] has the actuator's name in it.
+# By the key's path; the path of [motors] contains the actuator's name.
 EXAMPLES: Mapping[str, Example] = {
     "mechanism.model": _example('"{model}"'),
     "mechanism.payload": _example(_PAYLOAD, "body"),

@@ -1,10 +1,10 @@
-"""Result folders: written whole or not at all, and never over what is the user's.
+"""Result folders: written whole or not at all; files of the user are never replaced.
 
-A result is written in a work folder beside its place and brought to the disk. Without an earlier result, one rename puts it
-in its place. Over an earlier one, one rename puts it into that folder as `.linkplan-new`. The new result counts from then
-on: files that only the earlier result had are deleted, the new files take their places one by one, and the manifest comes
-last. If a process is killed in between, the next command that uses the folder does the rest (`complete`). The user's own
-files in the folder are never touched.
+A result is written in a work folder next to its place and synchronised to the disk. Without an earlier result, one rename
+puts it in its place. Over an earlier result, one rename puts it into that folder as `.linkplan-new`, and the new result is
+valid from then on. Files that only the earlier result had are deleted, the new files are moved one by one, and the manifest
+is moved last. If the process is killed in between, the next command that uses the folder completes this (`complete`). The
+user's own files in the folder are never changed.
 """
 
 import json
@@ -43,27 +43,27 @@ __all__ = [
     "write_whole",
 ]
 
-_NEW = ".linkplan-new"
+_NEW_RESULT = ".linkplan-new"
 
 
 def place_of(target: Path) -> Path:
-    """Return the folder that a target means, with links and ".." resolved.
+    """Return a target folder as a path with links and ".." resolved.
 
     Raises:
-        PlanFileError: for the working folder, the home folder, what is above them, and paths that cannot be.
+        PlanFileError: for the working folder, the home folder, folders above them, and impossible paths.
     """
-    if Path(target).parts[:1] == ("~",):  # the user would remove a folder of that name by "rm -r ~"
+    if Path(target).parts[:1] == ("~",):  # the user might remove a folder of that name by "rm -r ~"
         raise PlanFileError(f"'{target}' begins with a ~ that no shell has replaced; write the home folder's path")
     try:
         place, here = Path(target).resolve(), Path.cwd().resolve()
         os.path.lexists(place)
-    except (OSError, RuntimeError, ValueError) as error:  # the working folder is gone; links in a circle; a zero byte
+    except (OSError, RuntimeError, ValueError) as error:  # a missing working folder, circular links, a zero byte
         raise PlanFileError(f"'{target}' is no path for a folder: {getattr(error, 'strerror', None) or error}") from error
     if place == here or place in here.parents:
         raise PlanFileError(f"'{target}' is the working folder or above it; name a folder of its own for the result")
     try:
         home = Path.home().resolve()
-    except (OSError, RuntimeError):  # no HOME and no entry of this user's
+    except (OSError, RuntimeError):  # neither HOME nor an entry of this user
         return place
     if place == home or place in home.parents:
         raise PlanFileError(f"'{target}' is the home folder or above it; name a folder of its own for the result")
@@ -71,10 +71,10 @@ def place_of(target: Path) -> Path:
 
 
 def check_target(target: Path, record: str = "plan.json") -> None:
-    """Refuse a target that could not be written later: before long work begins, not after it.
+    """Refuse a target that could not be written later, before long work begins.
 
-    A folder may be written into if it is empty or holds an earlier result of the same kind whose files are unchanged. What
-    a process that was killed left there and beside it is put in order first.
+    A folder may be written into if it is empty or holds an earlier result of the same kind whose files are unchanged. The
+    remains of killed processes are removed first.
 
     Args:
         target: the result's folder.
@@ -82,7 +82,7 @@ def check_target(target: Path, record: str = "plan.json") -> None:
 
     Raises:
         PlanFileError: when the target is a file or a folder of the user's, when files of the earlier result have changed or
-            may not be replaced, and when the folder above cannot be written.
+            must not be replaced, and when the folder above cannot be written.
     """
     place = place_of(target)
     try:
@@ -128,7 +128,7 @@ def _refuse_folder(target: Path, place: Path, record: str) -> None:
                 f"'{target}' holds '{name}', which has changed since linkplan wrote it; move it or name another folder"
             )
     for name in (*_folders_of(manifest.files), *manifest.files, MANIFEST):
-        if os.path.lexists(place / name) and not os.access(place / name, os.W_OK):  # an immutable file refuses root, too
+        if os.path.lexists(place / name) and not os.access(place / name, os.W_OK):  # root cannot write immutable files
             raise PlanFileError(f"'{target}' holds '{name}', which may not be changed; name another folder")
 
 
@@ -145,15 +145,15 @@ def _mount_in(folder: Path) -> str | None:
 
 
 def _folders_of(names: Iterable[str]) -> set[str]:
-    """Return the folders, below a result's own, in which files of some names stand."""
+    """Return the folders, below a result's own, that contain the named files."""
     return {str(parent) for name in names for parent in PurePosixPath(name).parents} - {"."}
 
 
 def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan.json") -> None:
-    """Write a folder by `write(folder)` beside its place, then let it take its place; on any failure nothing changes.
+    """Write a folder by `write(folder)` next to its place, then move it there; on any failure nothing changes.
 
     Raises:
-        PlanFileError: when the disk refuses, or something in the folder is the user's.
+        PlanFileError: when the disk refuses, or something in the folder belongs to the user.
     """
     check_target(target, record)
     place = place_of(target)
@@ -177,7 +177,7 @@ def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan
 
 
 def _put_in_place(target: Path, work: Path, place: Path) -> None:
-    """Let a complete new result take its place."""
+    """Move a complete new result to its place."""
     if not place.is_dir() or not any(place.iterdir()):
         if place.is_dir():
             work.chmod(stat.S_IMODE(place.stat().st_mode))
@@ -189,15 +189,15 @@ def _put_in_place(target: Path, work: Path, place: Path) -> None:
         name = None if old is None else _taken(place, old, set(files_in(work)) - {MANIFEST})
         if name is not None:
             raise PlanFileError(f"'{target}' holds '{name}', which linkplan would now write; move it or name another folder")
-        for folder in sorted(_folders_of(files_in(work))):  # a full disk refuses here, while nothing has changed
+        for folder in sorted(_folders_of(files_in(work))):  # a full disk is noticed here, before anything changes
             (place / folder).mkdir(exist_ok=True)
-        work.rename(place / _NEW)
+        work.rename(place / _NEW_RESULT)
         sync_folder(place)
         _complete(place)
 
 
 def _taken(place: Path, old: Manifest, new: set[str]) -> str | None:
-    """Return the first entry of the user's that stands where a new result has a file or a folder, or None."""
+    """Return the first entry of the user's in the place of a new result's file or folder, or None."""
     files = (name for name in sorted(new - set(old.files)) if os.path.lexists(place / name))
     folders = (
         name
@@ -208,34 +208,34 @@ def _taken(place: Path, old: Manifest, new: set[str]) -> str | None:
 
 
 def complete(folder: Path) -> None:
-    """Complete the replacement of a folder's earlier result, where a process was killed in between.
+    """Complete the replacement of a folder's earlier result after a process was killed.
 
     Raises:
-        PlanFileError: when the disk refuses, or a file that is to be replaced has changed; the rest of the new result stays
-            in `.linkplan-new`.
+        PlanFileError: when the disk refuses, or a file to be replaced has changed; the rest of the new result stays in
+            `.linkplan-new`.
     """
-    if (folder / _NEW).is_dir():
+    if (folder / _NEW_RESULT).is_dir():
         with shielded(), locked(folder):
             _complete(folder)
 
 
 def _complete(folder: Path) -> None:
-    source = folder / _NEW
+    source = folder / _NEW_RESULT
     try:
         new, old = read_manifest(source), read_manifest(folder)
-        if new is None:  # all is in its place but for this folder
+        if new is None:  # the manifest was moved last: only this folder is left
             _remove_if_empty(source)
             return
         listed = {} if old is None else old.files
         coming = [name for name in new.files if (source / name).is_file()]
-        for name in (*coming, *(name for name in listed if name not in new.files)):
+        obsolete = [name for name in listed if name not in new.files]
+        for name in (*coming, *obsolete):
             if os.path.lexists(folder / name) and (old is None or not is_unchanged(folder, name, old)):
                 raise PlanFileError(
                     f"'{folder}' holds '{name}', which changed while it was being replaced; the new result is in '{source}'"
                 )
-        for name in listed:
-            if name not in new.files:
-                (folder / name).unlink(missing_ok=True)
+        for name in obsolete:
+            (folder / name).unlink(missing_ok=True)
         for name in sorted(_folders_of(listed) - _folders_of(new.files), reverse=True):
             _remove_if_empty(folder / name)
         for name in coming:
@@ -268,7 +268,7 @@ def remove_result(folder: Path) -> None:
 
 
 def _make_parents(place: Path) -> list[Path]:
-    """Make the folders above a result's place and return those that were not there, the innermost first."""
+    """Make the folders above a result's place and return the new ones, the innermost first."""
     missing = []
     parent = place.parent
     while not parent.exists():
@@ -281,12 +281,12 @@ def _make_parents(place: Path) -> list[Path]:
 def _remove_if_empty(folder: Path) -> None:
     try:
         folder.rmdir()
-    except OSError:  # somebody has put something there since
+    except OSError:  # the folder is no longer empty
         return
 
 
 def plain(value: object) -> object:
-    """Return `value` in JSON's own types: arrays as lists, numbers that are not finite as null."""
+    """Return `value` in JSON's types: arrays as lists, numbers that are not finite as null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -303,7 +303,7 @@ def plain(value: object) -> object:
 
 
 def plain_record(record: Mapping) -> dict:
-    """Return a record in JSON's own types."""
+    """Return a record in JSON's types."""
     return {str(key): plain(item) for key, item in record.items()}
 
 

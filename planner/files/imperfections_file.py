@@ -1,4 +1,4 @@
-"""The section [imperfections] of a problem file: what of a machine is drawn from where, for studies that simulate it."""
+"""The section [imperfections] of a problem file, for studies that simulate imperfect machines."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from linkplan.planner.problem.imperfections import Factor, is_spread, refuse_unk
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImperfectionsSection:
-    """The factors that the section names, in its order, and what is pushed: a body, a joint, or nothing."""
+    """The section's quantities with their distributions, and the pushed body or joint."""
 
     factors: tuple[Factor, ...]
     push_body: str | None = None
@@ -20,7 +20,7 @@ class ImperfectionsSection:
 
 
 def imperfections_of(table: object, mechanism: Mechanism) -> ImperfectionsSection:
-    """Return what a file's [imperfections] mean for a mechanism; a bare value is every joint's (or actuator's, body's).
+    """Return a file's [imperfections] for a mechanism; a value without names applies to every joint, actuator or body.
 
     Raises:
         ProblemError: for a key, name, or value that cannot be used.

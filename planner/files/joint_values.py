@@ -11,7 +11,7 @@ def joint_values(section: Section, key: str, table_name: str, mechanism: Mechani
     """Return {joint index: value} of `key`_deg and `key`_m (before any _s), units checked against the joints.
 
     Raises:
-        ProblemError: for a joint that is none or of the other kind.
+        ProblemError: for an unknown joint, or a joint of the other kind.
     """
     found = {}
     stem, rate = (key[: -len("_s")], "_s") if key.endswith("_s") else (key, "")

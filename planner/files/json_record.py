@@ -1,4 +1,4 @@
-"""JSON records that linkplan wrote, read back as the type that they were written from."""
+"""JSON records written by linkplan, read back as typed values."""
 
 from pathlib import Path
 from typing import TypeVar
@@ -10,8 +10,6 @@ from linkplan.models.reading import read_file, too_deep
 
 # The records of plans, experiments and reports have some hundred kilobytes.
 MAX_RECORD_BYTES = 8_000_000
-# A table of one key takes thirty times its seven bytes of JSON. Records have a table or a list for every forty bytes.
-_BYTES_A_CONTAINER = 20
 Record = TypeVar("Record")
 
 
@@ -19,16 +17,18 @@ def read_record(path: Path, kind: type[Record], max_bytes: int = MAX_RECORD_BYTE
     """Return the record in a JSON file as a value of one type.
 
     Args:
-        path: of the file.
-        kind: a msgspec type. Keys that it does not name are skipped.
+        path: the file.
+        kind: a msgspec type; keys that it does not name are ignored.
         max_bytes: the file's largest size.
 
     Raises:
-        PlanFileError: when the file is missing, too large, truncated, nested more than a hundred levels deep, or holds
-            values of other types.
+        PlanFileError: when the file is missing, too large, truncated, nested more than a hundred levels deep, or has values
+            of
+            other types.
     """
     content = read_file(path, f"'{path}'", max_bytes, PlanFileError)
-    containers, most = content.count(b"{") + content.count(b"["), max_bytes // _BYTES_A_CONTAINER
+    # In memory, a table takes thirty times its size in JSON. Records have a table or a list for every forty bytes.
+    containers, most = content.count(b"{") + content.count(b"["), max_bytes // 20
     if containers > most:
         raise PlanFileError(f"'{path}' has {containers} tables and lists; at most {most} are read")
     try:

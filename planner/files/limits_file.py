@@ -9,12 +9,12 @@ from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.sites_file import site_limits_of
 from linkplan.planner.files.values import interval
 from linkplan.planner.keys.limits_section import LimitsSection, MotorSection, RobustSection
-from linkplan.planner.problem.limits import Limits, Motor, free
+from linkplan.planner.problem.limits import Limits, Motor, free_bounds
 from linkplan.planner.problem.robust import Range, Robust
 
 
 def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
-    """Return the limits of a [limits] table, the model's own where it says nothing."""
+    """Return the limits of a [limits] table; the model's own limits are the default."""
     effort = np.array(mechanism.effort_limit)
     for name, value in section.effort.items():
         effort[actuator_index(mechanism, name, "limits.effort")] = interval(value, f"limits.effort.{name}")
@@ -32,7 +32,7 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
     speed = np.tile([-np.inf, np.inf], (mechanism.n_q, 1))
     for index, value in joint_values(section, "speed_s", "limits", mechanism).items():
         joint = mechanism.joints[index]
-        speed[index] = [joint.read(end) for end in _about_rest(value, f"limits.speed_{joint.unit}_s.{joint.name}")]
+        speed[index] = [joint.read(end) for end in _including_rest(value, f"limits.speed_{joint.unit}_s.{joint.name}")]
     forces = np.full(len(mechanism.closure_names), np.inf)
     for name, value in section.closure_force.items():
         forces[closure_index(mechanism, name)] = value
@@ -68,20 +68,20 @@ def robust_of(section: RobustSection, mechanism: Mechanism) -> Robust:
 
 
 def actuator_index(mechanism: Mechanism, name: str, where: str) -> int:
-    """Return the index of an actuator that a table names.
+    """Return the index of a named actuator.
 
     Raises:
-        ProblemError: when the mechanism has none of that name.
+        ProblemError: for an unknown name.
     """
     names = [actuator.name for actuator in mechanism.actuators]
     return names.index(choose(f"actuator in {where}", name, names, ProblemError))
 
 
 def closure_index(mechanism: Mechanism, name: str) -> int:
-    """Return the index of a closure that limits.closure_force names.
+    """Return the index of a closure named in limits.closure_force.
 
     Raises:
-        ProblemError: when the mechanism has none of that name.
+        ProblemError: for an unknown name.
     """
     names = mechanism.closure_names
     if not names:
@@ -89,8 +89,8 @@ def closure_index(mechanism: Mechanism, name: str) -> int:
     return names.index(choose("closure in limits.closure_force", name, names, ProblemError))
 
 
-def _about_rest(value: float | list[float], where: str) -> tuple[float, float]:
-    """Return [low, high] of a limit: a positive number both ways, or an interval that admits rest."""
+def _including_rest(value: float | list[float], where: str) -> tuple[float, float]:
+    """Return [low, high] of a limit, from a positive number for both ways or an interval that contains zero."""
     if not isinstance(value, list):
         return -value, value
     low, high = interval(value, where)
@@ -101,14 +101,14 @@ def _about_rest(value: float | list[float], where: str) -> tuple[float, float]:
 
 def _actuator_rows(table: dict[str, float | list[float]], where: str, mechanism: Mechanism) -> np.ndarray:
     """Return [low, high] (n_u, 2) of a limit per actuator."""
-    rows = free(mechanism.n_u)
+    rows = free_bounds(mechanism.n_u)
     for name, value in table.items():
-        rows[actuator_index(mechanism, name, where)] = _about_rest(value, f"{where}.{name}")
+        rows[actuator_index(mechanism, name, where)] = _including_rest(value, f"{where}.{name}")
     return rows
 
 
 def motors_of(section: dict[str, MotorSection], mechanism: Mechanism) -> tuple[Motor | None, ...]:
-    """Return the motor behind each actuator, None where the [motors] table names none."""
+    """Return the motor of each actuator; None if the [motors] table does not name it."""
     motors: list[Motor | None] = [None] * mechanism.n_u
     for name, motor in section.items():
         index = actuator_index(mechanism, name, "[motors]")

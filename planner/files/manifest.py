@@ -1,7 +1,7 @@
-"""The manifest of a result folder: which files linkplan wrote there, each with the hash of its content.
+"""The manifest of a result folder: the files that linkplan wrote there, with the hashes of their contents.
 
-A file belongs to linkplan while it is listed and its content has the listed hash. A file that has changed since, and a file
-that is not listed, belong to the user. A folder without a manifest belongs to the user.
+A file belongs to linkplan as long as it is listed and its content has the listed hash. A file that has changed since, a file
+that is not listed, and a folder without a manifest belong to the user.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from linkplan.models.errors import PlanFileError
 
 MANIFEST = ".linkplan.json"
 _FORMAT_VERSION = 2
-# A manifest of 10,000 cases has about four megabytes; the limits protect memory from a file that is no manifest.
+# A manifest of 10,000 cases has about four megabytes. The limits protect memory from other files.
 _MAX_MANIFEST_BYTES = 64 << 20
 _MAX_LISTED_FILES = 400_000
 # The name of the record in each kind of result.
@@ -36,10 +36,10 @@ RECORDS = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Manifest:
-    """What linkplan wrote into a folder.
+    """The content of a manifest.
 
-    `record` is the name of the result's record, `files` the SHA-256 of each file by its path from the folder, and `identity`
-    a random word that tells one result from the next.
+    `record` is the name of the result's record. `files` maps the path of each file in the folder to its SHA-256. `identity`
+    is a random word that distinguishes results.
     """
 
     record: str
@@ -48,7 +48,7 @@ class Manifest:
 
 
 def files_in(folder: Path, below: str = "") -> Iterator[str]:
-    """Yield the path, from a folder, of every entry below it that is not a folder; links are not followed."""
+    """Yield the relative path of every entry below a folder that is not a folder; links are not followed."""
     for entry in sorted((folder / below).iterdir()):
         name = f"{below}/{entry.name}" if below else entry.name
         if entry.is_dir() and not entry.is_symlink():
@@ -59,30 +59,30 @@ def files_in(folder: Path, below: str = "") -> Iterator[str]:
 
 def write_manifest(folder: Path, record: str) -> None:
     """Write the manifest of a new result: every file in its folder with its hash."""
-    said = {
+    content = {
         "format": _FORMAT_VERSION,
         "about": "the files that linkplan wrote here, with SHA-256; a newer result replaces those that are unchanged",
         "record": record,
         "identity": os.urandom(8).hex(),
         "files": {name: _hash(folder / name) for name in sorted(files_in(folder))},
     }
-    (folder / MANIFEST).write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+    (folder / MANIFEST).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Return a folder's manifest, or None where there is none.
+    """Return a folder's manifest, or None if it has none.
 
     Raises:
-        PlanFileError: when there is one that cannot be read, or that linkplan did not write.
+        PlanFileError: when the manifest cannot be read, or linkplan did not write it.
     """
     path = folder / MANIFEST
     try:
         found = path.lstat()
         if not stat.S_ISREG(found.st_mode) or found.st_size > _MAX_MANIFEST_BYTES:
             raise ValueError
-        said = json.loads(path.read_text(encoding="utf-8"))
-        files, record, identity = said["files"], said["record"], said["identity"]
-        if said["format"] != _FORMAT_VERSION or record not in RECORDS or not isinstance(identity, str):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        files, record, identity = content["files"], content["record"], content["identity"]
+        if content["format"] != _FORMAT_VERSION or record not in RECORDS or not isinstance(identity, str):
             raise ValueError
         if not isinstance(files, dict) or len(files) > _MAX_LISTED_FILES:
             raise ValueError
@@ -98,7 +98,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def identity_at(folder: Path) -> str | None:
-    """Return the identity of the result in a folder, or None where there is none that can be read."""
+    """Return the identity of the result in a folder, or None if no manifest can be read."""
     try:
         manifest = read_manifest(folder)
     except PlanFileError:
@@ -107,7 +107,7 @@ def identity_at(folder: Path) -> str | None:
 
 
 def is_unchanged(folder: Path, name: str, manifest: Manifest) -> bool:
-    """Return True if a file in a folder is as its manifest lists it: a plain file, below no link, of the same content."""
+    """Check that a file in a folder is unchanged: a regular file, not reached by a link, with the hash of the manifest."""
     path = folder / name
     if any((folder / parent).is_symlink() for parent in PurePosixPath(name).parents):
         return False

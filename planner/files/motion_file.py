@@ -19,7 +19,7 @@ from linkplan.planner.problem.sites import SitePoint
 
 
 def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | None, limits: Limits) -> Motion:
-    """Return the motion of a [motion] table; poses that stand for places of sites keep the limits where they can."""
+    """Return the motion of a [motion] table; poses found from sites' places keep the limits if possible."""
     kind, duration = section.kind, section.duration_s
     if duration is None and reference is not None:
         duration = reference.period_s
@@ -52,14 +52,14 @@ def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | No
 
 
 def _goal_joints(section: MotionSection, mechanism: Mechanism) -> set[int]:
-    """Return the joints whose position or speed the goal names."""
+    """Return the joints with a position or speed in the goal."""
     return set().union(*(joint_values(section, key, "motion", mechanism) for key in ("goal", "goal_speed_s")))
 
 
 def _state(
     section: MotionSection | WaypointSection, key: str, mechanism: Mechanism, default: float | None, where: str = "motion"
 ) -> np.ndarray | None:
-    """Return the independent joints' values (n_s,) of a boundary condition, or None where nothing is said."""
+    """Return the independent joints' values (n_s,) of a boundary condition, or None if none is given."""
     values = joint_values(section, key, where, mechanism)
     if not values:
         return None
@@ -75,23 +75,28 @@ def _state(
             raise ProblemError(
                 f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
             )
-        value = values.get(int(index), default)  # a waypoint leaves free what it does not name
-        # a passive degree of freedom stays where it is, unless it is named
+        value = values.get(int(index), default)  # NaN (free) in a waypoint
+        # A passive degree of freedom that is not named stays at home.
         result.append(mechanism.home[index] if value is None else joint.read(value))
     if key.endswith("_s"):
-        for index in values:
-            if index not in mechanism.independent:
-                raise ProblemError(
-                    f"{where}.{key} of joint {mechanism.joints[index].name}: its speed follows from"
-                    f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
-                )
+        _refuse_dependent(values, f"{where}.{key}", mechanism)
     return np.array(result)
+
+
+def _refuse_dependent(values: dict[int, float], where: str, mechanism: Mechanism) -> None:
+    """Refuse speeds of dependent joints."""
+    for index in values:
+        if index not in mechanism.independent:
+            raise ProblemError(
+                f"{where} of joint {mechanism.joints[index].name}: its speed follows from"
+                f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
+            )
 
 
 def _end(
     section: MotionSection, name: str, kind: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
 ) -> tuple[np.ndarray | None, tuple[SitePoint, ...], tuple[int, ...]]:
-    """Return a start or goal (n_s,), by joints or by places of sites, those places, and `Motion.goal_rows`."""
+    """Return a start or goal (n_s,) given by joints or by sites' places, these places, and `Motion.goal_rows`."""
     named = [key for key in (f"{name}_deg", f"{name}_m") if getattr(section, key)]
     points = points_of(getattr(section, f"{name}_at"), f"motion.{name}_at", mechanism)
     if not points:
@@ -112,7 +117,7 @@ def _end(
 
 
 def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | None:
-    """Return the whole turns (n_s,) that a periodic motion goes on by, None where it returns in full."""
+    """Return the whole turns (n_s,) over a period of a periodic motion; None if it returns."""
     if asked is None:
         return None
     turns = np.zeros(mechanism.dof)
@@ -131,7 +136,7 @@ def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | N
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
-    """Return the closed pose (n_q,) at a start, home where there is none: what is wrong with it is said elsewhere."""
+    """Return the closed pose (n_q,) at a start; home if there is none, because the start is checked elsewhere."""
     try:
         return close_at(mechanism, s)
     except AssemblyError:
@@ -139,7 +144,7 @@ def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
 
 
 def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> dict[int, float]:
-    """Return a state's values with those freedoms that it does not name, and that nothing drives, resting on springs."""
+    """Return a state's values, with undriven freedoms that it does not name at their equilibrium on springs."""
     unnamed = tuple(c for c in sprung_freedoms(mechanism) if int(mechanism.independent[c]) not in values)
     if not unnamed:
         return values
@@ -161,7 +166,7 @@ def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> d
 def _waypoints(
     given: list[WaypointSection], mechanism: Mechanism, limits: Limits, begin: np.ndarray
 ) -> tuple[Waypoint, ...]:
-    """Return the waypoints; places of sites stand for the poses nearest to those before, the first (n_q,) to `begin`."""
+    """Return the waypoints; sites' places are converted to the nearest poses, the first to the pose `begin` (n_q,)."""
     waypoints = []
     for k, item in enumerate(given):
         where = f"motion.waypoints[{k}]"

@@ -1,4 +1,4 @@
-"""A plan's motion at any times, in the units that people read: dependent joints and their speeds too."""
+"""A plan's motion at any times, in the units of files: positions and speeds of all joints, efforts, sites."""
 
 from dataclasses import dataclass, replace
 
@@ -11,19 +11,16 @@ from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.sites import AXES
 
-# Steps of an interval at which a motion is written down, and between which a loop is followed.
-PER_INTERVAL = 10
-
-# Times closer than this share of the duration are one: a table's twelve digits still tell them apart.
-_HAIR = 1e-9
+# Samples of a written motion per interval; loops are followed from sample to sample.
+SAMPLES_PER_INTERVAL = 10
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MotionTable:
     """A motion at times (n,) [s]: by joint [deg or m, and per second], by actuator [N.m or N], by site (n, 3) [m].
 
-    `acceleration` is the independent joints'; `unit` is by joint, of positions, `effort_unit` by actuator; `site` are the
-    sites that the problem names, in the world's frame.
+    `acceleration` covers the independent joints only. `unit` is the unit of positions by joint, `effort_unit` the unit by
+    actuator. `site` are the sites that the problem names, in the world's frame.
     """
 
     time_s: np.ndarray
@@ -36,7 +33,7 @@ class MotionTable:
     site: dict[str, np.ndarray]
 
     def single(self) -> "MotionTable":
-        """Return the first time's row, numbers in place of arrays."""
+        """Return the first row, with numbers instead of arrays."""
 
         def first(values: dict[str, np.ndarray]) -> dict:
             return {name: float(x[0]) for name, x in values.items()}
@@ -52,7 +49,7 @@ class MotionTable:
         )
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return all columns (n,) under heads that carry their units: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m."""
+        """Return all columns (n,) with units in their headers: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m."""
         found = {"time_s": self.time_s}
         for name, values in self.position.items():
             found[f"{name}_{self.unit[name]}"] = values
@@ -61,29 +58,29 @@ class MotionTable:
         found |= {f"{name}_{self.effort_unit[name].replace('.', '')}": values for name, values in self.effort.items()}
         for name, place in self.site.items():
             heads = [f"{name}_{axis}_m" for axis in AXES]
-            taken = any(head in found for head in heads)  # a slide may have that name
+            taken = any(head in found for head in heads)  # by a slide of that name
             found |= {f"site_{head}" if taken else head: place[:, k] for k, head in enumerate(heads)}
         return found
 
 
 def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
-    """Return a plan's motion at times (n,) [s], in any order; by default at ten instants of every interval.
+    """Return a plan's motion at times (n,) [s], in any order; by default at ten times per interval.
 
-    Of those, times increase strictly and a break between intervals has the later one's values; with `jumps` it appears
-    twice, a hair before and at it, for an effort that jumps there.
+    The default times increase strictly, and a break between intervals has the later interval's values. With `jumps` it
+    appears twice, just before and at the break, to show jumps of efforts.
 
-    A periodic motion goes on beyond its ends, by its turns where it has any; any other rests there, under the effort of the
+    Beyond its ends a periodic motion is continued, with its turns. Any other motion rests there under the effort of the
     nearer end.
 
     Raises:
         AssemblyError: when the loops do not close along the motion.
     """
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
-    dense = trajectory.dense_times(PER_INTERVAL)
+    dense = trajectory.dense_times(SAMPLES_PER_INTERVAL)
     begin, end = trajectory.breaks_s[0], trajectory.breaks_s[-1]
     time = (dense if jumps else _single_valued(dense)) if time_s is None else np.asarray(time_s, dtype=float)
     within = begin + np.mod(time - begin, end - begin) if trajectory.periodic else np.clip(time, begin, end)
-    # Loops are followed along the motion, whatever the order and distance of the times that are asked for.
+    # Loops are followed along the whole motion, so the order and distance of the given times do not matter.
     along, back = np.unique(np.concatenate([dense, within]), return_inverse=True)
     poses = follow(mechanism, trajectory.position_at(along), trajectory.start_pose)
     gone = whole_turns(mechanism, poses[-1] - poses[0]) if np.any(trajectory.advance) else np.zeros(mechanism.n_q)
@@ -107,8 +104,8 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = 
 
 
 def _single_valued(dense: np.ndarray) -> np.ndarray:
-    """Return increasing times (n,) of which none is within a hair of the next: of such, the later ones."""
-    hair = _HAIR * (dense[-1] - dense[0])
+    """Return increasing times (n,) without near duplicates; of two close times, the later stays."""
+    hair = 1e-9 * (dense[-1] - dense[0])  # twelve digits in a table still distinguish them
     kept = [float(dense[-1])]
     for time in dense[-2::-1]:
         if kept[-1] - time > hair:

@@ -1,4 +1,4 @@
-"""The coordinates that a motion is stated in: where it names other joints than the driven ones, it is planned in those."""
+"""The coordinates in which a motion is stated: if it names other joints than the driven ones, these become independent."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -6,19 +6,19 @@ from collections.abc import Iterator, Mapping
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
 
-# Tables of joint = value in [motion], its waypoints and [reference].
+# Keys with tables of joint = value in [motion], its waypoints and [reference].
 _STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias")
 
 
 def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[str] | None:
-    """Return the joints that a motion names in place of the independent ones, to be independent; None where it need not be.
+    """Return the joints that a motion names and that should be independent; None to keep the mechanism's coordinates.
 
-    It need not where the independent joints are named, where mechanism.independent is given, and where more joints are named
-    than there are degrees of freedom: the loops then fix some of them, and which is not said.
+    The coordinates are kept if the motion names all independent joints, if mechanism.independent is given, or if it names
+    more joints than there are degrees of freedom, because it is then unclear which of them follow from the loops.
 
     Args:
-        tables: a problem file's, which were read.
-        mechanism: with the coordinates that it has by default.
+        tables: tables of a problem file.
+        mechanism: with its default coordinates.
     """
     if "independent" in mechanism.source:
         return None
@@ -31,7 +31,7 @@ def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[
 
 
 def coordinates_note(mechanism: Mechanism, named: list[str]) -> str:
-    """Return the sentence on coordinates that a motion's own joints are in place of `mechanism`'s."""
+    """Return the note that a motion is planned in the joints that it names."""
     unnamed = [joint.name for joint in mechanism.independent_joints if joint.name not in named]
     return (
         f"the motion names {', '.join(named)} and not {', '.join(unnamed)}: it is planned in these joints"

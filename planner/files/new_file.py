@@ -1,4 +1,4 @@
-"""Single files that are written: whole or not at all, and never over what is there and not linkplan's."""
+"""Single new files: written whole or not at all; existing files are never replaced, except linkplan's own."""
 
 import os
 from pathlib import Path
@@ -8,10 +8,10 @@ from linkplan.planner.files.work_folders import replace_file, work_folder
 
 
 def check_new(path: Path) -> None:
-    """Refuse a place where no file can be made: before long work begins, not after it.
+    """Refuse a path where no file can be made, before long work begins.
 
     Raises:
-        PlanFileError: where something is there already, or the folder is not there or cannot be written.
+        PlanFileError: if the path exists, or its folder is missing or cannot be written.
     """
     try:
         there, folder = os.path.lexists(path), path.parent.is_dir()
@@ -28,10 +28,10 @@ def check_new(path: Path) -> None:
 
 
 def write_new(path: Path, content: bytes) -> None:
-    """Write a file that is not there yet: beside its place first, then in one step.
+    """Write a new file: first next to its place, then moved in one step.
 
     Raises:
-        PlanFileError: where something is there, or the disk refuses.
+        PlanFileError: if the path exists, or the disk refuses.
     """
     check_new(path)
     try:
@@ -42,7 +42,7 @@ def write_new(path: Path, content: bytes) -> None:
                 file.flush()
                 os.fsync(file.fileno())
             try:
-                os.link(part, path)  # refuses where something has come there meanwhile, as renaming does not
+                os.link(part, path)  # unlike renaming, this fails if the path exists by now
             except FileExistsError:
                 check_new(path)
                 raise
@@ -54,13 +54,13 @@ def write_new(path: Path, content: bytes) -> None:
 
 
 def write_over(path: Path, content: bytes) -> None:
-    """Write a file in the place of an earlier one, which stands there until the new one is on the disk.
+    """Replace an earlier file by a new one in one step, once the new one is on the disk.
 
     Raises:
-        PlanFileError: where the disk refuses; the earlier one then stands as it stood.
+        PlanFileError: when the disk refuses; the earlier file is then unchanged.
     """
     try:
-        place = path.resolve()  # a link to an earlier one stays one
+        place = path.resolve()  # a link stays a link
         replace_file(place, lambda work: work.write_bytes(content))
     except (OSError, RuntimeError) as error:
         raise PlanFileError(f"cannot write '{path}': {getattr(error, 'strerror', None) or error}") from error

@@ -1,7 +1,7 @@
-"""Parquet tables that linkplan wrote, read back against the schema and the number of rows that they were written with.
+"""Parquet tables written by linkplan, checked against their expected schema and number of rows.
 
-Run-length and dictionary encodings turn 3 MB into 30 million rows. So the file's own account of itself (schema, rows, bytes,
-encodings) is compared before a column is decoded, and texts stay as dictionaries until their rows share them.
+Run-length and dictionary encodings can expand 3 MB to 30 million rows. The file's metadata (schema, rows, bytes, encodings)
+are therefore checked before a column is decoded, and texts stay dictionary-encoded until rows are read.
 """
 
 from collections.abc import Mapping
@@ -14,9 +14,7 @@ from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.reading import read_file
 
 Kind = Literal["number", "count", "flag", "word"]
-# A row's numbers take eight bytes each, its texts some hundred; metadata of a block of rows some kilobytes.
-_BYTES_A_VALUE, _BYTES_A_ROW, _BYTES_OF_METADATA = 16, 1000, 4_000_000
-# What pyarrow writes unasked; other encodings can expand without a bound that the metadata state.
+# The encodings of pyarrow's defaults. Others can expand to sizes that the metadata do not state.
 _ENCODINGS, _COMPRESSIONS = {"PLAIN", "RLE", "RLE_DICTIONARY", "PLAIN_DICTIONARY"}, {"SNAPPY", "UNCOMPRESSED"}
 
 
@@ -29,12 +27,12 @@ def schema_of(kinds: Mapping[str, Kind]) -> Any:
 
 
 def read_table(path: Path, kinds: Mapping[str, Kind], rows: int) -> dict[str, np.ndarray]:
-    """Return the columns of a Parquet file by name, as arrays (n,): texts as objects, None where there is none.
+    """Return the columns of a Parquet file by name, as arrays (n,); texts are objects, and missing texts None.
 
     Args:
-        path: of the file.
-        kinds: of its columns by name, in their order.
-        rows: that it has.
+        path: the file.
+        kinds: kinds of its columns by name, in order.
+        rows: the expected number of rows.
 
     Raises:
         PlanFileError: when the file is missing, truncated, too large, or has other columns, types or rows.
@@ -42,7 +40,8 @@ def read_table(path: Path, kinds: Mapping[str, Kind], rows: int) -> dict[str, np
     import pyarrow.parquet as parquet
     from pyarrow import BufferReader
 
-    max_bytes = rows * (_BYTES_A_VALUE * len(kinds) + _BYTES_A_ROW) + _BYTES_OF_METADATA
+    # A number takes eight bytes, the texts of a row some hundred, the metadata of a block of rows some kilobytes.
+    max_bytes = rows * (16 * len(kinds) + 1000) + 4_000_000
     content = read_file(path, f"'{path}'", max_bytes, PlanFileError)
     words = [name for name, kind in kinds.items() if kind == "word"]
     try:
@@ -58,9 +57,9 @@ def read_table(path: Path, kinds: Mapping[str, Kind], rows: int) -> dict[str, np
 
 
 def _refuse_other(file: Any, path: Path, kinds: Mapping[str, Kind], rows: int, max_bytes: int) -> None:
-    """Refuse a file whose metadata are not those of the table that is asked for, before a column is decoded."""
-    said, wanted = file.metadata, schema_of(kinds)
-    if said.num_columns != len(kinds) or file.schema_arrow.names != wanted.names:
+    """Refuse a file whose metadata differ from the expected table, before a column is decoded."""
+    found, wanted = file.metadata, schema_of(kinds)
+    if found.num_columns != len(kinds) or file.schema_arrow.names != wanted.names:
         other = sorted(set(wanted.names) ^ set(file.schema_arrow.names))[:3]
         raise PlanFileError(
             f"'{path}' has other columns than the {len(kinds)} of this table: {', '.join(other) or 'their order'}"
@@ -68,10 +67,15 @@ def _refuse_other(file: Any, path: Path, kinds: Mapping[str, Kind], rows: int, m
     for field, have in zip(wanted, file.schema_arrow, strict=True):
         if have.type != field.type:
             raise PlanFileError(f"'{path}' has a column {field.name} of type {have.type}; it is of type {field.type}")
-    groups = [said.row_group(k) for k in range(said.num_row_groups)]
-    if said.num_rows != rows or sum(group.num_rows for group in groups) != rows:
-        raise PlanFileError(f"'{path}' has {said.num_rows} rows; {rows} were asked for")
-    chunks = [group.column(k) for group in groups for k in range(len(kinds))]
+    _refuse_content(found, path, len(kinds), rows, max_bytes)
+
+
+def _refuse_content(found: Any, path: Path, n_columns: int, rows: int, max_bytes: int) -> None:
+    """Refuse metadata with another number of rows, too many bytes, or other encodings than linkplan writes."""
+    groups = [found.row_group(k) for k in range(found.num_row_groups)]
+    if found.num_rows != rows or sum(group.num_rows for group in groups) != rows:
+        raise PlanFileError(f"'{path}' has {found.num_rows} rows; {rows} were asked for")
+    chunks = [group.column(k) for group in groups for k in range(n_columns)]
     size = sum(chunk.total_uncompressed_size for chunk in chunks)
     if size > max_bytes:
         raise PlanFileError(f"'{path}' would take {size} bytes; at most {max_bytes} are read")
@@ -84,7 +88,7 @@ def _values(column: Any, name: str, kind: Kind) -> np.ndarray:
     """Return a column's values.
 
     Raises:
-        ValueError: when values are missing other than texts.
+        ValueError: when values other than texts are missing.
     """
     if kind == "word":
         parts = []

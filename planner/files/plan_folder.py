@@ -21,30 +21,30 @@ from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.motion_table import motion_table
-from linkplan.planner.files.plan_record import FORMAT, PlanRecord, extra_records, history_of, read_plan_record
+from linkplan.planner.files.plan_record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
 from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_said
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of linkplan and of what its numbers depend on."""
+    """Return the versions of linkplan and of the packages that its numbers depend on."""
     return {name: metadata.version(name) for name in ("linkplan", "mujoco", "casadi", "numpy", "scipy", "control")}
 
 
 def record(plan: Plan) -> dict:
-    """Return what `plan.json` and `linkplan plan --json` say of a plan."""
+    """Return the record of a plan for `plan.json` and `linkplan plan --json`."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     names = [actuator.name for actuator in mechanism.actuators]
     certificate = plan.certificate
     return plain_record(
         {
-            "format": FORMAT,
+            "format": PLAN_FORMAT,
             "name": problem.name,
             "status": plan.status,
             "message": plan.message,
@@ -79,7 +79,7 @@ def record(plan: Plan) -> dict:
 
 
 def certificate_record(problem: PlanningProblem, certificate: Certificate) -> dict:
-    """Return a certificate's figures by name, with their units in the names."""
+    """Return a certificate's values by name, with units in the names."""
     joints = problem.mechanism.joints
     margins = list(zip(joints, certificate.position_margin, certificate.speed_margin, strict=True))
     return {
@@ -122,14 +122,14 @@ def _contact_record(meeting: Meeting) -> dict:
 
 
 def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:
-    """Write a plan's files into an existing, empty folder, and read them back as `read_plan` would.
+    """Write a plan's files into an existing, empty folder, and check them as `read_plan` would.
 
     Args:
         plan: with a motion.
         folder: where to write.
-        place: where the folder will stand in the end, if not there: the model's path is kept as seen from it, too.
-        jumps: whether trajectory.csv has both sides of a jump in effort, at one time.
-        parquet: whether there is a trajectory.parquet beside it.
+        place: the folder's final path, if it will be moved; the model's path is saved relative to it too.
+        jumps: write both sides of a jump in effort to trajectory.csv, at one time.
+        parquet: also write trajectory.parquet.
 
     Raises:
         PlanFileError: when the plan has no motion.
@@ -141,20 +141,20 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     table = motion_table(plan, jumps=jumps)
-    if table.site:  # beside the motion: samples, at the times of trajectory.csv
+    if table.site:  # in addition to the motion: samples at the times of trajectory.csv
         arrays |= {"time_s": table.time_s} | {f"site_{name}_m": places for name, places in table.site.items()}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
     (folder / "trajectory.csv").write_bytes(csv_bytes(table.columns()))
     if parquet:
         about = {"linkplan": metadata.version("linkplan"), "plan": plan.problem.name}
         (folder / "trajectory.parquet").write_bytes(parquet_bytes(table.columns(), about))
-    again = _judged(folder, read_plan_record(folder), read_trajectory(folder / "trajectory.npz"), plan.problem)
+    again = _certified(folder, read_plan_record(folder), read_trajectory(folder / "trajectory.npz"), plan.problem)
     if plan.passed and not again.passed:
         raise CertificateError(f"the plan is not saved, since its files could not be used: {again.message}")
 
 
 def _from(place: Path, problem: PlanningProblem) -> str | None:
-    """Return the path of a problem's model file as seen from a plan's folder; None for a built-in model."""
+    """Return the path of a problem's model file relative to a plan's folder; None for a built-in model."""
     model = problem.source.get("mechanism", {}).get("model")
     if not isinstance(model, str) or not is_file(Path(model)):
         return None
@@ -172,46 +172,47 @@ def read_plan(
     extra_costs: Sequence[ExtraCost] = (),
     extra_limits: Sequence[ExtraLimit] = (),
 ) -> Plan:
-    """Return a saved plan with its solves, its problem built again and its certificate made anew from the motion on disk.
+    """Return a saved plan with its history; its problem is built again, and its motion is certified again.
 
     Args:
-        folder: where the plan was saved.
-        overrides: "key=value" settings on the saved problem, meant for those that do not change the plan (tracking).
-        anyway: whether a plan that does not pass is returned, its status "failed", and not refused.
-        extra_costs: those that it was planned with. Files do not hold them: without them the objective is not checked, which
-            a note of the problem says.
-        extra_limits: likewise, the limits.
+        folder: the plan's folder.
+        overrides: "key=value" settings on the saved problem; they should not change the plan (tracking).
+        anyway: return a plan that does not pass, with the status "failed", instead of raising.
+        extra_costs: the plan's extra costs. Files do not hold them; without them the objective is not checked, and the
+            problem
+            gets a note.
+        extra_limits: the plan's extra limits.
 
     Raises:
-        CertificateError: when the motion on disk does not pass its certificate, or was never a plan that did.
-        PlanFileError: when the folder, or a file in it, is missing, truncated or not a plan's.
+        CertificateError: when the motion on disk does not pass its certificate, or never did.
+        PlanFileError: when the folder or one of its files is missing, truncated, or not a plan's.
     """
     folder = Path(folder)
     if folder.is_dir():
         complete(folder)
-    said = read_plan_record(folder)
+    saved = read_plan_record(folder)
     trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:
-        apply_override(said.problem, override)
+        apply_override(saved.problem, override)
     build = functools.partial(problem_from_tables, extra_costs=extra_costs, extra_limits=extra_limits)
-    problem = _problem_again(said, folder, build, overrides)
-    if problem.extras and extra_records(problem.extras) != said.extras:
-        had = extras_said(said.extras) if said.extras else "no extra limit or cost"
+    problem = _rebuilt_problem(saved, folder, build, overrides)
+    if problem.extras and extra_records(problem.extras) != saved.extras:
+        had = extras_text(saved.extras) if saved.extras else "no extra limit or cost"
         raise PlanFileError(f"'{folder}' was planned with {had}; plan.json has their bounds, weights and units; got others")
-    if said.extras and not problem.extras:
-        note = f"read without {_lost(said)}: nothing here was checked against it"
+    if saved.extras and not problem.extras:
+        note = f"read without {_lost(saved)}: nothing here was checked against it"
         problem = replace(problem, notes=(*problem.notes, note))
-    plan = _judged(folder, said, trajectory, problem)
+    plan = _certified(folder, saved, trajectory, problem)
     if not plan.passed and not anyway:
         raise CertificateError(f"plan '{folder}' is not used: {plan.message}")
     return plan
 
 
-def _judged(folder: Path, said: PlanRecord, trajectory: Trajectory, problem: PlanningProblem) -> Plan:
-    """Return the plan that the files in a folder say of a problem, its certificate made anew: "failed" if it does not pass.
+def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem: PlanningProblem) -> Plan:
+    """Return the plan in a folder's files with a new certificate; its status is "failed" if it does not pass.
 
     Raises:
-        PlanFileError: when the motion is of another mechanism.
+        PlanFileError: when the motion belongs to another mechanism.
     """
     mechanism = problem.mechanism
     sizes = (trajectory.n_s, trajectory.velocity.shape[2], trajectory.n_u, len(trajectory.start_pose))
@@ -226,9 +227,9 @@ def _judged(folder: Path, said: PlanRecord, trajectory: Trajectory, problem: Pla
         raise PlanFileError(
             f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"
         ) from error
-    status, message = said.status, said.message
-    lost_cost = not problem.objective.extra and any(one.kind == "cost" for one in said.extras)
-    misses = (*certificate.failures, *disagreements(problem, trajectory, None if lost_cost else said.objective))
+    status, message = saved.status, saved.message
+    lost_cost = not problem.objective.extra and any(one.kind == "cost" for one in saved.extras)
+    misses = (*certificate.failures, *disagreements(problem, trajectory, None if lost_cost else saved.objective))
     if misses:
         certificate = replace(certificate, failures=misses)
         status, message = "failed", f"failed: the motion on disk does not pass its certificate: {'; '.join(misses)}"
@@ -236,63 +237,70 @@ def _judged(folder: Path, said: PlanRecord, trajectory: Trajectory, problem: Pla
         problem=problem,
         status=status,
         message=message,
-        objective=said.objective,
+        objective=saved.objective,
         trajectory=trajectory,
         certificate=certificate,
-        history=history_of(said),
-        details={name: value for name, value in said.details.items() if value is not None},
+        history=history_of(saved),
+        details={name: value for name, value in saved.details.items() if value is not None},
     )
 
 
-def _lost(said: PlanRecord) -> str:
-    return f"{extras_said(said.extras)}, Python that the files do not hold"
+def _lost(saved: PlanRecord) -> str:
+    return f"{extras_text(saved.extras)}, Python that the files do not hold"
 
 
-def _problem_again(
-    said: PlanRecord, folder: Path, build: Callable[..., PlanningProblem], overrides: Sequence[str] = ()
+def _rebuilt_problem(
+    saved: PlanRecord, folder: Path, build: Callable[..., PlanningProblem], overrides: Sequence[str] = ()
 ) -> PlanningProblem:
-    """Return a saved plan's problem, its model from beside the plan or from where it was; refused where that has changed.
+    """Return a saved plan's problem, with its model found relative to the plan or at its old path; refuse a changed model.
 
-    `build` makes a problem of a name and tables.
+    `build` makes a problem from a name and tables.
     """
-    tables = said.problem
+    tables = saved.problem
     if isinstance(tables.get("limits"), dict):
         tables["limits"] = _unbounded(tables["limits"])
+    if _guess_is_lost(tables):
+        del tables["guess"]  # the saved motion needs no initial guess
     section = tables.get("mechanism")
-    models = [section.get("model")] if isinstance(section, dict) else [None]
-    beside = said.model_from_here
-    if beside is not None and is_file(folder / beside):
-        models.insert(0, str((folder / beside).resolve()))
-    guess = tables.get("guess")
-    if (
-        isinstance(guess, dict)
-        and isinstance(guess.get("plan"), str)
-        and not is_file(Path(guess["plan"]) / "trajectory.npz")
-    ):
-        del tables["guess"]  # where the solver once began; the motion is here without it
     refusal, changed = None, ""
-    for model in dict.fromkeys(model for model in models if model is None or isinstance(model, str)):
+    for model in _possible_models(saved, folder):
         if isinstance(section, dict):
             section["model"] = model
         try:
-            problem = build(shown(said.name), tables)
+            problem = build(shown(saved.name), tables)
         except LinkplanError as error:
             refusal = refusal or error
             continue
-        different = _changed(said, problem)
+        different = _changed(saved, problem)
         if not different:
             return problem
         changed = changed or f"model '{model}' has changed since '{folder}' was planned, in its {' and '.join(different)}"
     if changed:
         raise PlanFileError(f"{changed}; plan it again")
     why = refusal or "mechanism.model is no name"
-    why = f"{why}; it was planned with {_lost(said)}" if said.extras else why
+    why = f"{why}; it was planned with {_lost(saved)}" if saved.extras else why
     how = f" with {', '.join(overrides)}" if overrides else " again"
     raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built{how}: {why}") from refusal
 
 
+def _guess_is_lost(tables: dict) -> bool:
+    """Check whether the initial guess was a saved plan that is no longer there."""
+    guess = tables.get("guess")
+    plan = guess.get("plan") if isinstance(guess, dict) else None
+    return isinstance(plan, str) and not is_file(Path(plan) / "trajectory.npz")
+
+
+def _possible_models(saved: PlanRecord, folder: Path) -> list[str | None]:
+    """Return the names or paths under which a saved plan's model may be found, the path relative to the plan first."""
+    section, relative = saved.problem.get("mechanism"), saved.model_from_here
+    models = [section.get("model")] if isinstance(section, dict) else [None]
+    if relative is not None and is_file(folder / relative):
+        models.insert(0, str((folder / relative).resolve()))
+    return list(dict.fromkeys(model for model in models if model is None or isinstance(model, str)))
+
+
 def _unbounded(value: object) -> object:
-    """Return a table of limits with the infinite ends that JSON has no number for: null in [low, high]."""
+    """Return a table of limits with its infinite ends, which JSON stores as null in [low, high]."""
     if isinstance(value, dict):
         return {key: _unbounded(item) for key, item in value.items()}
     if isinstance(value, list) and len(value) == 2 and None in value:
@@ -300,20 +308,20 @@ def _unbounded(value: object) -> object:
     return [_unbounded(item) for item in value] if isinstance(value, list) else value
 
 
-def _changed(said: PlanRecord, problem: PlanningProblem) -> list[str]:
-    """Return the parts of a model that are not as they were planned with; nothing where that cannot be told."""
-    kept = said.fingerprint
-    if kept is None or said.versions.get("mujoco") != mujoco_version():
+def _changed(saved: PlanRecord, problem: PlanningProblem) -> list[str]:
+    """Return the parts of a model that have changed since it was planned; empty if this is unknown."""
+    kept = saved.fingerprint
+    if kept is None or saved.versions.get("mujoco") != mujoco_version():
         return []
     return [part for part, digest in part_hashes(problem.mechanism.model).items() if kept.get(part, digest) != digest]
 
 
 def unchecked(folder: str | Path) -> str | None:
-    """Return why it cannot be told whether a saved plan's model has changed since, or None where it can."""
-    said = read_plan_record(Path(folder))
-    if said.fingerprint is None:
+    """Return the reason why it is unknown whether a saved plan's model has changed, or None if it is known."""
+    saved = read_plan_record(Path(folder))
+    if saved.fingerprint is None:
         return "plan.json has no fingerprint of its model: whether that has changed since is not known"
-    then = said.versions.get("mujoco")
+    then = saved.versions.get("mujoco")
     if then != mujoco_version():
         return f"planned with MuJoCo {then}, this is {mujoco_version()}: whether the model has changed since is not known"
     return None

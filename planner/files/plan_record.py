@@ -1,4 +1,4 @@
-"""The record of a saved plan, `plan.json`, as far as it is read back."""
+"""The part of a saved plan's record, `plan.json`, that is read back."""
 
 import math
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ from linkplan.planner.plan import STATUSES
 from linkplan.planner.problem.extra import Extra
 from linkplan.planner.refinement.history import Step
 
-FORMAT = 1
+PLAN_FORMAT = 1
 _Count = Annotated[int, Meta(ge=0)]
 _Seconds = Annotated[float, Meta(ge=0)]
 
 
 class StepRecord(Struct, frozen=True):
-    """A solve on the way to a plan: the fields of `Step` that are saved; an objective that is no number is null."""
+    """One solve of a plan's history: the saved fields of `Step`; an objective that is not a number is null."""
 
     what: str
     scheme: str
@@ -46,7 +46,7 @@ class ExtraRecord(Struct, frozen=True):
 
 
 class PlanRecord(Struct, frozen=True):
-    """What is read of `plan.json`; what else it says is for people, or follows from the motion."""
+    """The fields of `plan.json` that are read; the others are for people, or follow from the motion."""
 
     format: int
     name: str
@@ -66,7 +66,7 @@ def read_plan_record(folder: Path) -> PlanRecord:
     """Return the record of a saved plan.
 
     Raises:
-        PlanFileError: when the folder is none of a plan, or the record is damaged or of another format.
+        PlanFileError: when the folder is not a plan's, or the record is damaged or of another format.
     """
     path = folder / "plan.json"
     if not folder.is_dir():
@@ -77,16 +77,16 @@ def read_plan_record(folder: Path) -> PlanRecord:
         raise PlanFileError(
             f"'{folder}' is not a plan: it has no plan.json; a plan is a folder with that and trajectory.npz{inside}"
         )
-    said = read_record(path, PlanRecord)
-    if said.status not in STATUSES:
-        raise PlanFileError(f"'{path}' has status '{said.status}'; a plan's is one of {', '.join(STATUSES)}")
-    if said.format != FORMAT:
-        raise PlanFileError(f"'{path}' has format {said.format}; this linkplan reads {FORMAT}")
-    return said
+    saved = read_record(path, PlanRecord)
+    if saved.status not in STATUSES:
+        raise PlanFileError(f"'{path}' has status '{saved.status}'; a plan's is one of {', '.join(STATUSES)}")
+    if saved.format != PLAN_FORMAT:
+        raise PlanFileError(f"'{path}' has format {saved.format}; this linkplan reads {PLAN_FORMAT}")
+    return saved
 
 
 def extra_records(extras: Sequence[Extra]) -> list[ExtraRecord]:
-    """Return what a plan's record says of its users' own limits and costs."""
+    """Return the records of users' own limits and costs."""
     found = []
     for one in extras:
         numbers = {name: getattr(one, name, math.inf) for name in ("lower", "upper", "weight")}
@@ -95,7 +95,7 @@ def extra_records(extras: Sequence[Extra]) -> list[ExtraRecord]:
     return found
 
 
-def history_of(said: PlanRecord) -> tuple[Step, ...]:
-    """Return the solves that led to a saved plan."""
-    rows = (structs.asdict(row) for row in said.history)
+def history_of(saved: PlanRecord) -> tuple[Step, ...]:
+    """Return the solves of a saved plan's history."""
+    rows = (structs.asdict(row) for row in saved.history)
     return tuple(Step(**{**row, "objective": math.nan if row["objective"] is None else row["objective"]}) for row in rows)

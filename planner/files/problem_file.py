@@ -1,7 +1,7 @@
-"""Problem files: TOML tables to a `PlanningProblem`, every key checked, every value in range.
+"""Conversion of a problem file's TOML tables to a `PlanningProblem`, with every key and value checked.
 
-Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`; all else is SI. A built-in name works
-wherever a file does.
+Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`; all else is SI. Every function that
+takes a file also takes a built-in name.
 """
 
 import copy
@@ -37,21 +37,21 @@ from linkplan.planner.keys.sections import (
     SolverSection,
     TrackingSection,
 )
-from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_said
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.planning_problem import GuessedPath, PlanningProblem
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.values import plain
 
-# Sections whose keys are arguments of settings: what a file leaves out is chosen where they are made.
-_WHOLE = {
+# Sections whose keys are arguments of settings or of the objective, which choose the defaults.
+_SETTINGS_SECTIONS = {
     "objective": ObjectiveSection,
     "mesh": MeshSection,
     "solver": SolverSection,
     "tracking": TrackingSection,
 }
-# A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
+# Largest difference of a dependent joint named in start_deg or goal_deg from the closed loop's position.
 _POSE_TOLERANCE = np.radians(0.05)
 
 
@@ -60,7 +60,7 @@ def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningP
 
     Raises:
         ProblemError: for anything in the file or an override that cannot be used.
-        ModelError: when the mechanism that it names cannot be.
+        ModelError: when its mechanism cannot be built.
     """
     name, tables, folder = read_tables(source)
     for override in overrides:
@@ -77,19 +77,19 @@ def problem_from_tables(
     extra_costs: Sequence[ExtraCost] = (),
     extra_limits: Sequence[ExtraLimit] = (),
 ) -> PlanningProblem:
-    """Return the problem that a file's tables mean.
+    """Return the problem described by a file's tables.
 
     Args:
-        name: of the problem.
+        name: the problem's name.
         tables: as `tomllib` reads them; they are not changed.
-        folder: the file's, from which paths in it are looked up before the working folder.
-        mechanism: one that is loaded already, in place of what [mechanism] says.
-        extra_costs: running costs as expressions, which no table holds.
+        folder: the file's folder, in which paths are looked up before the working folder.
+        mechanism: a loaded mechanism that replaces [mechanism].
+        extra_costs: running costs as expressions, which tables cannot hold.
         extra_limits: path limits as expressions.
 
     Raises:
         ProblemError: for anything in the tables that cannot be used.
-        ModelError: when the mechanism that they name cannot be.
+        ModelError: when their mechanism cannot be built.
     """
     tables = plain(tables)
     if mechanism is not None:
@@ -109,10 +109,10 @@ def problem_from_tables(
     uncertain = read_section(RobustSection, tables, "robust", known)
     motors = read(kind_of("motors"), tables.get("motors", {}), "motors", known)
     guess = read_section(GuessSection, tables, "guess", known)
-    for section, kind in _WHOLE.items():
-        if tables.get(section) != {"minimize": {}}:  # which `Objective` refuses, but beside extra costs
+    for section, kind in _SETTINGS_SECTIONS.items():
+        if tables.get(section) != {"minimize": {}}:  # an empty table is legal only with extra costs; `Objective` checks it
             read_section(kind, tables, section)
-    imperfections_of(tables.get("imperfections", {}), mechanism)  # refused now, though planning knows nothing of them
+    imperfections_of(tables.get("imperfections", {}), mechanism)  # checked here, although planning does not use them
     notes = []
     others = other_coordinates(tables, mechanism)
     if others is not None:
@@ -146,21 +146,21 @@ def problem_from_tables(
 
 
 def file_text(problem: PlanningProblem, tables: Tables | None = None) -> str:
-    """Return a problem, or other tables in place of its own, as a file's text; a comment names what no file can hold.
+    """Return a problem, or other tables, as a file's text; a comment names extra limits and costs, which files cannot hold.
 
     Raises:
-        ProblemError: for a value that TOML has no form for.
+        ProblemError: for a value that TOML cannot express.
     """
     text = toml_text(problem.source if tables is None else tables)
-    return f"# Without {extras_said(problem.extras)}: a problem file holds no Python.\n{text}" if problem.extras else text
+    return f"# Without {extras_text(problem.extras)}: a problem file holds no Python.\n{text}" if problem.extras else text
 
 
 def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str) -> None:
-    """Refuse a name that a table has of a joint, actuator, closure or site, where the mechanism has none of that name."""
+    """Refuse a name of a joint, actuator, closure or site that the mechanism does not have."""
     if noun == "joint":
         mechanism.joint_index(name, ProblemError)
     elif noun == "site":
-        if name not in [joint.name for joint in mechanism.joints]:  # a joint in its place has words of its own
+        if name not in [joint.name for joint in mechanism.joints]:  # a joint's name gets its own message elsewhere
             site_index(mechanism.model, name, where, ProblemError)
     elif noun == "closure":
         closure_index(mechanism, name)
@@ -169,7 +169,7 @@ def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str)
 
 
 def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], folder: Path | None) -> Mechanism:
-    """Return a mechanism with other independent coordinates, which the tables then name."""
+    """Return a mechanism with other independent coordinates, and set them in the tables."""
     tables["mechanism"]["independent"] = named
     try:
         return _mechanism(tables["mechanism"], folder)
@@ -181,7 +181,7 @@ def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], fold
 
 
 def _duration_notes(motion: MotionSection, objective: Objective, reference: Sine | None) -> list[str]:
-    """Return the sentence on a duration that is free because nothing is said of it."""
+    """Return a note if the duration is free by default."""
     said = any(value is not None for value in (motion.duration_s, motion.min_duration_s, motion.max_duration_s))
     if said or reference is not None or objective.has("time"):
         return []
@@ -189,7 +189,7 @@ def _duration_notes(motion: MotionSection, objective: Objective, reference: Sine
 
 
 def mechanism_from_tables(tables: Tables, folder: Path | None = None) -> Mechanism:
-    """Return the mechanism that a file's [mechanism] table means; the other tables are only checked for their keys."""
+    """Return the mechanism of a file's [mechanism] table; the other tables are only checked for unknown keys."""
     tables = plain(tables)
     refuse_unknown_keys(tables)
     return _mechanism(tables.get("mechanism", {}), folder)
@@ -204,10 +204,10 @@ def tracking_from_tables(tables: Tables, mechanism: Mechanism | None = None) -> 
 
 
 def _mechanism(section: dict, folder: Path | None) -> Mechanism:
-    # Where it stands is the problem's to say; what else is wrong is wrong with the model.
+    # Errors in the model's place and pose are problem errors; all others are model errors.
     read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
     asked = read(MechanismSection, section, "mechanism", error=ModelError)
-    place = beside(asked.model, folder)
+    place = path_beside(asked.model, folder)
     if asked.model not in MODELS and is_file(place):
         section["model"] = str(place.resolve())
     mechanism = load_mechanism(
@@ -223,11 +223,11 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     return replace(mechanism, source=copy.deepcopy(section))
 
 
-def beside(path: str, folder: Path | None) -> Path:
-    """Return a path that a problem file names: from the file's folder, or from the working folder where it is not there."""
+def path_beside(path: str, folder: Path | None) -> Path:
+    """Return a path in a problem file, relative to the file's folder if it exists there, else to the working folder."""
     try:
         there = folder is not None and (folder / path).exists()
-    except (OSError, ValueError):  # a name that no file can have
+    except (OSError, ValueError):  # an impossible file name
         there = False
     return folder / path if folder is not None and there else Path(path)
 
@@ -260,12 +260,12 @@ def _reference(section: ReferenceSection, mechanism: Mechanism) -> Sine:
 
 
 def _guess(section: GuessSection, tables: Tables, mechanism: Mechanism, folder: Path | None):
-    """Return the user's own start, None where there is none: a saved plan's motion, or positions at equal times."""
+    """Return the user's initial guess, a saved plan's motion or equidistant positions; None without a guess."""
     paths = joint_values(section, "path", "guess", mechanism)
     if section.plan is not None and paths:
         raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
     if section.plan is not None:
-        place = beside(section.plan, folder)
+        place = path_beside(section.plan, folder)
         if not is_folder(place):
             where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
             raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")
@@ -284,13 +284,13 @@ def _guess(section: GuessSection, tables: Tables, mechanism: Mechanism, folder: 
 
 
 def _mesh(section: dict, objective: Objective, *, rated: bool) -> dict:
-    """Return the settings that follow from what is asked, where [mesh] does not say them."""
-    # Least work pushes in full, coasts and brakes in full: a polynomial smears that, and is charged at its nodes alone.
-    # Efforts whose rates are limited cannot jump, and bend where these were jumps.
+    """Return the mesh settings, with defaults that depend on the rest of the problem."""
+    # Least work has full effort, coasting and full braking. A polynomial smears this, and its cost is evaluated at nodes
+    # only. Efforts with limited rates cannot jump, so they are piecewise linear.
     smeared = objective.has("work") and {*objective.weights} <= {"work", "time"}
     values: dict = {"effort": "linear" if rated else "constant"} if smeared else {}
     if "scheme" in section:
-        values["refine"] = "intervals"  # a transcription that was named is kept, unless its degree is given free
+        values["refine"] = "intervals"  # keeps the named transcription, unless its refinement is given too
     if "breaks" in section:
         if "intervals" in section:
             raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
@@ -305,12 +305,12 @@ def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
             values[key] = np.radians(values.pop(in_file))
     found = Tracking(**values)
     if mechanism is not None:
-        found.gains(mechanism.independent_joints)  # refuses joints that have no gain, and gains of no joint
+        found.gains(mechanism.independent_joints)  # refuses joints without a gain, and gains of unknown joints
     return found
 
 
 def _check_poses(section: MotionSection, problem: PlanningProblem) -> None:
-    """Refuse a start, goal or waypoint whose dependent joints do not stand where the closed loop has them."""
+    """Refuse a start, goal or waypoint with dependent joints that are not where the closed loop has them."""
     mechanism, motion = problem.mechanism, problem.motion
     states: list[tuple] = [(section, "motion", "start", motion.start), (section, "motion", "goal", motion.goal)]
     for k, (item, waypoint) in enumerate(zip(section.waypoints, motion.waypoints, strict=True)):

@@ -1,4 +1,4 @@
-"""Sites in a problem file: where they start, pass and end (start_at, a waypoint's at, goal_at), and stay (limits.site)."""
+"""Sites in a problem file: places at the start, at waypoints and at the goal, and regions (limits.site)."""
 
 from typing import Any
 
@@ -15,14 +15,12 @@ from linkplan.planner.keys.section import Section
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.sites import AXES, SiteLimit, SitePoint
 
-# A normal, or a segment of a polyline, shorter than this [1 or m] has no direction.
-_NO_LENGTH = 1e-9
-# A coordinate of a nearest place below this [m] is shown as none: it is found to the root of rounding.
-_NOTHING_M = 1e-6
+# A normal, or a segment of a polyline, below this length [1 or m] has no direction.
+_MIN_LENGTH = 1e-9
 
 
 def points_of(table: dict[str, list | dict], where: str, mechanism: Mechanism) -> tuple[SitePoint, ...]:
-    """Return where a start, goal or waypoint asks sites to be: { foot = [x, y, z] }, or { foot = { z = 0.2 } }."""
+    """Return prescribed places of sites from a table such as { foot = [x, y, z] } or { foot = { z = 0.2 } }."""
     found = []
     for name, value in table.items():
         point = [value.get(axis, np.nan) for axis in AXES] if isinstance(value, dict) else value
@@ -34,17 +32,17 @@ def points_of(table: dict[str, list | dict], where: str, mechanism: Mechanism) -
 def pose_at(
     points: tuple[SitePoint, ...], where: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Return independent positions (n_s,) with sites at their points, nearest to a closed pose, and `Motion.goal_rows`.
+    """Return the positions (n_s,) of the pose nearest to `begin` with sites at their places, and `Motion.goal_rows`.
 
     Args:
-        points: where sites are to be.
-        where: the key that asks for it.
-        mechanism: whose sites they are.
-        limits: of a problem; ranges are kept, limits on sites where there is a pose that does.
+        points: the sites' places.
+        where: their key, for messages.
+        mechanism: the mechanism.
+        limits: limits of the problem; ranges are kept, limits on sites if possible.
         begin: a closed pose (n_q,) to begin from.
 
     Raises:
-        ProblemError: when no such pose is found, with the nearest place and how far away it is.
+        ProblemError: when no such pose is found; it names the nearest place and its distance.
     """
     targets = SiteTargets(sites=np.array([p.index for p in points]), points=np.array([p.point for p in points]))
 
@@ -60,7 +58,7 @@ def pose_at(
         together = " together with the other sites" if len(points) > 1 else ""
         raise ProblemError(
             f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
-            f" {shown(np.where(np.abs(place) < _NOTHING_M, 0.0, place))}, {found.off_m.max():.4g} m away"
+            f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {found.off_m.max():.4g} m away"
         )
     rows = independent_rows_of(mechanism, targets, found.pose, limits.position)
     active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
@@ -73,7 +71,7 @@ def pose_at(
 
 
 def shown(point: np.ndarray) -> str:
-    """Return a point (3,) as a problem file has it."""
+    """Return a point (3,) as problem files write it."""
     if not np.any(np.isnan(point)):
         return "[" + ", ".join(f"{x:.6g}" for x in point) + "]"
     return "{ " + ", ".join(f"{axis} = {x:.6g}" for axis, x in zip(AXES, point, strict=True) if not np.isnan(x)) + " }"
@@ -103,7 +101,7 @@ def site_limits_of(table: dict[str, dict | list[dict]], mechanism: Mechanism) ->
 
 
 def _limits(one: dict, where: str) -> list[tuple[str, float, float, dict[str, Any]]]:
-    """Return the limits of one box, wall or tube: what each is, its bounds, and its shape."""
+    """Return the limits of one box, wall or tube: kind, bounds and shape of each."""
     if not one:
         raise ProblemError(f"{where} limits nothing; {_LEGAL}, got {{}}")
     kind = next((kind for kind in SITE_LIMITS if set(one) & set(kind.__struct_fields__)), None)
@@ -114,13 +112,13 @@ def _limits(one: dict, where: str) -> list[tuple[str, float, float, dict[str, An
     found = read(kind, one, where)
     if isinstance(found, Wall):
         normal, length = np.array(found.normal), float(np.linalg.norm(found.normal))
-        if length < _NO_LENGTH:
+        if length < _MIN_LENGTH:
             raise ProblemError(f"{where}.normal points to the free side and is not zero, got {one['normal']!r}")
         shape = {"normal": normal / length, "origin": float(normal @ np.array(found.at)) / length}
         return [("wall", 0.0, np.inf, shape)]
     if isinstance(found, Tube):
         along = np.array(found.along)
-        short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _NO_LENGTH)
+        short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _MIN_LENGTH)
         if len(short):
             again = one["along"][int(short[0])]
             raise ProblemError(f"{where}.along goes on from point to point, got {again!r} twice in a row")

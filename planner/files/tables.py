@@ -1,4 +1,4 @@
-"""Problem files as tables: reading TOML, built-in names, and setting single keys."""
+"""Problem files as tables: reading TOML and built-in problems, and setting single keys."""
 
 import re
 import tomllib
@@ -25,7 +25,7 @@ BUILT_IN = (
     "cart-pole-swing-up",
 )
 
-# What tells a saved plan's folder, and what else stands in it.
+# The file that identifies a saved plan's folder, and the other files in it.
 PLAN_FILE = "plan.json"
 PLAN_FILES = (PLAN_FILE, "trajectory.npz", "trajectory.csv", "plan.png")
 
@@ -62,15 +62,15 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
 
 
 def refuse_saved_plan(source: str, what: str, legal: str) -> None:
-    """Refuse the folder of a saved plan, or a file in it, where something else is asked for.
+    """Refuse the folder of a saved plan, or a file in it, given for something else.
 
     Args:
         source: a path.
-        what: is asked for, in a word.
-        legal: what that is, in a sentence.
+        what: the expected thing, in a word.
+        legal: its description, in a sentence.
 
     Raises:
-        ProblemError: saying which commands take a saved plan.
+        ProblemError: with the commands that take a saved plan.
     """
     path = Path(source)
     try:
@@ -83,7 +83,7 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
 
 
 def apply_override(tables: Tables, override: str) -> None:
-    """Set one key of `tables` from "section.key=value", the value in TOML syntax, a bare word being a string."""
+    """Set one key of `tables` from "section.key=value"; the value is in TOML syntax, or a bare word for a string."""
     key, equals, text = override.partition("=")
     if not equals:
         raise ProblemError(f"a setting is section.key=value, got '{override}'")
@@ -91,10 +91,10 @@ def apply_override(tables: Tables, override: str) -> None:
 
 
 def set_key(tables: Tables, key: str, value: object) -> None:
-    """Set one key, "section.key" with further keys below it, of `tables`; a built-in payload becomes a table on the way.
+    """Set one key of `tables`, "section.key" or a deeper one; a built-in payload on the path becomes a table.
 
     Raises:
-        ProblemError: when the key is none, or leads through a value.
+        ProblemError: when the key is malformed, or a value is on its path.
     """
     path = [part.strip() for part in key.split(".")]
     if len(path) < 2 or not all(path):
@@ -113,8 +113,8 @@ def set_key(tables: Tables, key: str, value: object) -> None:
 
 
 def _payload_table(name: str) -> dict:
-    """Return a built-in payload as a problem file would have it."""
-    from linkplan.models.payload import BUILT_IN as BUILT  # loads the simulator, which a list of names does without
+    """Return a built-in payload as a table of a problem file."""
+    from linkplan.models.payload import BUILT_IN as BUILT  # imports the simulator, which a list of names does not need
 
     return BUILT[name].table()
 
@@ -126,10 +126,10 @@ def parse_value(text: str, where: str) -> object:
         ProblemError: when the text is neither.
     """
     try:
-        said = parse_toml(f"value = {text}", "the value")
-        if len(said) > 1:  # further lines, which TOML would read as further keys
-            raise ProblemError(f"setting '{where}' is one value, got {len(said)} lines of keys")
-        return said["value"]
+        found = parse_toml(f"value = {text}", "the value")
+        if len(found) > 1:  # TOML reads further lines as further keys
+            raise ProblemError(f"setting '{where}' is one value, got {len(found)} lines of keys")
+        return found["value"]
     except ProblemError as error:
         if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
             return text

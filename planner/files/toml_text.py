@@ -1,4 +1,4 @@
-"""Tables as TOML text, the other way round from `tomllib`: what is written is read back as it was."""
+"""Tables as TOML text, which `tomllib` reads back as the same tables."""
 
 import math
 import re
@@ -6,18 +6,18 @@ from collections.abc import Mapping
 
 from linkplan.models.errors import ProblemError
 
-# What TOML (1.0, "Keys") admits without quotes.
+# Keys that need no quotes (TOML 1.0, "Keys").
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-# What a basic string may not hold as it stands (TOML 1.0, "String"), and the short escapes.
+# Characters that a basic string must escape (TOML 1.0, "String"), and the short escapes.
 _ESCAPED = re.compile(r'[\x00-\x1f\x7f"\\]')
 _SHORT = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 
 
 def toml_text(tables: Mapping[str, object]) -> str:
-    """Return the TOML text of tables: values first, then a [section] each, what is deeper on one line.
+    """Return the TOML text of tables: first single values, then the sections, with nested tables on one line.
 
     Raises:
-        ProblemError: for a value that TOML has no form for, naming its key.
+        ProblemError: naming the key of a value that TOML cannot express.
     """
     lines = [f"{key_text(key)} = {inline(value, key)}" for key, value in tables.items() if not isinstance(value, Mapping)]
     for name, section in tables.items():
@@ -28,7 +28,7 @@ def toml_text(tables: Mapping[str, object]) -> str:
 
 
 def _value(value: object, where: str) -> str:
-    """Return a section's value: a text of several lines, as a model's MJCF is, between three quotes."""
+    """Return a section's value; a text of several lines, such as MJCF, is enclosed in triple quotes."""
     if isinstance(value, str) and "\n" in value and "'''" not in value and not re.search(r"[\x00-\x08\x0b-\x1f\x7f]", value):
         return f"'''\n{value}'''"
     return inline(value, where)
@@ -38,7 +38,7 @@ def inline(value: object, where: str = "value") -> str:
     """Return a value in TOML's syntax, on one line.
 
     Raises:
-        ProblemError: for what is no word, number, list or table.
+        ProblemError: for a value that is no word, number, list or table.
     """
     if isinstance(value, bool):
         return str(value).lower()
@@ -47,7 +47,7 @@ def inline(value: object, where: str = "value") -> str:
     if isinstance(value, int):
         return repr(int(value))
     if isinstance(value, float):
-        return repr(float(value))  # numpy's own floats are floats, but print as what they are
+        return repr(float(value))  # numpy's floats have another repr
     if isinstance(value, str):
         return _quoted(value)
     if isinstance(value, list | tuple):
@@ -59,7 +59,7 @@ def inline(value: object, where: str = "value") -> str:
 
 
 def key_text(key: str) -> str:
-    """Return a key in TOML's syntax: bare, or quoted where it has to be."""
+    """Return a key in TOML's syntax, quoted if necessary."""
     return key if _BARE.fullmatch(key) else _quoted(key)
 
 

@@ -14,9 +14,9 @@ from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
-# The largest mesh, in its highest degree, for a mechanism of forty joints: 20,000 intervals x 10 x 40 x 8 bytes.
-_MOST_BYTES = 64_000_000
-# Twice the coefficients of the highest degree, on the largest mesh: more takes gigabytes to check.
+# The largest mesh of the highest degree for a mechanism of forty joints: 20,000 intervals x 10 x 40 x 8 bytes.
+_MAX_FILE_BYTES = 64_000_000
+# Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.
 _MAX_COEFFICIENTS = 24
 
 
@@ -24,10 +24,10 @@ def read_trajectory(path: Path) -> Trajectory:
     """Return the trajectory in a file.
 
     Raises:
-        PlanFileError: when the file is missing, truncated or holds something else.
+        PlanFileError: when the file is missing, truncated or no trajectory.
     """
     try:
-        content = read_file(path, f"'{path}'", _MOST_BYTES, PlanFileError)
+        content = read_file(path, f"'{path}'", _MAX_FILE_BYTES, PlanFileError)
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             held = archive.namelist()
             lacking = [name for name in (*ARRAYS, "periodic") if f"{name}.npy" not in held]
@@ -46,7 +46,7 @@ def read_trajectory(path: Path) -> Trajectory:
             return trajectory
     except PlanFileError:
         raise
-    except Exception as error:  # a zip file's and a header's parsers raise some fifteen kinds on damaged bytes
+    except Exception as error:  # the parsers of zip files and headers raise some fifteen types on damaged bytes
         why = one_line(error) or type(error).__name__
         raise PlanFileError(f"'{path}' is truncated or not a trajectory: {why}") from error
 
@@ -55,9 +55,9 @@ def _array(archive: zipfile.ZipFile, name: str, wanted: type) -> np.ndarray:
     """Return an array of an npz file.
 
     Raises:
-        ValueError: when it is of another type, or its header and its length do not agree.
+        ValueError: when it has another type, or its header does not match its length.
     """
-    content = read_member(archive, f"{name}.npy", _MOST_BYTES)
+    content = read_member(archive, f"{name}.npy", _MAX_FILE_BYTES)
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)

@@ -1,4 +1,4 @@
-"""Intervals as problem files write them, refused in one line that names their key."""
+"""Intervals in problem files; illegal ones are refused in one line that names their key."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from linkplan.planner.problem.values import number
 
 
 def interval(value: list[float], key: str, *, point: bool = False) -> tuple[float, float]:
-    """Return [low, high], low below high, or the same where a `point` will do; infinite ends admitted."""
+    """Return [low, high] with low < high, or low <= high for a `point`; ends may be infinite."""
     low, high = (end if np.isinf(end) else number(end, key) for end in value)
     if not (low < high or (point and low == high)):
         raise ProblemError(f"{key} is [low, high] with low {'<=' if point else '<'} high, got [{low:g}, {high:g}]")

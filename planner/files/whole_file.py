@@ -1,4 +1,4 @@
-"""A single file of linkplan's, written whole or not at all, and never over one that is not linkplan's."""
+"""Single result files, written whole or not at all; files of the user are never replaced."""
 
 import os
 from collections.abc import Callable
@@ -7,13 +7,12 @@ from pathlib import Path
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.work_folders import replace_file, sweep
 
-# What every such file has in it, as its format allows: in a PNG's text, a GIF's comment, an MP4's metadata.
+# The mark of these files, where each format allows it: a PNG's text, a GIF's comment, an MP4's metadata.
 MADE_BY = "made by linkplan render"
-_CHUNK_BYTES = 1 << 20
 
 
 def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
-    """Refuse a file that could not be written later: before long work begins, not after it.
+    """Refuse a file that could not be written later, before long work begins.
 
     Raises:
         PlanFileError: for another suffix, a folder, a file that linkplan did not write, or a place that cannot be written.
@@ -37,10 +36,10 @@ def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
 
 
 def write_file_whole(target: Path, suffixes: tuple[str, ...], write: Callable[[Path], None]) -> None:
-    """Write a file by `write(path)` beside its place, then let it take its place; on any failure nothing changes.
+    """Write a file by `write(path)` next to its place, then move it there; on any failure nothing changes.
 
     Raises:
-        PlanFileError: when the disk refuses, or a file stands in the place that is not linkplan's.
+        PlanFileError: when the disk refuses, or the place holds a file that is not linkplan's.
     """
     check_file_target(target, suffixes)
     place = target.resolve()
@@ -56,12 +55,12 @@ def write_file_whole(target: Path, suffixes: tuple[str, ...], write: Callable[[P
 
 
 def _is_ours(path: Path) -> bool:
-    """Return whether a file says that linkplan made it; an empty one holds nothing to lose."""
+    """Check that a file carries linkplan's mark, or is empty, so that nothing is lost."""
     if not path.is_file():
         return False
     mark, kept = MADE_BY.encode(), b""
     with path.open("rb") as file:
-        while chunk := file.read(_CHUNK_BYTES):
+        while chunk := file.read(1 << 20):
             if mark in kept + chunk:
                 return True
             kept = chunk[-len(mark) :]

@@ -1,7 +1,7 @@
-"""Work folders: what is being written stands in a hidden folder beside its place until it is whole.
+"""Work folders: hidden folders next to a result's place, which hold the result until it is complete.
 
-A work folder is locked while its process lives. One that is not locked was left by a process that was killed; the next run
-beside it removes it.
+A work folder is locked while its process lives. An unlocked one was left by a killed process, and the next run in the same
+folder removes it.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ from linkplan.models.interrupts import check, shielded
 
 try:
     import fcntl
-except ImportError:  # not POSIX: there are no locks, and what a killed process left stays
+except ImportError:  # not POSIX: there are no locks, and remains of killed processes stay
     fcntl = None
 
 _NAME = re.compile(r"\.linkplan-work-[0-9a-f]{16}")
@@ -24,9 +24,9 @@ _NAME = re.compile(r"\.linkplan-work-[0-9a-f]{16}")
 
 @contextlib.contextmanager
 def work_folder(parent: Path) -> Iterator[Path]:
-    """Give a locked, empty work folder in `parent`; what is still in it at the end is removed."""
+    """Yield a locked, empty work folder in `parent`, and remove it at the end."""
     path, lock = _new_folder(parent)
-    while lock is None or not path.exists():  # another run has removed it before it was locked
+    while lock is None or not path.exists():  # another run removed it before it was locked
         path, lock = _new_folder(parent)
     try:
         yield path
@@ -43,7 +43,7 @@ def _new_folder(parent: Path) -> tuple[Path, int | None]:
 
 
 def _lock(folder: Path, *, wait: bool) -> int | None:
-    """Return an open descriptor that holds a folder's lock until it is closed; None where another process holds it."""
+    """Return an open descriptor that holds a folder's lock until it is closed; None if another process holds it."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except FileNotFoundError:
@@ -59,7 +59,7 @@ def _lock(folder: Path, *, wait: bool) -> int | None:
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's lock; wait for the process that has it."""
+    """Hold a folder's lock, after waiting for the process that has it."""
     lock = _lock(folder, wait=True)
     try:
         yield
@@ -69,7 +69,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def sweep(parent: Path) -> None:
-    """Remove the work folders of this user in `parent` whose processes are gone; what refuses stays."""
+    """Remove this user's work folders of ended processes in `parent`, as far as the system allows."""
     if fcntl is None:
         return
     with contextlib.suppress(OSError):
@@ -84,10 +84,10 @@ def sweep(parent: Path) -> None:
 
 
 def replace_file(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file by `write(work)`, wait for the disk, and let it take its place in one step.
+    """Write a file by `write(work)`, synchronise it to the disk, and move it to its place in one step.
 
     Raises:
-        OSError: when the disk refuses; an earlier file then stands as it stood.
+        OSError: when the disk refuses; an earlier file is then unchanged.
     """
     with work_folder(path.parent) as work:
         fresh = work / path.name
@@ -102,7 +102,7 @@ def replace_file(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def sync(folder: Path) -> None:
-    """Wait until a folder and every file in it are on the disk; links are not followed."""
+    """Synchronise a folder and every file in it to the disk; links are not followed."""
     for entry in folder.iterdir():
         if entry.is_symlink():
             continue
@@ -118,14 +118,14 @@ def sync(folder: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until a folder's names are on the disk, where the system can tell."""
+    """Synchronise a folder's names to the disk, where the system supports it."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems on which folders cannot be waited for
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems that cannot synchronise folders
             raise
     finally:
         os.close(descriptor)

@@ -1,4 +1,4 @@
-"""The keys of problem and batch files: each one's type, range, default and meaning, said once.
+"""The keys of problem and batch files, each with its type, range, default and meaning.
 
-In: tables as TOML has them. Out: the same as typed sections, or a refusal in one line; a JSON Schema and a table of keys.
+In: tables as TOML has them. Out: typed sections, or a refusal in one line; a JSON Schema and a table of keys.
 """

@@ -1,4 +1,4 @@
-"""The sections of a batch file: a problem, and what varies."""
+"""The sections of a batch file: a problem and its variations."""
 
 from typing import Annotated, Any
 
@@ -7,8 +7,8 @@ from msgspec import Meta
 from linkplan.planner.keys.kinds import Settings
 from linkplan.planner.keys.section import Section, key
 
-# A folder is named after each case: no separators, no wildcards, nothing that cannot be seen, and no name of a record of
-# results, beside which it stands.
+# Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or
+# unprintable characters, and do not end in .json.
 _FOLDER_NAME = Meta(
     pattern=r"""^(?!.*\.[jJ][sS][oO][nN]$)[^./\\:*?"<>|\x00-\x1f\x7f][^/\\:*?"<>|\x00-\x1f\x7f]*$""",
     max_length=99,
@@ -27,11 +27,9 @@ class CaseSection(Section, frozen=True):
 
 
 class BatchFile(Section, frozen=True):
-    """Many problems that vary one: cases one by one, or every combination of a sweep."""
+    """Many variations of one problem: a list of cases, or every combination of a sweep."""
 
     problem: Annotated[str, _PROBLEM, key("the problem that is varied: a built-in name or a TOML file")]
     set: Annotated[Settings, key("settings for all cases", default="none")] = []
     case: Annotated[list[CaseSection], _CASES, key("the cases", default="those of the sweep")] = []
-    sweep: Annotated[
-        dict[str, Any], _SWEEP, key("lists of values by key, of which every combination is a case", default="none")
-    ] = {}
+    sweep: Annotated[dict[str, Any], _SWEEP, key("lists of values by key; every combination is a case", default="none")] = {}

@@ -1,4 +1,4 @@
-"""All keys of a problem file as one table: what reference pages and commented problem files are written from."""
+"""All keys of a problem file as one table, for reference pages and commented problem files."""
 
 import types
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
-from linkplan.planner.keys.kinds import LARGEST
+from linkplan.planner.keys.kinds import MAX_NUMBER
 from linkplan.planner.keys.refusals import range_words, without_metadata, words
 from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import ProblemFile
@@ -15,11 +15,11 @@ from linkplan.planner.keys.sections import ProblemFile
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Key:
-    """A key of a section, in words.
+    """A key of a section and its description.
 
-    `section` is "" of the tables themselves, "motion", or what is inside of one: "motion.waypoints[]", "motors.NAME".
-    `default` is the value that stands for a key that is left out, None where there is no single one; `default_words` say it
-    either way. A key that is `required` has neither. `choices` are the words that it takes, where there are several.
+    `section` is "" for tables, "motion" for its keys, or a path to nested keys: "motion.waypoints[]", "motors.NAME".
+    `default` is the value of a key that is left out, None if there is no single value; `default_words` describe it in both
+    cases. A `required` key has neither. `choices` lists the legal words of a key that takes several.
     """
 
     section: str
@@ -34,12 +34,12 @@ class Key:
 
     @property
     def is_constant(self) -> bool:
-        """Whether the default is one value, whatever else a file says."""
+        """Whether the default is one value that depends on no other key."""
         return self.default is not None and self.default_words == _shown(self.default)
 
 
 def key_table(kind: type[Section] = ProblemFile, section: str = "") -> tuple[Key, ...]:
-    """Return the keys of a file, or of one section, in the order of their definition, what is inside of them after."""
+    """Return the keys of a file or section in the order of their definition, followed by the keys nested in them."""
     return tuple(_rows(kind, section))
 
 
@@ -66,7 +66,7 @@ def _rows(kind: type[Section], section: str) -> Iterator[Key]:
 
 
 def _inside(bare: Any, about: dict, how: str = "") -> Iterator[tuple[type[Section], str]]:
-    """Yield the sections inside of what a key takes, and how they are reached from it."""
+    """Yield the sections nested in a key's value, with the path to them."""
     container = get_origin(bare) or bare
     if isinstance(container, type) and issubclass(container, Section):
         yield container, how
@@ -86,7 +86,7 @@ def _shown(value: object) -> str:
 
 
 def _choices(kind: Any) -> str:
-    """Return the words of a kind, or of the first of several that has words; "" where there is but one or none."""
+    """Return the legal words of a kind, or of the first of several kinds that has words; "" if it has fewer than two."""
     bare, about = without_metadata(kind)
     if get_origin(bare) in (Union, types.UnionType):
         return next(filter(None, map(_choices, get_args(bare))), "")
@@ -96,8 +96,8 @@ def _choices(kind: Any) -> str:
 
 
 def _range(kind: Any) -> str:
-    """Return the ends of a kind of number in words; nothing where they only keep slips of the keyboard out."""
+    """Return the range of a number as text; "" if it only excludes typing errors."""
     bare, about = without_metadata(kind)
     if get_origin(bare) in (Union, types.UnionType):
         return next(filter(None, map(_range, get_args(bare))), "")
-    return range_words(about) if bare is float and about.get("le", about.get("lt", LARGEST)) < LARGEST else ""
+    return range_words(about) if bare is float and about.get("le", about.get("lt", MAX_NUMBER)) < MAX_NUMBER else ""

@@ -1,8 +1,9 @@
-"""What a value under a key may be: numbers within ranges, words, intervals, places, and tables of these by name.
+"""Types of the values under keys: numbers in ranges, words, intervals, places, and tables of these by name.
 
-`Meta` holds what msgspec checks. What it cannot know stands in its `extra`, for messages: `said`, the kind in words;
-`range`, what is said of a number beyond its ends; `of`, the entries of a table; `noun`, what their names are names of;
-`item`, how an entry is named after its table; `numbered`, whether items of a list are; `choices`, words for many words.
+`Meta` holds the constraints that msgspec checks. Its `extra` holds words for messages: `said`, the type in words; `range`,
+the range of a number in words; `of`, the entries of a table; `noun`, the kind of object that names in a table refer to;
+`item`, the form of an entry's name after the table's; `numbered`, whether list items are numbered; `choices`, the legal
+words.
 """
 
 from collections.abc import Callable
@@ -14,50 +15,48 @@ from linkplan.models.catalogue import PAYLOADS
 from linkplan.planner.transcription.scheme_names import EFFORTS, MAX_DEGREE, NAMES
 
 # No quantity of a mechanism is larger in SI units or degrees.
-LARGEST = 1e15
-# Positions further than so many turns away are a typing error: loops are followed there turn by turn, for minutes.
-MOST_TURNS = 100
-# Meshes beyond this take minutes; a typing slip of a zero should not.
+MAX_NUMBER = 1e15
+# Angles beyond this many turns are typing errors; following the loops through them would take minutes.
+MAX_TURNS = 100
+# Larger meshes take minutes and are probably typing errors.
 MAX_INTERVALS = 20_000
-# States on the way: each at a free time is a segment of three intervals or more.
-MOST_WAYPOINTS = 1000
-# What a certificate allows the integrated state [deg]: a hundredth of a degree, a tenth of what a good encoder resolves.
+# Each waypoint at a free time needs a segment of three or more intervals.
+MAX_WAYPOINTS = 1000
+# Largest error of the integrated state in a certificate [deg]: a tenth of what a good encoder resolves.
 INTEGRATION_DEG = 0.01
-# The integration that judges is good to about a tenth of this.
-TIGHTEST_DEG = 1e-9
-# Starts beyond this take minutes without finding more.
-MAX_STARTS = 1000
-# Delays of more control periods are no delays.
+# Largest delay [control periods].
 MAX_DELAY = 1000
-# Errors that LQR weighs, in degrees or metres and per second: beyond these a Riccati equation has no numbers left.
+# Range of the errors with weight 1 in LQR, in degrees or metres and per second: outside it Riccati equations are
+# ill-conditioned.
 LQR_ERRORS = (1e-9, 1e9)
-# Corners of a tube's polyline at the most: each segment is an expression at every node.
-MOST_CORNERS = 200
-# The shortest interval of a mesh, as a share of the duration: refined, it is still longer than roundings.
-LEAST_SHARE = 1e-9
-# What the breaks of a mesh are, of which a type says but the half.
+# Largest number of corners of a tube's polyline: each segment is an expression at every node.
+MAX_TUBE_CORNERS = 200
+# The shortest interval of a mesh as a share of the duration: after refinement, it must still be longer than rounding.
+MIN_INTERVAL_SHARE = 1e-9
+# The legal breaks of a mesh; a type can check them only partly.
 BREAKS = (
     "three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the duration, at least"
-    f" {LEAST_SHARE:g} apart"
+    f" {MIN_INTERVAL_SHARE:g} apart"
 )
-# Masses, lengths and moments of a payload beyond this are no mechanism's.
-HEAVIEST = 1e12
+# Largest mass, length and moment of inertia of a payload, in SI units.
+MAX_PAYLOAD = 1e12
 
-# Raises where a name is of nothing that its noun says: "joint", "actuator", "site", "closure"; the last is its table's key.
+# Raises for an unknown name; takes the kind of object ("joint", "actuator", "site", "closure"), the name and its table's
+# key.
 Known = Callable[[str, str, str], None]
 
-Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
-Positive = Annotated[float, Meta(gt=0, le=LARGEST)]
-AtLeastZero = Annotated[float, Meta(ge=0, le=LARGEST)]
+Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Positive = Annotated[float, Meta(gt=0, le=MAX_NUMBER)]
+AtLeastZero = Annotated[float, Meta(ge=0, le=MAX_NUMBER)]
 Angle = Annotated[
     float,
     Meta(
-        ge=-360 * MOST_TURNS,
-        le=360 * MOST_TURNS,
-        extra={"range": f"within {MOST_TURNS} turns either way ({360 * MOST_TURNS} deg)"},
+        ge=-360 * MAX_TURNS,
+        le=360 * MAX_TURNS,
+        extra={"range": f"within {MAX_TURNS} turns either way ({360 * MAX_TURNS} deg)"},
     ),
 ]
-# Durations of less than a microsecond or more than a day ask for nothing but memory and time.
+# Durations below a microsecond or above a day would only waste memory and time.
 Duration = Annotated[float, Meta(ge=1e-6, le=1e5)]
 ShortDuration = Annotated[float, Meta(ge=1e-9, le=1e5)]
 Frequency = Annotated[float, Meta(ge=1e-5, le=1e5)]
@@ -67,13 +66,14 @@ Gain = Annotated[float, Meta(ge=0.0, le=1e12)]
 Delay = Annotated[float, Meta(ge=0, le=MAX_DELAY)]
 LqrError = Annotated[float, Meta(ge=LQR_ERRORS[0], le=LQR_ERRORS[1])]
 Margin = Annotated[float, Meta(ge=0.0, lt=1.0)]
-Tolerance = Annotated[float, Meta(ge=TIGHTEST_DEG, le=INTEGRATION_DEG)]
-Mass = Annotated[float, Meta(gt=0, le=HEAVIEST)]
-Moment = Annotated[float, Meta(ge=0, le=HEAVIEST)]
-Weight = Annotated[float, Meta(gt=0, le=LARGEST, extra={"said": "a positive weight"})]
-Turns = Annotated[int, Meta(ge=-MOST_TURNS, le=MOST_TURNS)]
+# The certificate's integration has an error of about 1e-10 deg.
+Tolerance = Annotated[float, Meta(ge=1e-9, le=INTEGRATION_DEG)]
+Mass = Annotated[float, Meta(gt=0, le=MAX_PAYLOAD)]
+Moment = Annotated[float, Meta(ge=0, le=MAX_PAYLOAD)]
+Weight = Annotated[float, Meta(gt=0, le=MAX_NUMBER, extra={"said": "a positive weight"})]
+Turns = Annotated[int, Meta(ge=-MAX_TURNS, le=MAX_TURNS)]
 Intervals = Annotated[int, Meta(ge=2, le=MAX_INTERVALS)]
-Starts = Annotated[int, Meta(ge=1, le=MAX_STARTS)]
+Starts = Annotated[int, Meta(ge=1, le=1000)]
 
 Free = Literal["free"]
 Softness = Literal["stiff"]
@@ -85,28 +85,28 @@ Axis = Literal["x", "y", "z"]
 Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "closure_force"]
 if TYPE_CHECKING:
     Scheme = PayloadName = EffortForm = str
-else:  # their words stand where they are made
+else:  # their words are defined elsewhere
     _SCHEMES = f"schemes are {', '.join(NAMES[:4])}, radau-1 to radau-{MAX_DEGREE} and gauss-1 to gauss-{MAX_DEGREE}"
     Scheme = Annotated[Literal[NAMES], Meta(extra={"choices": _SCHEMES})]
     PayloadName = Literal[(*PAYLOADS, "none")]
     EffortForm = Annotated[Literal[tuple(EFFORTS)], Meta(extra={"choices": f"efforts are {', '.join(EFFORTS)}"})]
 
-# Ends may be infinite; that the first is below the second no type says.
+# Ends may be infinite. A type cannot check that the first is below the second.
 Interval = Annotated[list[float], Meta(min_length=2, max_length=2, extra={"said": "[low, high]"})]
 Point = Annotated[list[Number], Meta(min_length=3, max_length=3, extra={"said": "[x, y, z] in metres", "numbered": True})]
 Moments = Annotated[
     list[Moment], Meta(min_length=3, max_length=3, extra={"said": "three moments [xx, yy, zz]", "numbered": True})
 ]
 Centre = Annotated[
-    list[Annotated[float, Meta(ge=-HEAVIEST, le=HEAVIEST)]],
+    list[Annotated[float, Meta(ge=-MAX_PAYLOAD, le=MAX_PAYLOAD)]],
     Meta(min_length=3, max_length=3, extra={"said": "three coordinates [x, y, z] in metres", "numbered": True}),
 ]
 Corners = Annotated[
     list[Point],
     Meta(
         min_length=2,
-        max_length=MOST_CORNERS,
-        extra={"said": f"a list of 2 to {MOST_CORNERS} points [x, y, z] in metres", "numbered": True},
+        max_length=MAX_TUBE_CORNERS,
+        extra={"said": f"a list of 2 to {MAX_TUBE_CORNERS} points [x, y, z] in metres", "numbered": True},
     ),
 ]
 Coordinates = Annotated[

@@ -1,4 +1,4 @@
-"""The sections of what holds: limits on joints, efforts, closures and sites, the motors, and the machines to allow for."""
+"""The sections of limits on joints, efforts, closures and sites, of motors, and of robust machines."""
 
 from typing import Annotated, Any
 
@@ -9,7 +9,7 @@ from linkplan.planner.keys.section import ABSENT, Section, key
 
 
 class Box(Section, frozen=True):
-    """Bounds on where a site is, coordinate by coordinate."""
+    """Bounds on a site's coordinates."""
 
     x: Annotated[kinds.Interval, key("[low, high] of x; ends may be infinite", "m", "any")] = ABSENT
     y: Annotated[kinds.Interval, key("[low, high] of y", "m", "any")] = ABSENT
@@ -27,10 +27,10 @@ class Tube(Section, frozen=True):
     """A polyline that a site stays near to."""
 
     along: Annotated[kinds.Corners, key("the corners of the polyline", "m")]
-    radius_m: Annotated[kinds.Positive, key("how far from the polyline the site may be", "m")]
+    radius_m: Annotated[kinds.Positive, key("the largest distance of the site from the polyline", "m")]
 
 
-# Told apart by their keys, in this order.
+# The reader distinguishes them by their keys, in this order.
 SITE_LIMITS: tuple[type[Section], ...] = (Wall, Tube, Box)
 _SITE_LIMIT = Meta(
     extra={"said": "a box, a wall or a tube", "shapes": SITE_LIMITS},
@@ -41,34 +41,36 @@ _SITES = Meta(extra={"of": "site = limits", "noun": "site"})
 
 
 class LimitsSection(Section, frozen=True):
-    """What holds at every instant."""
+    """Limits at every instant."""
 
-    effort: Annotated[kinds.Efforts, key("by actuator, [low, high]", "N.m, N", "the model's own")] = {}
+    effort: Annotated[kinds.Efforts, key("[low, high] by actuator", "N.m, N", "the model's own")] = {}
     range_deg: Annotated[
-        kinds.Ranges, key("hinges' ranges, dependent ones too, within the model's own", "deg", "the model's own")
+        kinds.Ranges, key("hinges' ranges, dependent joints too, within the model's own", "deg", "the model's own")
     ] = {}
     range_m: Annotated[kinds.Ranges, key("slides' ranges", "m", "the model's own")] = {}
     speed_deg_s: Annotated[
-        kinds.Speeds, key("hinges' speeds, dependent ones too: a number for both ways, or [low, high]", "deg/s", "none")
+        kinds.Speeds, key("hinges' speeds, dependent joints too: a number for both ways, or [low, high]", "deg/s", "none")
     ] = {}
     speed_m_s: Annotated[kinds.Speeds, key("slides' speeds", "m/s", "none")] = {}
     effort_rate: Annotated[
-        kinds.ActuatorLimits, key("of efforts, which then have no jumps, by actuator", "N.m/s, N/s", "none")
+        kinds.ActuatorLimits, key("rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none")
     ] = {}
     power_w: Annotated[kinds.ActuatorLimits, key("mechanical power by actuator: a number, or [low, high]", "W", "none")] = {}
-    closure_force: Annotated[kinds.ClosureLimits, key("what a closure's pin is rated at", "N", "none")] = {}
+    closure_force: Annotated[kinds.ClosureLimits, key("the largest force on a closure's pin", "N", "none")] = {}
     reserve: Annotated[kinds.Margin, key("the share of every effort limit that a plan leaves to feedback")] = 0.0
-    singular_margin: Annotated[kinds.Margin, key("the least det J_z along the motion, as a share of that at home")] = 0.0
+    singular_margin: Annotated[kinds.Margin, key("the least |det J_z| along the motion, relative to its value at home")] = (
+        0.0
+    )
     site: Annotated[
         dict[str, SiteLimit | list[SiteLimit]],
         _SITES,
         key("boxes, walls and tubes that sites stay within, one or a list of them", "m", "none"),
     ] = {}
     contacts: Annotated[
-        kinds.Contacts, key("a plan on whose way geoms meet is refused, or noted and planned without their forces")
+        kinds.Contacts, key("refuse a plan along which geoms collide, or note it and plan without contact forces")
     ] = "refuse"
     unhonoured: Annotated[
-        kinds.Contacts, key("a model with forces that plans do not honour is refused, or they are noted and left out")
+        kinds.Contacts, key("refuse a model with forces that the planner does not honour, or note and omit them")
     ] = "refuse"
 
 
@@ -83,7 +85,7 @@ class MotorSection(Section, frozen=True):
         kinds.Positive, key("at rest; with the no-load speed it gives the torque-speed line", "N.m, N", "unknown")
     ] = ABSENT
     no_load_speed_deg_s: Annotated[kinds.Positive, key("of an actuator that turns", "deg/s", "unknown")] = ABSENT
-    no_load_speed_m_s: Annotated[kinds.Positive, key("of one that slides", "m/s", "unknown")] = ABSENT
+    no_load_speed_m_s: Annotated[kinds.Positive, key("of an actuator that slides", "m/s", "unknown")] = ABSENT
 
 
 _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
@@ -91,18 +93,18 @@ Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TO
 
 
 class RobustSection(Section, frozen=True):
-    """Machines for which one motion keeps every effort limit: all within these ranges, at every corner."""
+    """Ranges of machines, at every corner of which one motion keeps all effort limits."""
 
     payload_factor: Annotated[
         kinds.Interval, key("[low, high] of the factor on the payload's mass and inertia", default="[1, 1]")
     ] = ABSENT
     torque_constant_factor: Annotated[
         kinds.Interval,
-        key("[low, high] of the factor on what an actuator gives for the effort that it is told", default="[1, 1]"),
+        key("[low, high] of the ratio of an actuator's actual to commanded effort", default="[1, 1]"),
     ] = ABSENT
     viscous_friction: Annotated[
-        kinds.Ranges, key("[low, high] of a joint's damping beside the model's", "N.m.s/rad, N.s/m", "none")
+        kinds.Ranges, key("[low, high] of a joint's damping, added to the model's", "N.m.s/rad, N.s/m", "none")
     ] = {}
     coulomb_friction: Annotated[
-        kinds.Ranges, key("[low, high] of a joint's dry friction, against the motion or with it", "N.m, N", "none")
+        kinds.Ranges, key("[low, high] of a joint's dry friction, of either sign", "N.m, N", "none")
     ] = {}

@@ -1,4 +1,4 @@
-"""Reading: a table of a file to its typed section, or a refusal in one line."""
+"""Conversion of a file's tables to typed sections, or a refusal in one line."""
 
 from collections.abc import Mapping
 from typing import Any, TypeVar, get_args
@@ -9,7 +9,7 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.planner.keys.kinds import Known
 from linkplan.planner.keys.sections import ProblemFile
 
-# The tables of a problem file, and their keys; those of [motors] are names of actuators.
+# The tables of a problem file and their keys; the keys of [motors] are names of actuators.
 _FIELDS = {name: get_args(kind)[0] for name, kind in ProblemFile.__annotations__.items()}
 KEYS: Mapping[str, tuple[str, ...]] = {
     name: getattr(kind, "__struct_fields__", ()) for name, kind in _FIELDS.items() if name != "description"
@@ -24,54 +24,55 @@ def read(
     known: Known | None = None,
     error: type[LinkplanError] = ProblemError,
 ) -> Read:
-    """Return what a file's value means as one of a kind: a section of its table, a number of its integer.
+    """Return a file's value converted to a type: a table to a section, an integer to a number.
 
     Args:
-        kind: a section, or what a key takes.
+        kind: a section, or the type of a key.
         value: as TOML has it.
-        where: the key that it stands under, "motion.duration_s".
-        known: is called with a noun, a name and its table's key for names in tables of which something is wrong; it raises
-            where there is no such thing, which is then the fault to be named.
-        error: to raise.
+        where: its key, as in "motion.duration_s".
+        known: checks names in a refused value; it is called with the kind of object, the name and the table's key, and
+            raises
+            for an unknown name.
+        error: the exception to raise.
 
     Raises:
-        error: for a value that is none of this kind, in one line that names its key.
+        error: for a value of another type, in one line that names its key.
     """
     try:
         return msgspec.convert(value, kind)
     except UnicodeEncodeError as refused:
         raise error(f"{where} holds what is no text") from refused
-    except (msgspec.ValidationError, AttributeError) as refused:  # the latter of what only looks like a table
-        from linkplan.planner.keys.refusals import fault  # only those who are refused wait for its words
+    except (msgspec.ValidationError, AttributeError) as refused:  # AttributeError: an object that only resembles a table
+        from linkplan.planner.keys.refusals import fault  # imported only when it is needed
 
         raise error(fault(kind, value, where, known) or f"{where}: {refused}") from refused
 
 
 def read_section(kind: type[Read], tables: dict, name: str, known: Known | None = None) -> Read:
-    """Return one section of a file's tables, its defaults where it is left out."""
+    """Return one section of a file's tables, with defaults if it is missing."""
     return read(kind, tables.get(name, {}), name, known)
 
 
 def checked(key: str, value: object) -> Any:
-    """Return a value, made of the type that it has in a problem file, if it can stand under "section.key".
+    """Return a value converted to the type that it has in a problem file under "section.key".
 
     Raises:
-        ProblemError: naming the key, when it cannot.
+        ProblemError: naming the key, when the value is illegal.
     """
     return read(kind_of(key), value, key)
 
 
 def kind_of(key: str) -> Any:
-    """Return what stands under "section" or "section.key" of a problem file."""
+    """Return the type of "section" or "section.key" of a problem file."""
     section, _, name = key.partition(".")
     return _FIELDS[section].__annotations__[name] if name else ProblemFile.__annotations__[section]
 
 
 def refuse_unknown_keys(tables: Mapping[str, object]) -> None:
-    """Refuse tables that are none, and keys that are none of theirs, whatever the keys' values are.
+    """Refuse unknown tables and unknown keys, whatever their values are.
 
     Raises:
-        ProblemError: naming the first of them, with the nearest that there is.
+        ProblemError: naming the first of them and the nearest known name.
     """
     if all(_has_known_keys(name, table) for name, table in tables.items()):
         return

@@ -1,7 +1,7 @@
-"""What is wrong with a value, in one line: which key, what is legal, what was got; msgspec's own words have no names.
+"""Messages on illegal values, in one line: the key, the legal values, and the value; msgspec's messages name no keys.
 
-It says where and not what ("Expected `float | array`, got `str` - at `$.a[...]`"): so the value is gone through again, from
-its kind, down to the part that msgspec does not take.
+msgspec gives a path but not the part that is wrong ("Expected `float | array`, got `str` - at `$.a[...]`"). So this module
+walks through the value by its type, down to the part that msgspec refuses.
 """
 
 import math
@@ -10,48 +10,43 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
-from linkplan.planner.keys.kinds import LARGEST, Known, Place
-from linkplan.planner.keys.synonyms import meant
+from linkplan.planner.keys.kinds import MAX_NUMBER, Known, Place
+from linkplan.planner.keys.synonyms import suggestion
 
-# Keys that problem files had once, and what to do now.
+# Keys of earlier versions, and instructions.
 REMOVED_KEYS = {"solver.name": "linkplan solves with IPOPT, and this key is gone: delete it"}
-# What bounds a number or the length of a list.
+# Attributes of msgspec's `Meta` that bound a number or the length of a list.
 _BOUNDS = ("ge", "gt", "le", "lt", "max_length")
 
 
 def fault(kind: Any, value: object, where: str, known: Known | None = None) -> str | None:
-    """Return what is wrong with a value that is to be one of a kind, None where nothing is."""
-    if _taken(kind, value):
+    """Return a message on a value that is not of a type; None if it is."""
+    if _is_valid(kind, value):
         return None
     bare, about = without_metadata(kind)
     if get_origin(bare) in (Union, types.UnionType):
-        return _of_none(kind, bare, value, where, known)
-    if isinstance(bare, type) and issubclass(bare, msgspec.Struct):
-        return _in_section(bare, value, where, known)
+        return _union_fault(kind, bare, value, where, known)
+    if _is_section(bare):
+        return _section_fault(bare, value, where, known)
     container = get_origin(bare) or bare
     if container is dict and isinstance(value, dict) and value:
-        return _in_table(bare, about, value, where, known)
+        return _table_fault(bare, about, value, where, known)
     if container is list and isinstance(value, list):
-        if len(value) > about.get("max_length", len(value)):
-            return f"{where} is {words(kind)}, got {len(value)} of them"
-        inner = get_args(bare)[0]
-        items = enumerate(value)
-        found = (fault(inner, item, f"{where}[{k}]" if "numbered" in about else where, known) for k, item in items)
-        return next(filter(None, found), f"{where} is {words(kind)}, got {got(value)}")
-    if container is Literal and (isinstance(value, str) or "choices" in about) and len(get_args(bare)) > 1:
-        legal = about.get("choices") or f"legal: {', '.join(get_args(bare))}"
-        return f"unknown {where} '{value}'{meant(str(value), get_args(bare))}; {legal}"
+        return _list_fault(kind, bare, about, value, where, known)
+    choices = get_args(bare) if container is Literal else ()
+    if len(choices) > 1 and (isinstance(value, str) or "choices" in about):
+        return _choice_fault(about, choices, str(value), where)
     if bare is float:
-        return _number(kind, about, value, where)
+        return _number_fault(kind, about, value, where)
     return f"{where} is {words(kind)}, got {got(value)}"
 
 
 def unknown_key(kind: Any, value: object, where: str) -> str | None:
-    """Return what is wrong with a section that is no table, or has a key that is none of its own; None where nothing is."""
+    """Return a message on a section that is no table or has an unknown key; None if there is no fault."""
     bare = without_metadata(kind)[0]
     if bare is str:
         return fault(kind, value, where)
-    legal = getattr(bare, "__struct_fields__", None)  # a table by name has no keys of its own
+    legal = getattr(bare, "__struct_fields__", None)  # None for a table by name, whose keys are arbitrary
     if not isinstance(value, dict):
         is_inner = legal is not None and "." in where
         what = f"{where} is a table with keys {', '.join(legal)}" if is_inner else f"'{where}' is a table ([{where}])"
@@ -59,15 +54,15 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
     for key in value if legal is not None else ():
         if key not in legal and where:
             path = f"{where}.{key}"
-            why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else meant(key, legal)
+            why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else suggestion(key, legal)
             return f"unknown key '{path}'{why}; keys are {', '.join(legal)}"
         if key not in legal:
-            return f"unknown table or key '{key}'{meant(key, legal)}; legal are {', '.join(legal)}"
+            return f"unknown table or key '{key}'{suggestion(key, legal)}; legal are {', '.join(legal)}"
     return None
 
 
 def words(kind: Any) -> str:
-    """Return what a kind of value is, in words: "a positive number", "[low, high]", "one of reach, periodic, track"."""
+    """Return a phrase that describes a type: "a positive number", "[low, high]", "one of reach, periodic, track"."""
     bare, about = without_metadata(kind)
     if "said" in about:
         return about["said"]
@@ -90,13 +85,13 @@ def words(kind: Any) -> str:
 
 
 def range_words(about: dict[str, Any]) -> str:
-    """Return the ends of a number in words."""
-    low, high = about.get("ge", about.get("gt", -LARGEST)), about.get("le", about.get("lt", LARGEST))
+    """Return a phrase that describes the range of a number."""
+    low, high = about.get("ge", about.get("gt", -MAX_NUMBER)), about.get("le", about.get("lt", MAX_NUMBER))
     return about.get("range", f"from {low:g} to {'below ' if 'lt' in about else ''}{high:g}")
 
 
 def without_metadata(kind: Any) -> tuple[Any, dict[str, Any]]:
-    """Return a kind's type without what is said of it, and that as one table: its bounds, and the words for it."""
+    """Return a type without its metadata, and the metadata as one table: its bounds, and its words for messages."""
     if get_origin(kind) is not Annotated:
         return kind, {}
     about: dict[str, Any] = {}
@@ -107,14 +102,18 @@ def without_metadata(kind: Any) -> tuple[Any, dict[str, Any]]:
 
 
 def got(value: object) -> str:
-    """Return a value as it is quoted."""
+    """Return a value as messages quote it."""
     try:
         return repr(value)
-    except ValueError:  # Python writes no integer of thousands of digits
+    except ValueError:  # Python does not print integers of thousands of digits
         return "a number of thousands of digits"
 
 
-def _taken(kind: Any, value: object) -> bool:
+def _is_section(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _is_valid(kind: Any, value: object) -> bool:
     try:
         msgspec.convert(value, kind)
     except (msgspec.ValidationError, AttributeError):
@@ -122,12 +121,12 @@ def _taken(kind: Any, value: object) -> bool:
     return True
 
 
-def _of_none(kind: Any, bare: Any, value: object, where: str, known: Known | None) -> str | None:
-    """Return what is wrong with a value of several kinds: with the kind that it looks like, or that it is none of them."""
+def _union_fault(kind: Any, bare: Any, value: object, where: str, known: Known | None) -> str | None:
+    """Return a message on a value that fits none of several types: with the type that it resembles, or with all."""
     for one in get_args(bare):
         inner = without_metadata(one)[0]
         container = get_origin(inner) or inner
-        is_section = isinstance(container, type) and issubclass(container, msgspec.Struct)
+        is_section = _is_section(container)
         alike = (
             (container is dict or is_section) and isinstance(value, dict) and value,
             container is list and isinstance(value, list),
@@ -136,14 +135,14 @@ def _of_none(kind: Any, bare: Any, value: object, where: str, known: Known | Non
         )
         if any(alike):
             return fault(one, value, where, known)
-    if kind == Place and isinstance(value, int | float):  # who writes a number there means a joint
+    if kind == Place and isinstance(value, int | float):  # a number probably means a joint's position
         stem, _, name = where.rpartition(".")
         joint = f"joint {name}'s position is {stem.removesuffix('_at')}_deg.{name}"
         return f"{where} is a site's place, {words(kind)}, got {got(value)}; {joint}"
     return f"{where} is {words(kind)}, got {got(value)}"
 
 
-def _in_section(kind: type[msgspec.Struct], value: object, where: str, known: Known | None) -> str | None:
+def _section_fault(kind: type[msgspec.Struct], value: object, where: str, known: Known | None) -> str | None:
     found = unknown_key(kind, value, where)
     if found is not None or not isinstance(value, dict):
         return found
@@ -156,18 +155,26 @@ def _in_section(kind: type[msgspec.Struct], value: object, where: str, known: Kn
     for field in fields:
         if field.required and field.name not in value:
             inner = without_metadata(field.type)[0]
-            is_section = isinstance(inner, type) and issubclass(inner, msgspec.Struct)
+            is_section = _is_section(inner)
             missing = f"{path[field.name]} is missing; it is {words(field.type)}"
             return fault(inner, {}, path[field.name], known) if is_section else missing
     return None
 
 
-def _in_table(bare: Any, about: dict, value: dict, where: str, known: Known | None) -> str | None:
+def _list_fault(kind: Any, bare: Any, about: dict, value: list, where: str, known: Known | None) -> str:
+    if len(value) > about.get("max_length", len(value)):
+        return f"{where} is {words(kind)}, got {len(value)} of them"
+    inner = get_args(bare)[0]
+    found = (fault(inner, item, f"{where}[{k}]" if "numbered" in about else where, known) for k, item in enumerate(value))
+    return next(filter(None, found), f"{where} is {words(kind)}, got {got(value)}")
+
+
+def _table_fault(bare: Any, about: dict, value: dict, where: str, known: Known | None) -> str | None:
     names, inner = get_args(bare)
     legal = get_args(names) if get_origin(names) is Literal else None
     for name, one in value.items():
         if legal is not None and name not in legal:
-            return f"unknown key '{where}.{name}'{meant(name, legal)}; it is one of {', '.join(legal)}"
+            return f"unknown key '{where}.{name}'{suggestion(name, legal)}; it is one of {', '.join(legal)}"
         if known is not None and "noun" in about:
             known(about["noun"], name, where)
         found = fault(inner, one, where + about["item"].format(name) if "item" in about else f"{where}.{name}", known)
@@ -176,12 +183,17 @@ def _in_table(bare: Any, about: dict, value: dict, where: str, known: Known | No
     return None
 
 
-def _number(kind: Any, about: dict[str, Any], value: object, where: str) -> str:
+def _choice_fault(about: dict[str, Any], choices: tuple[str, ...], value: str, where: str) -> str:
+    legal = about.get("choices") or f"legal: {', '.join(choices)}"
+    return f"unknown {where} '{value}'{suggestion(value, choices)}; {legal}"
+
+
+def _number_fault(kind: Any, about: dict[str, Any], value: object, where: str) -> str:
     wanted = f"{where} is {words(kind)}"
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"{wanted}, got {got(value)}"
-    if isinstance(value, int) and abs(value) > LARGEST:
-        return f"{wanted} below {LARGEST:g}, got one of {int(math.log10(abs(value))) + 1} digits"
+    if isinstance(value, int) and abs(value) > MAX_NUMBER:
+        return f"{wanted} below {MAX_NUMBER:g}, got one of {int(math.log10(abs(value))) + 1} digits"
     if not math.isfinite(value) or (value <= 0 and about.get("ge", about.get("gt", -1)) >= 0):
         return f"{wanted}, got {got(value)}"
     short = f"{value:g}"

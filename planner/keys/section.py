@@ -1,15 +1,15 @@
-"""What a section of a problem file is made of: keys with their meanings, units and defaults."""
+"""The elements of a problem file's section: keys with their meanings, units and defaults."""
 
 from typing import Any
 
 from msgspec import Meta, Struct
 
-# The value of a key that is left out and has no single default. No file can say it: no kind of value admits it.
+# The value of a key that is left out and has no single default. No type admits it, so no file can contain it.
 ABSENT: Any = None
 
 
 def key(meaning: str, unit: str = "", default: str = "") -> Meta:
-    """Return what is said of a key: its meaning, its unit, and its default in words where that is no single value."""
+    """Return a key's description: its meaning, its unit, and a phrase for its default if that is no single value."""
     said = f"{meaning[0].upper()}{meaning[1:]}" + (f" [{unit}]" if unit else "") + "."
     shown = {"x-unit": unit} if unit else {}
     return Meta(

@@ -1,10 +1,10 @@
-"""Names that users try, of other programs and of plain speech, and the keys that they mean."""
+"""Synonyms: names from other programs and plain speech, and the keys that they stand for."""
 
 from collections.abc import Iterable, Mapping
 
 from linkplan.models.names import closest
 
-# Where several are named, the one that the table has is meant.
+# If a synonym stands for several keys, the one that the table has is suggested.
 SYNONYMS: Mapping[str, tuple[str, ...]] = {
     "torque": ("effort",),
     "force": ("effort", "closure_force"),
@@ -30,8 +30,8 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def meant(asked: str, legal: Iterable[str]) -> str:
-    """Return " (did you mean 'x'?)" for the legal name that a synonym stands for, or that is closest; else nothing."""
+def suggestion(asked: str, legal: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" for the legal name that a synonym stands for or that is closest; "" if none is close."""
     legal = list(legal)
     synonyms = (name for name in SYNONYMS.get(str(asked).casefold(), ()) if name in legal)
     match = next(synonyms, None) or closest(asked, legal)

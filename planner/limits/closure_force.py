@@ -1,7 +1,7 @@
 """Limits on pin forces: rows at nodes, or at every instant by Bernstein coefficients of the force's square.
 
-As with powers, rows at nodes alone leave an effort that jumps free to swing beyond the limit between them. At every instant
-the force is an algebraic unknown, a polynomial through the nodes, whose error between them falls with the interval's width.
+Rows at nodes alone allow efforts that jump to exceed the limit between nodes, as for powers. At every instant the force is
+an algebraic unknown, a polynomial through the nodes; its error between nodes decreases with the interval's width.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from linkplan.planner.limits.path_limit import (
 
 @dataclass(frozen=True, slots=True)
 class ClosureForceLimit(PathLimit):
-    """The force of one closure, as a share of its rating; `rows` are its places among all forces where it is an unknown."""
+    """The force of one closure, as a share of its rating; `rows` are its indices among all forces if it is an unknown."""
 
     key: ClassVar[str] = "closure_force"
     words: ClassVar[str] = "the closure force of {}"

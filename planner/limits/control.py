@@ -1,4 +1,4 @@
-"""Servos' ctrl ranges: the ctrl that a planned effort takes, which the range bounds but where the force is clamped."""
+"""Servos' ctrl ranges, as limits on the ctrl of a planned effort, except where the servo's force is clamped."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
@@ -19,8 +19,8 @@ from linkplan.planner.limits.path_limit import (
     margin_of,
 )
 
-# An effort within this share of the clamp of a servo's force counts as clamped, where ctrl has no effect: a motion enters
-# the clamp between two nodes. Efforts may be off by 200 times as much between nodes (DYNAMICS_SHARE). Measured 4e-5.
+# An effort within this share of the clamp of a servo's force counts as clamped, so ctrl has no effect: a motion may enter
+# the clamp between two nodes. Efforts between nodes may be wrong by 200 times as much (DYNAMICS_SHARE). Measured: 4e-5.
 _CLAMPED_SHARE = 1e-4
 
 
@@ -69,7 +69,7 @@ class ControlLimit(PathLimit):
 
 
 def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
-    """Return the ctrl at which a servo gives the effort u."""
+    """Return the ctrl with which a servo gives the effort u."""
     b = actuator.biases
     return (u - b[0] - b[1] * length - b[2] * speed) / actuator.gain
 
@@ -81,7 +81,7 @@ def _unit(actuator: Actuator) -> float:
 
 
 def _ranged(actuator: Actuator, ctrl: np.ndarray, u: np.ndarray, n_points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quantity that a servo's ctrlrange bounds (n,), and the samples (n,) at which its force is clamped."""
+    """Return the quantity limited by a servo's ctrlrange (n,), and a mask (n,) of samples with a clamped force."""
     ranged = ranged_control(actuator, ctrl, u, actuator.gain, np.maximum)
     bent = ranged != ctrl
     beside = np.repeat(bent.reshape(-1, n_points).any(axis=1), n_points)

@@ -60,7 +60,7 @@ class EffortRateLimit(PathLimit):
 
 
 def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return u' (n, n_u) within intervals, and next to a jump in effort an infinite rate of its sign, NaN elsewhere."""
+    """Return u' (n, n_u) within intervals, and jumps (n, n_u): an infinite rate with the jump's sign after it, else NaN."""
     degree = trajectory.effort.shape[0] - 1
     widths = np.diff(trajectory.breaks_s)
     index = np.clip(np.searchsorted(trajectory.breaks_s, time, side="right") - 1, 0, len(widths) - 1)

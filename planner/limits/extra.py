@@ -31,7 +31,7 @@ class ExtraPathLimit(PathLimit):
 
     key: ClassVar[str] = "extra"
     words: ClassVar[str] = "the extra limit '{}'"
-    row_kind: ClassVar[str] = "path"  # a quantity of which only users know how the effort acts on it
+    row_kind: ClassVar[str] = "path"  # the effect of effort on it is unknown
     tightened: ClassVar[Tightened] = Tightened.IN_UNITS
     n_numbers: ClassVar[int] = 1
     item: int

@@ -1,7 +1,7 @@
-"""Limits on joints' positions and speeds, whose margins a certificate has by joint.
+"""Limits on joints' positions and speeds, whose margins the certificate lists by joint.
 
-Independent ones are unknowns of the program, whose coefficients are bounded at every instant. Dependent positions are
-unknowns at nodes, dependent speeds rows there.
+Positions and speeds of independent joints are polynomials of the program, with bounded coefficients at every instant.
+Dependent positions are unknowns at nodes, and dependent speeds are rows at nodes.
 """
 
 from dataclasses import dataclass
@@ -25,13 +25,10 @@ from linkplan.planner.limits.path_limit import (
     limited_rows,
 )
 
-# Samples per interval at which a motion without a limit is compared with that limit.
-_SAMPLES_PER_INTERVAL = 8
-
 
 @dataclass(frozen=True, slots=True)
 class RangeLimit(PathLimit):
-    """The range of one joint; `column` is its place among the independent ones where it is kept by rows of intervals."""
+    """The range of one joint; `column` is its index among the independent joints if intervals have rows for it."""
 
     key: ClassVar[str] = "position"
     item: int
@@ -57,7 +54,7 @@ class RangeLimit(PathLimit):
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimit(PathLimit):
-    """The speed of one joint; `column` is its place among the independent ones, None of a dependent one."""
+    """The speed of one joint; `column` is its index among the independent joints, None for a dependent one."""
 
     key: ClassVar[str] = "speed"
     item: int
@@ -108,7 +105,7 @@ def own_column(mechanism: Mechanism, j: int) -> int | None:
 
 def _along(problem: PlanningProblem, motion: Trajectory, *, speeds: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n,) [s] of a motion and the positions or rates (n, n_q) of all joints."""
-    time = motion.dense_times(_SAMPLES_PER_INTERVAL)
+    time = motion.dense_times(8)
     poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose, problem.solver.deadline)
     return time, joint_rates(problem.mechanism, poses, motion.velocity_at(time)) if speeds else poses
 

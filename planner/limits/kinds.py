@@ -1,4 +1,4 @@
-"""The kinds of limits, and those that a problem has. A new kind is a row of these two tables."""
+"""The kinds of limits, and the limits of a problem. A new kind is one entry in each of these two tables."""
 
 from linkplan.planner.limits.closure_force import ClosureForceLimit
 from linkplan.planner.limits.control import ControlLimit
@@ -28,8 +28,8 @@ KINDS: tuple[type[PathLimit], ...] = (
     SitePathLimit,
     ExtraPathLimit,
 )
-# In the order in which a diagnosis removes them, to find out which of them forbids a motion. The efforts' limits and the
-# joints' ranges follow after these.
+# In the order in which a diagnosis removes them to find the one that forbids a motion. Effort limits and joint ranges follow
+# after these.
 RELAXED: tuple[type[PathLimit], ...] = (
     RobustLimit,
     SpeedLimit,
@@ -51,7 +51,7 @@ def limits_of(problem: PlanningProblem, *, enclosed: bool = False, position_rows
 
 
 def relaxed_kinds(problem: PlanningProblem) -> list[type[PathLimit]]:
-    """Return the kinds of limits that a problem has and a diagnosis may take away, in its order."""
+    """Return the kinds of limits of a problem that a diagnosis may remove, in its order."""
     return [kind for kind in RELAXED if kind.of(problem)]
 
 

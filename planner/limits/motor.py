@@ -1,4 +1,4 @@
-"""Motors' torque-speed lines, |u / stall + w / no_load| <= 1: rows of intervals where the speed is a coordinate's own."""
+"""Motors' torque-speed lines, |u / stall + w / no_load| <= 1; rows of intervals if the actuator drives a coordinate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from linkplan.planner.limits.path_limit import (
 
 @dataclass(frozen=True, slots=True)
 class MotorLimit(PathLimit):
-    """The line of one actuator's motor; `column` is the coordinate that it drives itself, if any."""
+    """The line of one actuator's motor; `column` is the coordinate that it drives directly, if any."""
 
     key: ClassVar[str] = "motor"
     words: ClassVar[str] = "the torque-speed line of {}"

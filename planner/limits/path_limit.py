@@ -1,7 +1,7 @@
-"""A limit on every instant of a motion: one object, which the program, the certificate and the diagnosis ask.
+"""The interface of a limit at every instant of a motion, used by the program, the certificate and the diagnosis.
 
-A limit at nodes is a row of each node. A limit at every instant is a row of each interval, on Bernstein coefficients.
-Objects hold the structure of a program and are equal if that is equal; numbers come from the problem.
+A limit at nodes is a row of each node. A limit at every instant is a row of each interval, on Bernstein coefficients. A
+limit object holds the structure of a program, and objects of equal structure are equal; numbers come from the problem.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.samples import Samples, least_between, samples_of
 from linkplan.planner.problem.instant import Instant
-from linkplan.planner.problem.limits import free
+from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.trajectory import Trajectory
@@ -26,27 +26,27 @@ __all__ = ["Bounds", "Instant", "Margin", "PathLimit", "PlanningProblem", "Sampl
 
 Bounds = tuple[float, float]
 MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
-# A limit counts as kept if it is overrun by at most this share of itself, which is rounding.
+# A limit counts as kept if its overrun is at most this share of it, which is rounding.
 ROUNDING_SHARE = 1e-9
-# A motion exceeds its values at the nodes a little between them. A limit that shall admit it is wider by this factor.
+# Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
 BETWEEN_NODES_FACTOR = 1.001
-# Limits that cannot be removed from a problem are made so many times as wide.
+# Limits that cannot be removed from a problem are widened by this factor.
 RELAXED_FACTOR = 1e3
 
 
 class Tightened(Enum):
-    """How a row is tightened where a motion overran its limit between the nodes: what the overrun is a share of."""
+    """The unit in which a row is tightened after an overrun between the nodes."""
 
     BY_SHARE = "of the bound"
     SQUARED = "of the bound, whose square the row is"
-    IN_UNITS = "of the row's unit: a place or a length has no size of its own"
+    IN_UNITS = "of the row's unit: a place or a length has no natural size"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Margin:
-    """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative where it is overrun.
+    """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative if the limit is overrun.
 
-    `of` is the limit, `name` that of its actuator, closure, tendon or site.
+    `of` is the limit, `name` the name of its actuator, closure, tendon or site.
     """
 
     of: PathLimit
@@ -56,7 +56,7 @@ class Margin:
     left: float
     unit: str
     time_s: float
-    overrun: np.ndarray  # (n_intervals,) by how much of itself the limit is overrun in each, 0 where it is kept
+    overrun: np.ndarray  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
     upper: bool  # whether the limit is an upper one
 
     @property
@@ -71,7 +71,7 @@ class Margin:
 
     @property
     def kept(self) -> bool:
-        """Whether the limit is kept, but for rounding."""
+        """Whether the limit is kept, except for rounding."""
         return self.left >= -ROUNDING_SHARE * max(1.0, abs(self.limit))
 
     @property
@@ -80,7 +80,7 @@ class Margin:
         return self.of.words.format(self.name)
 
     def sentence(self, verb: str = "comes to") -> str:
-        """Return the sentence on the value, when it is worst, and its limit."""
+        """Return a sentence with the worst value, its time and its limit."""
         signed = self.of.tightened is Tightened.IN_UNITS
         value, limit = (self.value, self.limit) if signed else (abs(self.value), abs(self.limit))
         amount = f"{value:.4g} {self.unit}".rstrip()
@@ -89,15 +89,15 @@ class Margin:
 
 
 class PathLimit(Protocol):
-    """One limit of one problem; a kind of limit is a final class that says what differs from this.
+    """One limit of one problem; a kind of limit is a final class that overrides parts of this.
 
     Args:
-        key: of the limit in a problem file.
-        words: a title, {} standing for a name.
+        key: the limit's key in a problem file.
+        words: a title with {} for a name.
         beyond: the word for an overrun.
-        enclosable: rows of the intervals can keep it at every instant.
-        jumps_with_effort: its row jumps where the effort does.
-        of_position: its row is a function of the pose alone.
+        enclosable: rows of intervals can impose it at every instant.
+        jumps_with_effort: its row jumps when the effort does.
+        of_position: its row is a function of the pose only.
         item: its number within its kind.
     """
 
@@ -128,7 +128,7 @@ class PathLimit(Protocol):
     def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
         """Return the limits of this kind that a problem has.
 
-        Options: `enclosed`, those that are `enclosable` are kept at every instant; `position_rows`, independent ranges are.
+        Options: `enclosed` imposes `enclosable` limits at every instant, `position_rows` the ranges of independent joints.
         """
         ...
 
@@ -166,24 +166,24 @@ class PathLimit(Protocol):
 
     @property
     def n_unknowns(self) -> int:
-        """The number of algebraic unknowns that its row on an interval takes."""
+        """The number of algebraic unknowns of its row on an interval."""
         return 0
 
     def unknowns(self, at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
-        """Return the kind of equation, and the expression that each of those unknowns equals."""
+        """Return the kind of equation of these unknowns, and the expressions that they equal."""
         return "", []
 
     def start_of_unknowns(self, problem: PlanningProblem, scales: Scales, motion: MotionArrays) -> np.ndarray:
-        """Return them along a motion (n, n_unknowns)."""
+        """Return these unknowns along a motion (n, n_unknowns)."""
         return np.zeros((len(motion[0]), 0))
 
     # The certificate.
 
     def margin(self, samples: Samples) -> Margin | None:
-        """Return the margin along a motion; None for joints' limits, which a certificate has by joint."""
+        """Return the margin along a motion; None for joints' limits, which the certificate lists by joint."""
         return None
 
-    # The diagnosis: what all limits of the kind come to when they are relaxed together.
+    # The diagnosis: relaxing all limits of the kind together.
 
     @classmethod
     def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
@@ -193,11 +193,11 @@ class PathLimit(Protocol):
     @classmethod
     def without(cls, problem: PlanningProblem) -> PlanningProblem:
         """Return a problem without its limits of this kind."""
-        return with_limits(problem, **{cls.key: free(len(getattr(problem.limits, cls.key)))})
+        return with_limits(problem, **{cls.key: free_bounds(len(getattr(problem.limits, cls.key)))})
 
     @classmethod
     def factor(cls, problem: PlanningProblem, motion: Trajectory) -> float | None:
-        """Return the factor on the limits of this kind with which a motion keeps them; None if it keeps them as they are."""
+        """Return the factor on the limits of this kind with which a motion keeps them; None if it keeps the limits."""
         over = [m for m in overrun_margins(cls, problem, motion) if np.isfinite(m.value)]
         return cls.factor_of(problem, over) if over else None
 
@@ -209,7 +209,7 @@ class PathLimit(Protocol):
 
     @classmethod
     def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
-        """Return the sentence on how far a motion overruns the limits of this kind; None if it keeps them."""
+        """Return a sentence on the worst overrun of the limits of this kind; None if a motion keeps them."""
         try:
             over = overrun_margins(cls, problem, motion)
         except AssemblyError:
@@ -217,7 +217,7 @@ class PathLimit(Protocol):
         return over[0].sentence("would have to come to") if over else None
 
     def narrowed(self, problem: PlanningProblem, amount: float) -> PlanningProblem:
-        """Return a problem with both ends of this limit moved inwards, if `tightened` is None."""
+        """Return a problem with both bounds of this limit moved inwards, if `tightened` is None."""
         return problem
 
 
@@ -227,7 +227,7 @@ def with_limits(problem: PlanningProblem, **changes: Any) -> PlanningProblem:
 
 
 def limited_rows(bounds: np.ndarray) -> list[int]:
-    """Return the rows of [low, high] that limit anything."""
+    """Return the indices of [low, high] rows with a finite bound."""
     return [int(j) for j in np.flatnonzero(np.isfinite(bounds).any(axis=1))]
 
 
@@ -250,8 +250,8 @@ def margin_of(
 ) -> Margin:
     """Return the margin of values (n,) along a motion to a limit [low, high].
 
-    Overruns are shares of `size`, by default of the limit itself. Intervals with a `bent` sample (n,) have a kink: their
-    least margin is that of the samples, without interpolation by parabolas.
+    Overruns are shares of `size`, by default of the limit itself. Intervals with a `bent` sample (n,) have a kink, so their
+    least margin is that of the samples without interpolation by parabolas.
     """
     (low, high), points = bounds, samples.points
     inside = np.minimum(values - low, high - values)

@@ -1,6 +1,6 @@
 """Limits on mechanical power: rows at nodes, or at every instant by products of Bernstein coefficients of effort and speed.
 
-At nodes alone a limit on u w leaves an effort that jumps free to swing beyond it between them, on however fine a mesh.
+At nodes alone, a limit on u w lets an effort that jumps exceed it between nodes, even on fine meshes.
 """
 
 from dataclasses import dataclass
@@ -27,10 +27,10 @@ from linkplan.planner.limits.path_limit import (
 
 @dataclass(frozen=True, slots=True)
 class PowerLimit(PathLimit):
-    """The power of one actuator, kept at nodes or at every instant.
+    """The power of one actuator, limited at nodes or at every instant.
 
-    An actuator that drives a coordinate directly has the speed of that `column`, a polynomial of the program. The speed of
-    any other is the sum of `levers`, each an algebraic unknown, times the columns' speeds.
+    The speed of an actuator that drives a coordinate directly is that of the `column`, a polynomial of the program. The
+    speed of any other is the sum of `levers`, each an algebraic unknown, times the columns' speeds.
     """
 
     key: ClassVar[str] = "power"
@@ -64,7 +64,7 @@ class PowerLimit(PathLimit):
         if self.column is not None:
             gear = problem.mechanism.actuators[self.item].gear
             unit = gear * scales.effort[self.item] * scales.position[self.column] / scales.time_s
-        return tuple(np.sort(problem.limits.power[self.item] / unit))  # a gear below zero exchanges the ends
+        return tuple(np.sort(problem.limits.power[self.item] / unit))  # a negative gear exchanges the bounds
 
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
         if self.column is not None:

@@ -1,4 +1,4 @@
-"""Effort limits of machines at the corners of the ranges in [robust]: rows on the efforts that each needs for the motion."""
+"""Effort limits of machines at the corners of the ranges in [robust]: rows on the efforts that each machine needs."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -20,7 +20,7 @@ from linkplan.planner.problem.robust import Corner, Robust
 
 @dataclass(frozen=True, slots=True)
 class RobustLimit(PathLimit):
-    """The effort of one actuator at one of the `corners`; `item` counts actuators of the first corner, then the next."""
+    """The effort of one actuator at one of the `corners`; `item` counts the actuators of the first corner, then the next."""
 
     key: ClassVar[str] = "robust"
     words: ClassVar[str] = "the effort of {}"
@@ -43,7 +43,7 @@ class RobustLimit(PathLimit):
 
     def margin(self, samples: Samples) -> Margin:
         problem, actuator = samples.problem, samples.problem.mechanism.actuators[self.actuator]
-        said = self.corners[self.corner].said(tuple(joint.name for joint in problem.mechanism.joints))
+        said = self.corners[self.corner].description(tuple(joint.name for joint in problem.mechanism.joints))
         bounds = problem.robust.room * problem.limits.effort[self.actuator]
         values = samples.corner_efforts[:, self.corner, self.actuator]
         return margin_of(self, f"{actuator.name} with {said}", values, bounds, actuator.unit, samples)

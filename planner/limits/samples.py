@@ -1,4 +1,4 @@
-"""A motion sampled densely, on which margins are measured."""
+"""Dense samples of a motion, for measuring margins."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +11,7 @@ from linkplan.planner.problem.corner_efforts import corner_efforts_along
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
-# At how many instants of an interval limits are checked: at least, and for each node.
+# Samples of an interval at which limits are checked: at least, and per node.
 _SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE = 12, 3
 
 
@@ -20,7 +20,7 @@ class Samples:
     """A motion of a problem at `time` (n,) [s], at the shares `points` of every interval.
 
     Poses `q` (n, n_q), independent speeds and accelerations `v`, `a` (n, n_s), efforts `u` (n, n_u). Everything else is
-    computed once, at its first use.
+    computed when it is first used.
     """
 
     problem: PlanningProblem
@@ -43,7 +43,7 @@ class Samples:
         return actuator_speeds(self.problem, self.q, self.v)
 
     def of_pose(self, name: str) -> np.ndarray:
-        """Return a column (n, rows) of the reduced dynamics that follows from the pose alone."""
+        """Return a column (n, rows) of the reduced dynamics that depends on the pose only."""
         return sampled(getattr(self.problem.mechanism.dynamics, name), self.q)[:, :, 0]
 
     @cached_property
@@ -53,7 +53,7 @@ class Samples:
 
     @cached_property
     def block_ratios(self) -> np.ndarray:
-        """The determinants (n, n_blocks) of J_z's blocks, as shares of those at home."""
+        """The determinants (n, n_blocks) of J_z's blocks, relative to home."""
         return block_ratios(self.problem, self.q)
 
     @cached_property
@@ -67,8 +67,8 @@ def samples_of(problem: PlanningProblem, trajectory: Trajectory) -> Samples:
     """Return a motion's samples.
 
     Raises:
-        AssemblyError: when the motion leaves what the loops allow.
-        OutOfTimeError: when the deadline of judging passes before its poses are known.
+        AssemblyError: when the loops cannot close along the motion.
+        OutOfTimeError: when the certificate's deadline passes before its poses are known.
     """
     points = sample_points(trajectory.velocity.shape[0] - 1)
     time = trajectory.times_at(points)
@@ -78,25 +78,25 @@ def samples_of(problem: PlanningProblem, trajectory: Trajectory) -> Samples:
 
 
 def sample_points(n_nodes: int) -> np.ndarray:
-    """Return the shares (n,) of an interval at which motions of so many nodes are sampled: close together at its ends.
+    """Return the shares (n,) of an interval at which motions with so many nodes are sampled, denser at its ends.
 
-    There the nodes of high degrees stand close, and what a polynomial does between them.
+    The nodes of high degrees are dense there too.
     """
     n = max(_SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE * n_nodes)
     points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
-    points[-1] = 1.0 - 1e-12  # the interval's own side of its end
+    points[-1] = 1.0 - 1e-12  # still on this interval
     return points
 
 
 def least_between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the least value (n,) on each interval of a curve that is smooth there: sampled, or at a parabola's vertex.
+    """Return the least value (n,) of a smooth curve on each interval: a sample, or the vertex of a parabola through three.
 
     Args:
-        values: samples (n, n_points), or all in a row.
-        points: where they stand (n_points,), shares of an interval.
+        values: samples (n, n_points), or all in one row.
+        points: their shares (n_points,) of an interval.
     """
     rows = values.reshape(-1, len(points))
-    with np.errstate(all="ignore"):  # a curve with infinite values is as low as its samples
+    with np.errstate(all="ignore"):  # for infinite values the least sample counts
         slope = np.diff(rows, axis=1) / np.diff(points)
         bend = np.diff(slope, axis=1) / (points[2:] - points[:-2])
         at = slope[:, :-1] + bend * (points[1:-1] - points[:-2])
@@ -120,15 +120,15 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
 
 
 def block_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
-    """Return the determinants of J_z's blocks (n, n_blocks), of loops that close together, as shares of those at home."""
+    """Return the determinants (n, n_blocks) of J_z's blocks (loops that close together), relative to home."""
     block = problem.mechanism.dynamics.block_singularity
     return sampled(block, q)[:, :, 0] / np.array(block(problem.mechanism.home)).ravel()
 
 
 def singularity_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
-    """Return the least of J_z's blocks' determinants at poses q (n, n_q), as shares of home's: 0 at a singular pose.
+    """Return the least of J_z's block determinants at poses q (n, n_q), relative to home: 0 at a singular pose.
 
-    1 without loops.
+    Without loops it is 1.
     """
     if len(problem.mechanism.dependent) == 0:
         return np.ones(len(q))

@@ -1,4 +1,4 @@
-"""The least distance from singular poses: a lower bound on the determinant of each block of J_z, as a share of home's."""
+"""The least distance from singular poses: a lower bound on the determinant of each block of J_z, relative to home."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from linkplan.planner.limits.path_limit import (
 
 @dataclass(frozen=True, slots=True)
 class SingularMarginLimit(PathLimit):
-    """The determinant of one block of J_z, of loops that close together."""
+    """The determinant of one block of J_z, for loops that close together."""
 
     key: ClassVar[str] = "singular_margin"
     words: ClassVar[str] = "the distance from a singular pose"

@@ -1,8 +1,8 @@
-"""Limits on where sites stay: slabs (boxes and walls) and tubes.
+"""Limits on sites: slabs (boxes and walls) and tubes.
 
-A slab's row is n . (p - p_home) / L, L the mechanism's extent. A tube's is d^2 / r^2, d the distance from the polyline: the
-least over its segments, which has kinks. The row has the mean with the weights exp(-k d_i^2 / r^2) in its place, which is
-smooth and never below the least: what keeps to it keeps to the tube.
+A slab's row is n . (p - p_home) / L with the mechanism's extent L. A tube's row is d^2 / r^2 with the distance d from the
+polyline. The least distance over the segments has kinks, so the row uses a mean with the weights exp(-k d_i^2 / r^2), which
+is smooth and never below the least: a motion that satisfies the row stays in the tube.
 """
 
 import itertools
@@ -32,16 +32,13 @@ from linkplan.planner.limits.samples import least_between
 from linkplan.planner.problem.sites import SiteLimit
 
 # Between two segments at nearly equal distances, the weighted mean exceeds the least squared distance by at most 0.28 / k of
-# r^2. This k takes 0.14 % off a tube's radius there, and the curvature of its wall stays of the order of 1 / r.
+# r^2. This k reduces a tube's radius there by 0.14 %, and the curvature of its wall stays of the order of 1 / r.
 _TUBE_SHARPNESS = 100.0
-# Intervals within this share of a limit's size are sampled again, with so many samples between the worst one's neighbours:
-# between two segments a tube's distance has a kink, which no parabola fits.
-_NEAR_SHARE, _FINE_SAMPLES = 1e-3, 33
 
 
 @dataclass(frozen=True, slots=True)
 class SitePathLimit(PathLimit):
-    """One limit on a site, number `item` of limits.site; `shape` is its `SiteLimit.key`, of which its row is made."""
+    """One limit on a site, number `item` of limits.site; `shape` is its `SiteLimit.key`, which determines its row."""
 
     key: ClassVar[str] = "site"
     of_position: ClassVar[bool] = True
@@ -85,7 +82,7 @@ class SitePathLimit(PathLimit):
     def margin(self, samples: Samples) -> Margin:
         mechanism, limit = samples.problem.mechanism, samples.problem.limits.site[self.item]
         values = limit.value(places_of(mechanism, limit.index, samples.q))
-        # A tube's distance has no lower limit. A slab's overruns are shares of the mechanism's size.
+        # A tube's distance has no lower bound. A slab's overruns are shares of the mechanism's extent.
         bounds, size = ((-np.inf, limit.high), limit.high) if self.is_tube else ((limit.low, limit.high), mechanism.extent_m)
         margin = margin_of(self, site_title(limit), values, bounds, "m", samples, size)
         return _margin_sampled_finely(samples, limit, margin, values, bounds, size)
@@ -107,7 +104,7 @@ class SitePathLimit(PathLimit):
 
 
 def site_title(limit: SiteLimit) -> str:
-    """Return what of a site is limited, in words."""
+    """Return a phrase for the limited quantity of a site."""
     from_what = {"wall": "its wall", "tube": "its path"}.get(limit.what)
     return (
         f"{limit.what} of site {limit.site}" if from_what is None else f"the distance of site {limit.site} from {from_what}"
@@ -115,12 +112,12 @@ def site_title(limit: SiteLimit) -> str:
 
 
 def site_at_home(mechanism: Mechanism, site: int) -> np.ndarray:
-    """Return where a site is at home (3,) [m]."""
+    """Return the place of a site at home (3,) [m]."""
     return places_of(mechanism, site, mechanism.home)[0]
 
 
 def _tube(p: ca.SX, along: np.ndarray, radius: float) -> ca.SX:
-    """Return the squared distance of p (3,) from a polyline (n, 3), in squared radii, smooth and never too small."""
+    """Return the squared distance of p (3,) from a polyline (n, 3), in squared radii, smooth and never underestimated."""
     distances = []
     for a, b in itertools.pairwise(along):
         way = b - a
@@ -137,22 +134,23 @@ def _margin_sampled_finely(
 ) -> Margin:
     """Return a margin measured again on finer samples in every interval near the limit.
 
-    `values` (n,) are the samples of the first measurement.
+    Between two segments a tube's distance has a kink, which parabolas do not fit. `values` (n,) are the coarse samples.
     """
     problem, trajectory, n_points = samples.problem, samples.trajectory, len(samples.points)
     low, high = bounds
     inside = np.minimum(values - low, high - values).reshape(-1, n_points)
     worst = inside.argmin(axis=1)
-    chosen = np.flatnonzero(inside.min(axis=1) < max(_NEAR_SHARE * size, float(inside.min()) + _NEAR_SHARE * size))
+    near_share = 1e-3  # of the limit's size
+    chosen = np.flatnonzero(inside.min(axis=1) < max(near_share * size, float(inside.min()) + near_share * size))
     rows, times = np.arange(len(inside))[chosen], samples.time.reshape(-1, n_points)
     first, last = times[rows, np.maximum(worst[rows] - 1, 0)], times[rows, np.minimum(worst[rows] + 1, n_points - 1)]
-    shares = np.linspace(0.0, 1.0, _FINE_SAMPLES)
+    shares = np.linspace(0.0, 1.0, 33)
     near = first[:, None] + (last - first)[:, None] * shares
     s, until = trajectory.position_at(near.ravel()), problem.solver.judging_deadline
     q = follow(problem.mechanism, s, trajectory.start_pose, until)
     fine = limit.value(places_of(problem.mechanism, limit.index, q)).reshape(near.shape)
     left = np.minimum(fine - low, high - fine)
-    # Of the samples the finest count, and parabolas through those: coarse ones may bulge beyond the curve.
+    # Only the finest samples and parabolas through them count; coarse parabolas may overestimate.
     least = np.minimum(least_between(left, shares), inside[rows].min(axis=1))
     overrun = np.zeros(len(inside))
     overrun[rows] = np.maximum(0.0, -least) / size

@@ -1,4 +1,4 @@
-"""Tendons' ranges: rows on their lengths, in units of what lies between the two ends."""
+"""Tendons' ranges: rows on their lengths, in units of the range's width."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self

@@ -3,7 +3,7 @@
 From the start to the end in one go, as a rule. Along an unstable motion an error grows by many orders of magnitude (e^40 in
 20 s for a pole at 2 / s), and rounding decides where the integration ends. Then every interval
 is integrated from the planned state, its defect is propagated by the transition matrices along the motion, and the
-integration is restarted wherever an error would have grown by `GROWTH`, as for mechanisms
+integration is restarted wherever an error would have grown by `RESTART_GROWTH`, as for mechanisms
 (`linkplan.planner.certificate.integration`). The certificate then states that the solution satisfies the differential
 equation, not that it can be followed without feedback. It reports the number of restarts.
 """
@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from linkplan.planner.certificate.boundary import missed
-from linkplan.planner.certificate.flow import RTOL, Rate, flows, side_by_side
-from linkplan.planner.certificate.integration import GROWTH
+from linkplan.planner.certificate.boundary import relative_violation
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL, Rate, flows, side_by_side
+from linkplan.planner.certificate.integration import RESTART_GROWTH
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
@@ -95,7 +95,7 @@ def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, mos
 
 def _most(problem: OdeProblem) -> float:
     """Return the growth of an error up to which the integrator's own error stays within the tolerance."""
-    return max(GROWTH, problem.tolerance / RTOL)
+    return max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL)
 
 
 def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated:
@@ -126,7 +126,7 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
         inside, end = reached[:, :n_x], reached[-1, :n_x]
         errors[k] = np.abs(end - planned[k + 1]) / size
         spent[k] = reached[-1, n_x]
-        beyond[k] = missed(inside, *problem.state_limit.T, size)
+        beyond[k] = relative_violation(inside, *problem.state_limit.T, size)
     with np.errstate(invalid="ignore"):
         defects = np.abs(np.diff(np.vstack([np.zeros(n_x), errors]), axis=0))
     objective, misjudged = _costs(problem, trajectory, spent, end)
@@ -155,7 +155,7 @@ def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, poin
         end = inside[-1, :n_x]
         error = (end - planned[k + 1]) / size
         errors[k], added[k] = np.abs(error), np.abs(states[k, -1, :n_x] - planned[k + 1]) / size
-        spent[k], beyond[k] = inside[-1, n_x], missed(inside[:, :n_x], *problem.state_limit.T, size)
+        spent[k], beyond[k] = inside[-1, n_x], relative_violation(inside[:, :n_x], *problem.state_limit.T, size)
         carried = transitions[k, -1, :n_x] * size / size[:, None] @ carried
         if np.abs(carried).max() > _most(problem):
             error, carried, restarts = np.zeros(n_x), np.eye(n_x), restarts + 1

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import ProblemError, one_line
-from linkplan.planner.problem.limits import free
+from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.problem.values import frozen
 
@@ -92,7 +92,7 @@ class OdeProblem:
         if start.shape != goal.shape or len(start) == 0:
             raise ProblemError(f"start and goal have one value a state, got {len(start)} and {len(goal)}")
         n_x = len(start)
-        limit = free(n_x) if self.state_limit is None else _limits("state_limit", self.state_limit)
+        limit = free_bounds(n_x) if self.state_limit is None else _limits("state_limit", self.state_limit)
         if len(limit) != n_x:
             raise ProblemError(f"state_limit has one [low, high] for each of {n_x} states, got {len(limit)}")
         parameters = np.ravel(_array("parameters", self.parameters))

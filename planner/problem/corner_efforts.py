@@ -1,4 +1,4 @@
-"""What machines at the corners of a problem's ranges need for a motion, as an expression and along samples."""
+"""Efforts that machines at the corners of a problem's ranges need for a motion, as expressions and along samples."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -12,28 +12,22 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.robust import Corner
 
-# How far a pose is from home [rad or m] at which a mechanism shows what it does not show at a special one.
-_BESIDE = 0.05
-# Generalised efforts below this share of the largest are rounding.
-_ROUNDING = 1e-9
-
 
 def corner_efforts(
     mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
 ) -> list[ca.SX]:
-    """Return the efforts (n_u,) of each corner that a motion (q, v, a) needs.
+    """Return the efforts (n_u,) that a motion (q, v, a) needs at each corner.
 
-    Where there are more actuators than degrees of freedom, many efforts make one motion: a corner has the plan's own and the
-    least ones that make up for the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). Where there are fewer, a
-    motion is one that the actuators can make, and a corner differs by what they can make up for, friction at joints that
-    they drive and the torque constant (`corner_out_of_reach`). The same expression gives those efforts, since
-    (Gamma^T B)^+ Gamma^T B = 1.
+    With more actuators than degrees of freedom, many efforts give one motion. A corner then needs the plan's efforts plus
+    the least efforts that compensate the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). With fewer
+    actuators, the corner must differ only by what actuators can compensate: friction at driven joints and the torque
+    constant (`corner_out_of_reach`). The same expression gives these efforts, since (Gamma^T B)^+ Gamma^T B = 1.
 
     Args:
-        mechanism: whose actuators move every degree of freedom, or are independent of one another.
+        mechanism: its actuators move every degree of freedom, or are independent of one another.
         corners: of the ranges.
-        call: a function of the reduced dynamics by name, of the machine as modelled.
-        payload: its numbers (7,), none without one.
+        call: calls a function of the nominal reduced dynamics by name.
+        payload: its numbers (7,); empty without a payload.
         motion: q (n_q,), v and a (n_s,), and the plan's efforts u (n_u,).
     """
     q, v, a, u = motion
@@ -50,7 +44,7 @@ def corner_efforts(
 def _needed(
     mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
 ) -> list[ca.SX]:
-    """Return the generalised efforts (n_s,) that a motion (q, v, a) needs at each corner, its torque constant aside."""
+    """Return the generalised efforts (n_s,) of a motion (q, v, a) at each corner, before division by the torque factor."""
     q, v, a = motion
     gamma = call("velocity_map", q)
     rates = gamma @ v
@@ -72,13 +66,13 @@ def _needed(
 
 
 def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corner | None:
-    """Return a corner that makes a difference to freedoms that no effort moves; None where efforts make up for all of them.
+    """Return the first corner whose difference actuators cannot compensate; None if they can compensate all.
 
-    At home and at a pose beside it, moving at random: (1 - P P^+) (tau_c - tau) = 0, P = Gamma^T B.
+    The criterion is (1 - P P^+) (tau_c - tau) = 0 with P = Gamma^T B, for random motions at home and at a pose close to it.
     """
     function = _needed_function(mechanism, (Corner(), *corners))
     rng = np.random.default_rng(0)
-    beside = mechanism.home[mechanism.independent] + _BESIDE * rng.normal(size=mechanism.dof)
+    beside = mechanism.home[mechanism.independent] + 0.05 * rng.normal(size=mechanism.dof)
     try:
         poses = [mechanism.home, close_at(mechanism, beside, mechanism.home)]
     except AssemblyError:
@@ -89,7 +83,7 @@ def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corn
         added = needed[:, 1:] - needed[:, :1]
         left = added - P @ (np.linalg.pinv(P) @ added)
         for column, corner in enumerate(corners):
-            if np.abs(left[:, column]).max() > _ROUNDING * np.abs(needed).max():
+            if np.abs(left[:, column]).max() > 1e-9 * np.abs(needed).max():
                 return corner
     return None
 

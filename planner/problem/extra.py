@@ -13,7 +13,7 @@ from linkplan.models.names import choose
 from linkplan.models.reading import shown
 from linkplan.planner.problem.instant import Instant, free_instant
 
-# Names stand in sentences.
+# Names appear in sentences.
 MAX_NAME_CHARACTERS = 100
 
 
@@ -31,9 +31,9 @@ class _Named:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NamedInstant:
-    """One instant of a motion as users' expressions see it, in SI: `at.position["O"]`, `at.site("foot")[2]`.
+    """One instant of a motion for users' expressions, in SI: `at.position["O"]`, `at.site("foot")[2]`.
 
-    Every joint has a position [rad or m] and a velocity, dependent ones too; every actuator an effort [N.m or N].
+    Every joint, dependent or not, has a position [rad or m] and a velocity; every actuator has an effort [N.m or N].
     """
 
     instant: Instant
@@ -94,17 +94,17 @@ class ExtraLimit:
 
     @property
     def size(self) -> float:
-        """The unit of its row in a program: its larger finite bound."""
+        """The unit of its row in a program: the larger absolute value of its finite bounds."""
         ends = np.abs([self.lower, self.upper])
         return float(ends[np.isfinite(ends)].max()) or 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ExtraCost:
-    """A running cost: `weight` times the integral of an expression over the motion stands beside the objective.
+    """A running cost: the objective plus `weight` times the integral of an expression over the motion.
 
     Args:
-        name: in messages, beside the terms of the objective.
+        name: in messages, with the names of the objective's terms.
         expression: from a `NamedInstant` to a CasADi scalar, twice differentiable along the motion.
         weight: positive, per SI unit of the integral.
         unit: of the integral, for messages.
@@ -130,7 +130,7 @@ def expressed(extra: Extra, at: Instant) -> ca.SX:
     """Return the expression of an extra limit or cost at an instant.
 
     Raises:
-        ProblemError: for a name that the mechanism has not, or an expression that is no scalar of the motion.
+        ProblemError: for a name that the mechanism does not have, or an expression that is no scalar of the motion.
     """
     what = f"extra {extra.kind} '{extra.name}'"
     try:
@@ -146,10 +146,10 @@ def expressed(extra: Extra, at: Instant) -> ca.SX:
 
 
 def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
-    """Return which of q, v, a and u an expression depends on.
+    """Return for each of q, v, a and u whether an expression depends on it.
 
     Raises:
-        ProblemError: as `expressed`, and where it depends on none of them.
+        ProblemError: as `expressed`, and for a constant expression.
     """
     instant, symbols = free_instant(mechanism)
     found = expressed(extra, instant)
@@ -167,7 +167,7 @@ def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
     """Return extra limits or costs as a tuple.
 
     Raises:
-        ProblemError: for anything that is none, or two of one name.
+        ProblemError: for other values, or two of one name.
     """
     if isinstance(extras, str) or not isinstance(extras, Sequence) or not all(isinstance(one, kind) for one in extras):
         raise ProblemError(f"{where} is a list of linkplan.{kind.__name__}, got {shown(repr(extras))}")
@@ -178,8 +178,8 @@ def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
     return tuple(extras)
 
 
-def extras_said(extras: Sequence) -> str:
-    """Return extra limits and costs, or their records, in words: "the extra limit 'a' and the extra cost 'b'"."""
+def extras_text(extras: Sequence) -> str:
+    """Return a phrase that names extra limits and costs, or their records: "the extra limit 'a' and the extra cost 'b'"."""
     *words, last = [f"the extra {one.kind} '{shown(one.name)}'" for one in extras]
     return f"{', '.join(words)} and {last}" if words else last
 

@@ -1,6 +1,6 @@
-"""What a simulated machine's imperfections are drawn from: one spread of values for each, in a problem file's units.
+"""Imperfections of simulated machines: a distribution for each quantity, in a problem file's units.
 
-Planning knows nothing of them: they are kept for studies that run trackers on machines unlike the model.
+Planning does not use them. Studies use them to run trackers on machines that differ from the model.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ KEYS = (*QUANTITIES, *WORDS)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """Where a value lies: "fixed" at `first`, "uniform" from `first` to `second`, or "normal" with mean and deviation."""
+    """A distribution: "fixed" at `first`, "uniform" from `first` to `second`, or "normal" with mean and deviation."""
 
     kind: str
     first: float
@@ -24,13 +24,13 @@ class Spread:
 
     @property
     def random(self) -> bool:
-        """Whether different machines have different values."""
+        """Whether values differ between machines."""
         return (self.kind == "normal" and self.second > 0) or (self.kind == "uniform" and self.second > self.first)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Factor:
-    """One number of a machine that can be wrong: which quantity, of what (a joint, actuator or body; "" of all), and how."""
+    """A quantity that can be wrong, the joint, actuator or body that it belongs to ("" for all), and its distribution."""
 
     key: str
     name: str
@@ -38,25 +38,25 @@ class Factor:
 
     @property
     def label(self) -> str:
-        """The key, and what it is of."""
+        """The key, with the name of the joint, actuator or body."""
         return f"{self.key}.{self.name}" if self.name else self.key
 
     @property
     def quantity(self) -> Quantity:
-        """The quantity that the key names."""
+        """The quantity of the key."""
         return QUANTITIES[self.key]
 
 
 def is_spread(value: object) -> bool:
-    """Return whether a table is a distribution, and no table of values by name."""
+    """Check that a table is a distribution and not a table of values by name."""
     return isinstance(value, Mapping) and bool(value) and set(value) <= {"normal", "uniform"}
 
 
 def spread_of(value: object, key: str, label: str) -> Spread:
-    """Return the spread that a file's value means.
+    """Return the distribution that a value of a file describes.
 
     Raises:
-        ProblemError: when it is none, or lies outside of what is legal for the key.
+        ProblemError: when it is no distribution, or outside the legal range of the key.
     """
     where = f"imperfections.{label}"
     kind, pair = "uniform", value
@@ -88,7 +88,7 @@ def _legal(value: object, key: str, where: str) -> float:
 
 
 def refuse_unknown(table: Mapping) -> None:
-    """Refuse keys that are none.
+    """Refuse unknown keys.
 
     Raises:
         ProblemError: with the nearest key.

@@ -1,4 +1,4 @@
-"""One instant of a motion as CasADi expressions in SI: limits and running costs are written in it."""
+"""One instant of a motion as CasADi expressions in SI, in which limits and running costs are written."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,19 +15,19 @@ from linkplan.planner.problem.robust import Corner
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Instant:
-    """A pose, its motion and its efforts; what follows from them is expressed once, when it is first asked for.
+    """A pose, its motion and its efforts; derived quantities are built once, when they are first used.
 
     Args:
         mechanism: the mechanism.
         q, v, a, u: pose (n_q,), independent speeds and accelerations (n_s,), efforts (n_u,).
-        payload: numbers (7,) of the payload, none without one.
-        call: the reduced dynamics' functions by name.
+        payload: numbers (7,) of the payload; empty without a payload.
+        call: calls the reduced dynamics' functions by name.
         units: the program's units by name: time, position, effort, residual, length, power, force.
-        rates: of all joints (n_q,), where they are unknowns of their own; by default those of the loops.
+        rates: rates (n_q,) of all joints if they are unknowns of the program; otherwise they follow from the loops.
         reference: independent positions (n_s,) that are tracked.
         effort_rate: u' (n_u,).
         losses: copper loss per squared effort (n_u,) of the motors.
-        positive_power: of each actuator (n_u,), where it is an unknown of its own; by default max(0, u w).
+        positive_power: of each actuator (n_u,) if it is an unknown of the program; otherwise max(0, u w).
     """
 
     mechanism: Mechanism
@@ -51,7 +51,7 @@ class Instant:
         return self.call("velocity_map", self.q) @ self.v if self.rates is None else self.rates
 
     def of_pose(self, name: str) -> ca.SX:
-        """Return a function of the reduced dynamics that takes the pose alone."""
+        """Return the value of a function of the reduced dynamics that depends on the pose only."""
         if name not in self._kept:
             self._kept[name] = self.call(name, self.q)
         return self._kept[name]
@@ -83,7 +83,7 @@ class Instant:
 
 
 def free_instant(mechanism: Mechanism, losses: np.ndarray | None = None) -> tuple[Instant, list[ca.SX]]:
-    """Return an instant of fresh symbols, and these: q, v, a, u, the effort's rate, the reference."""
+    """Return an instant of new symbols, and the symbols: q, v, a, u, the effort's rate, the reference."""
     sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
     symbols = [ca.SX.sym(name, size) for name, size in (sizes | {"rate": mechanism.n_u, "reference": mechanism.dof}).items()]
     q, v, a, u, rate, reference = symbols

@@ -1,4 +1,4 @@
-"""Limits on every instant of a motion, and the motors that some of them come from."""
+"""Limits at every instant of a motion, and the motors that some limits come from."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.sites import SiteLimit
 
 
-def free(n: int) -> np.ndarray:
-    """Return [low, high] rows (n, 2) that limit nothing."""
+def free_bounds(n: int) -> np.ndarray:
+    """Return infinite [low, high] rows (n, 2)."""
     return np.tile([-np.inf, np.inf], (n, 1))
 
 
@@ -18,7 +18,7 @@ class Motor:
     """An electric motor behind an actuator, in the actuator's own effort and speed.
 
     `torque_constant` [N.m/A or N/A] and `resistance` [ohm] give the copper loss R (u / k)^2; `stall_effort` [N.m or N] and
-    `no_load_speed` [rad/s or m/s] the line |u / stall + w / no_load| <= 1, w being the actuator's speed. None where unknown.
+    `no_load_speed` [rad/s or m/s] give the line |u / stall + w / no_load| <= 1 with the actuator's speed w. None if unknown.
     """
 
     torque_constant: float | None = None
@@ -48,12 +48,12 @@ class Motor:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Limits:
-    """Limits on every instant, [low, high] a row, infinite where there is none.
+    """Limits at every instant as rows [low, high], infinite without a limit.
 
-    `effort` (n_u, 2) [N.m or N]; `position` and `speed` (n_q, 2) [rad or m, and per second], dependent joints too;
-    `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,)
-    [N], the largest size of each; `singular_margin`, the least |det J_z| as a share of that at home; `site`, where sites
-    stay [m]. `effort` is what plans may use: `reserve` is the share of the actuators' own that is left to feedback.
+    `effort` (n_u, 2) [N.m or N]; `position` and `speed` (n_q, 2) [rad or m, and per second] of all joints; `effort_rate`
+    (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,) [N], the
+    largest force of each closure; `singular_margin`, the least |det J_z| relative to home; `site`, limits on sites [m].
+    `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
     """
 
     effort: np.ndarray
@@ -71,7 +71,7 @@ class Limits:
         object.__setattr__(self, "site", tuple(self.site))
         for name in ("effort_rate", "power"):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, free(n_u))
+                object.__setattr__(self, name, free_bounds(n_u))
         if self.closure_force is None:
             object.__setattr__(self, "closure_force", np.zeros(0))
         for name in ("effort", "position", "speed", "effort_rate", "power"):
@@ -92,10 +92,10 @@ class Limits:
 
     @property
     def actuators_effort(self) -> np.ndarray:
-        """What the actuators can give (n_u, 2) [N.m or N], the reserve that plans leave to feedback among it."""
+        """The actuators' own limits (n_u, 2) [N.m or N], including the reserve that plans leave to feedback."""
         return self.effort / (1.0 - self.reserve)
 
     @property
     def limited_closures(self) -> tuple[int, ...]:
-        """The closures whose force is limited."""
+        """The closures with a limited force."""
         return tuple(int(i) for i in np.flatnonzero(np.isfinite(self.closure_force)))

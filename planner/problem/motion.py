@@ -1,4 +1,4 @@
-"""Motions: the states that are asked at their ends and on the way, and how long they may take."""
+"""Motions: prescribed states at both ends and at waypoints, and bounds on the duration."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -13,11 +13,11 @@ from linkplan.planner.problem.values import frozen
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Waypoint:
-    """A state on the way: `position` and `speed` (n_s,) [rad or m, and per second], NaN where free.
+    """A state between start and goal: `position` and `speed` (n_s,) [rad or m, and per second], NaN where free.
 
-    `time_s` is its instant, None where that is free. `at` are places of sites that it stands for: `position` is then a pose
-    in which the sites are there. Where they leave freedoms open, `position` is free, `guess` (n_s,) is such a pose, and
-    `at_rows` are those of the sites' coordinates (3 n_sites), in a row, that say it all.
+    `time_s` is its time, None if that is free. `at` are prescribed places of sites, and `position` is then a pose with the
+    sites at these places. If the places leave degrees of freedom open, `position` is free, `guess` (n_s,) is such a pose,
+    and `at_rows` are independent rows among the sites' coordinates (3 n_sites).
     """
 
     position: np.ndarray
@@ -39,12 +39,12 @@ class Waypoint:
 
     @property
     def guessed(self) -> np.ndarray:
-        """The positions (n_s,) to guess, NaN where nothing is known."""
+        """The positions (n_s,) of the initial guess, NaN where unknown."""
         return self.position if self.guess is None else self.guess
 
     @property
     def open_coordinates(self) -> tuple[tuple[int, int, float], ...]:
-        """Of an open pose, what the program asks: site by index, axis and coordinate [m]."""
+        """The prescribed coordinates of an open pose: site index, axis and coordinate [m]."""
         return tuple((self.at[row // 3].index, row % 3, float(self.at[row // 3].point[row % 3])) for row in self.at_rows)
 
 
@@ -52,16 +52,15 @@ class Waypoint:
 class Motion:
     """Boundary conditions over the independent joints, (n_s,) each, [rad or m] and per second.
 
-    kind "reach" goes from start to goal; "periodic" returns to its own first state; "track" is the reference itself.
-    `turns` (n_s,) are whole turns by which a periodic motion's hinges have gone on at its end, s(T) = s(0) + 2 pi turns;
-    None where it returns in full.
-    `duration_s` is None where it is free, then within `min_duration_s` and `max_duration_s`. `waypoints` are passed in
+    Kind "reach" goes from start to goal, "periodic" returns to its first state, and "track" is the reference itself.
+    `turns` (n_s,) are whole turns of hinges over a period of a periodic motion, s(T) = s(0) + 2 pi turns; None without
+    turns. `duration_s` None is a free duration between `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
 
-    `start_at` and `goal_at` are places of sites that start and goal stand for: `start` and `goal` are then poses in which
-    the sites are there. Where the places leave freedoms open, any pose with the sites in their places ends the motion, and
-    `goal` is the one to guess; `goal_rows` are then those of the sites' coordinates (3 n_sites), in a row, that say it all.
-    `goal_named` are the columns of s that the goal names: a passive degree of freedom that it does not may end anywhere.
+    `start_at` and `goal_at` are prescribed places of sites; `start` and `goal` are then poses with the sites at these
+    places. If the places leave degrees of freedom open, any pose with the sites at their places ends the motion, `goal` is
+    the initial guess, and `goal_rows` are independent rows among the sites' coordinates (3 n_sites). `goal_named` are the
+    columns of s that the goal names: a passive degree of freedom that is not named may end anywhere.
     """
 
     kind: str
@@ -103,24 +102,24 @@ class Motion:
 
     @property
     def goal_is_free(self) -> bool:
-        """Whether the pose at the end is open, but for the sites' places."""
+        """Whether the final pose is free except for the sites' places."""
         return bool(self.goal_rows)
 
     @property
     def advance(self) -> np.ndarray | float:
-        """What a periodic motion's positions (n_s,) [rad or m] have gone on by at its end."""
+        """The difference (n_s,) [rad or m] between the positions at the end and the start of a periodic motion."""
         return 0.0 if self.turns is None else 2 * np.pi * self.turns
 
     @property
     def stays(self) -> bool:
-        """Whether a reach ends in the state in which it begins, without having been anywhere."""
+        """Whether a reach without waypoints ends in its initial state."""
         if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
             return False
         speeds = [np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed)]
         return np.array_equal(self.start, self.goal) and np.array_equal(*speeds)
 
     def resting_at(self, places: Iterable[np.ndarray]) -> "Motion":
-        """Return the motion that passes places (n_s,) [rad or m] at rest, in turn, in place of its waypoints."""
+        """Return the motion whose waypoints are the given places (n_s,) [rad or m], each passed at rest."""
         return replace(self, waypoints=tuple(Waypoint(position=place, speed=np.zeros(np.shape(place))) for place in places))
 
     def _check_turns(self) -> None:

@@ -1,4 +1,4 @@
-"""What a motion is best in: a weighted sum of terms, each an integral over the motion in SI units."""
+"""Objectives: a weighted sum of terms, each an integral over the motion in SI units."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from linkplan.planner.problem.terms import TERMS, Term, term_of_cost
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Objective:
-    """The sum of terms out of `TERMS` and of `extra` costs, each with its positive weight, per SI unit of the term."""
+    """The sum of terms from `TERMS` and of `extra` costs, each with its positive weight per SI unit of the term."""
 
     weights: Mapping[str, float]
     extra: Sequence[ExtraCost] = ()
@@ -42,37 +42,37 @@ class Objective:
         return objective_from, (self.weights, self.extra)  # terms are functions, which are not pickled
 
     def has(self, *terms: str) -> bool:
-        """Return whether any of the terms is in the sum."""
+        """Check that any of the terms is in the sum."""
         return any(term in self.weights for term in terms)
 
     def weight(self, term: str) -> float:
-        """Return a term's weight, 0 where it is not in the sum."""
+        """Return a term's weight; 0 for a term that is not in the sum."""
         return self.weights.get(term, 0.0)
 
     def efforts(self, *shapes: str) -> bool:
-        """Return whether a term gives efforts one of these shapes (`Term.efforts`)."""
+        """Check that a term gives efforts one of these shapes (`Term.efforts`)."""
         return any(term.efforts in shapes for term in self.terms.values())
 
     @property
     def is_smoothed(self) -> bool:
-        """Whether a weight on the squared effort rate stands beside it: alone it lets efforts chatter."""
+        """Whether programs add a weight on the squared effort rate, because efforts might chatter without it."""
         return any(term.chatters for term in self.terms.values()) and not self.efforts("bend", "smooth")
 
     @property
     def unit(self) -> str:
-        """The SI unit of an objective of one term; empty of a sum."""
+        """The SI unit of an objective with one term; empty for a sum."""
         return next(iter(self.terms.values())).unit if len(self.terms) == 1 else ""
 
     @property
     def name(self) -> str:
-        """The objective in a few words: a term's name, or the weighted sum."""
+        """The objective as a phrase: a term's name, or the weighted sum."""
         if list(self.weights.values()) == [1.0]:
             return next(iter(self.weights))
         return " + ".join(term if weight == 1 else f"{weight:g} {term}" for term, weight in self.weights.items())
 
 
 def objective_from(value: object, extra: Sequence[ExtraCost] = ()) -> Objective:
-    """Return the objective that a term's name or a table of weights means, with extra costs beside it."""
+    """Return the objective described by a term's name or a table of weights, with extra costs added."""
     if isinstance(value, Objective):
         return value
     if isinstance(value, str):

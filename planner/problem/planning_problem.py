@@ -1,4 +1,4 @@
-"""The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
+"""The continuous planning problem: mechanism, motion, objective and limits."""
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +27,7 @@ __all__ = ["GuessedPath", "Limits", "Motion", "Motor", "PlanningProblem", "Waypo
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class GuessedPath:
-    """A user's guess of a motion: independent positions (n, n_s) [rad or m] at equal times, and its duration or None."""
+    """A user's initial guess: independent positions (n, n_s) [rad or m] at equidistant times; duration [s] or None."""
 
     path: np.ndarray
     duration_s: float | None = None
@@ -41,39 +41,39 @@ class GuessedPath:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PlanningProblem:
-    """A mechanism, a motion, an objective and limits: all that a planner needs, and how the plan will be tracked.
+    """A mechanism, a motion, an objective and limits, with settings of the planner and of tracking.
 
-    `source` is the problem as a file's tables, with every value that was set: what `plan.json` keeps.
+    `source` is the problem as a file's tables with every value that was set, as `plan.json` keeps it.
     """
 
     name: str
     mechanism: Mechanism
     motion: Motion
-    objective: Objective  # a term's name or a mapping of weights will do
+    objective: Objective  # or a term's name, or a mapping of weights
     limits: Limits
     extra_limits: Sequence[ExtraLimit] = ()
     robust: Robust = field(default_factory=Robust)
     motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
     guess: GuessedPath | Trajectory | None = None
-    unhonoured: str = "refuse"  # a model with forces that plans do not honour, or "note" them and leave them out
-    contacts: str = "refuse"  # a plan whose geoms meet on the way, or "note" them and plan without their forces
+    unhonoured: str = "refuse"  # a model with forces that plans neglect, or "note" these forces
+    contacts: str = "refuse"  # a plan along which geoms collide, or "note" the contacts and neglect their forces
     mesh: MeshSettings = field(default_factory=MeshSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
-    notes: tuple[str, ...] = ()  # sentences on what was chosen where the problem says nothing
+    notes: tuple[str, ...] = ()  # sentences on choices that the problem leaves open
 
     @property
     def adrift(self) -> np.ndarray:
-        """Which independent coordinates (n_s,) end as they will: passive degrees of freedom that the goal does not name."""
+        """A mask (n_s,) of coordinates with a free final value: passive degrees of freedom that the goal does not name."""
         passive = np.isin(self.mechanism.independent, self.mechanism.passive_dofs)
         passive[list(self.motion.goal_named)] = False
         return passive
 
     @property
-    def goes_on(self) -> np.ndarray:
-        """Which of those (n_s,) a periodic motion need not bring back: spins on whose angle nothing depends."""
+    def free_spins(self) -> np.ndarray:
+        """A mask (n_s,) of free coordinates that need not return in a periodic motion: spins that affect nothing else."""
         return self.adrift & self.mechanism.cyclic
 
     def __post_init__(self) -> None:
@@ -100,7 +100,7 @@ class PlanningProblem:
         self._check_node_at_end()
 
     def _check_motion(self) -> None:
-        """Refuse a motion whose kind does not go with its ends, its reference or its objective."""
+        """Refuse a motion whose kind does not fit its ends, its reference or its objective."""
         motion, objective = self.motion, self.objective
         if motion.kind == "periodic":
             self._check_periodic()
@@ -116,7 +116,7 @@ class PlanningProblem:
             raise ProblemError("motion.turns goes on turn after turn, and a [reference] returns: keep one of them")
 
     def _check_periodic(self) -> None:
-        """Refuse a periodic motion without anything that makes it move, or with ends that do not fit."""
+        """Refuse a periodic motion without a cause to move, or with unsuitable ends."""
         motion, objective = self.motion, self.objective
         if motion.waypoints and motion.goal is not None:
             raise ProblemError(
@@ -139,7 +139,7 @@ class PlanningProblem:
             )
 
     def _check_node_at_end(self) -> None:
-        """Refuse a scheme without a node at an interval's end if a pose there is left open."""
+        """Refuse a scheme without a node at an interval's end if the pose there is free."""
         motion = self.motion
         needs_node = ["motion.goal_at that leaves a loop's pose open"]
         needs_node = needs_node if motion.goal_is_free and len(self.mechanism.dependent) else []
@@ -152,7 +152,7 @@ class PlanningProblem:
             )
 
     def _check_robust(self) -> None:
-        """Refuse ranges that mean nothing on this mechanism."""
+        """Refuse ranges that do not apply to this mechanism."""
         robust, mechanism = self.robust, self.mechanism
         driven = int(np.linalg.matrix_rank(np.array(mechanism.dynamics.effort_map(mechanism.home)))) if robust.corners else 0
         if robust.payload_factor != (1.0, 1.0) and mechanism.payload is None:
@@ -161,21 +161,22 @@ class PlanningProblem:
             self._check_robust_of_driven(driven)
 
     def _check_robust_of_driven(self, driven: int) -> None:
-        """Refuse ranges that actuators cannot make up for which move only some degrees of freedom."""
+        """Refuse ranges that actuators cannot compensate, for actuators that move only some degrees of freedom."""
         robust, mechanism = self.robust, self.mechanism
         moved = f"the actuators of '{mechanism.name}' move {driven} of {mechanism.dof} degrees of freedom"
         if driven < mechanism.n_u:
             raise ProblemError(f"[robust] takes actuators that move every degree of freedom, or each its own; {moved}")
         lost = corner_out_of_reach(mechanism, robust.corners)
         if lost is not None:
+            corner = lost.description(tuple(joint.name for joint in mechanism.joints))
             raise ProblemError(
                 f"[robust] keeps one motion for every machine in its ranges; {moved}, and the rest moves otherwise at the"
-                f" corner: {lost.said(tuple(joint.name for joint in mechanism.joints))}; legal are ranges that they make up"
+                f" corner: {corner}; legal are ranges that they make up"
                 " for: the torque constant, friction at joints that they drive"
             )
 
     def _check_periods(self) -> None:
-        """Refuse a motion over more of its reference's periods than a mesh has intervals for."""
+        """Refuse a motion over more periods of its reference than the finest mesh can resolve."""
         if self.reference is None or self.motion.duration_s is None:
             return
         periods = self.motion.duration_s * self.reference.frequency_hz
@@ -186,7 +187,7 @@ class PlanningProblem:
             )
 
     def _check_objective(self) -> None:
-        """Refuse an objective that the motion or the actuators do not go with."""
+        """Refuse an objective that does not fit the motion or the actuators."""
         motion, objective = self.motion, self.objective
         if list(objective.weights) == ["time"] and not np.all(np.isfinite(self.limits.effort)):
             unlimited = [
@@ -209,7 +210,7 @@ class PlanningProblem:
             raise ProblemError(f"limits.effort_rate needs {NEEDS['changing efforts'](self)}")
 
     def _check_extras(self) -> None:
-        """Refuse extra limits and costs that this mechanism cannot have."""
+        """Refuse extra limits and costs that do not fit this mechanism."""
         object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
         for extra in self.extras:
             uses(extra, self.mechanism)
@@ -226,13 +227,7 @@ class PlanningProblem:
             value = getattr(motion, name)
             if value is not None and (value.shape != (n_s,) or not np.all(np.isfinite(value))):
                 raise ProblemError(f"motion.{name} has one finite value for each of {n_s} independent joints, got {value}")
-        turns = np.zeros(n_s) if motion.turns is None else motion.turns
-        for joint, index, n in zip(mechanism.independent_joints, mechanism.independent, turns, strict=True):
-            if n and np.any(np.isfinite(self.limits.position[index])):
-                low, high = (joint.said(x, 6) for x in self.limits.position[index])
-                raise ProblemError(
-                    f"motion.turns of joint {joint.name}: what turns for ever has no range; its range is {low} to {high} deg"
-                )
+        self._check_turns()
         for k, waypoint in enumerate(motion.waypoints):
             if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
                 raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")
@@ -250,16 +245,28 @@ class PlanningProblem:
         if len(self.motors) != mechanism.n_u:
             raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(self.motors)}")
 
+    def _check_turns(self) -> None:
+        """Refuse turns of a joint whose range is limited."""
+        motion, mechanism = self.motion, self.mechanism
+        turns = np.zeros(mechanism.dof) if motion.turns is None else motion.turns
+        for joint, index, n in zip(mechanism.independent_joints, mechanism.independent, turns, strict=True):
+            if n and np.any(np.isfinite(self.limits.position[index])):
+                low, high = (joint.said(x, 6) for x in self.limits.position[index])
+                raise ProblemError(
+                    f"motion.turns of joint {joint.name}: a joint that turns endlessly has no range; its range is {low} to"
+                    f" {high} deg"
+                )
+
     @property
     def sites(self) -> dict[str, int]:
-        """The sites that it names, by name, with their indices in the model: start, waypoints, goal, limits."""
+        """The indices in the model of all sites that the problem names, by name: start, waypoints, goal, limits."""
         motion = self.motion
         points = [*motion.start_at, *(point for waypoint in motion.waypoints for point in waypoint.at), *motion.goal_at]
         return {one.site: one.index for one in (*points, *self.limits.site)}
 
     @property
     def not_honoured(self) -> tuple[str, ...]:
-        """What the model says that plans leave out, each in a few words; what makes them false is called so."""
+        """Phrases on what plans neglect of the model; they say so if it makes plans wrong."""
         found = audit(self.mechanism.model)
         return tuple(
             f"left out of the plan, which is false by it: {one.text}" if one.falsifies else one.text for one in found
@@ -282,7 +289,7 @@ def _motors(problem: PlanningProblem) -> str | None:
     return f"motors.NAME.torque_constant and resistance_ohm of every actuator; missing for {', '.join(lacking)}"
 
 
-# What terms of an objective need of a problem: the words on what is lacking, None where nothing is.
+# Requirements of objective terms: functions that return a phrase on what a problem lacks, or None.
 NEEDS: Mapping[str, Callable[[PlanningProblem], str | None]] = {
     "reference": lambda problem: "a [reference]" if problem.reference is None else None,
     "free duration": _free_duration,
@@ -299,5 +306,5 @@ NEEDS: Mapping[str, Callable[[PlanningProblem], str | None]] = {
 
 @functools.lru_cache(maxsize=16)
 def _falsifying(mechanism: Mechanism) -> tuple[str, ...]:
-    """Return the words on forces of a model that the planner does not honour: of one model, however often it is planned."""
+    """Return phrases on the model's forces that make plans wrong, memoised because a model is planned many times."""
     return tuple(item.text for item in audit(mechanism.model) if item.falsifies)

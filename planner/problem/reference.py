@@ -1,4 +1,4 @@
-"""Reference motions that a plan follows or comes near to."""
+"""Reference motions that a plan follows exactly or approximately."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from linkplan.models.errors import ProblemError
 class Sine:
     """s_ref(t) = bias + amplitude sin(2 pi f t + phase), per independent joint.
 
-    `amplitude` and `bias` (n_s,) [rad or m], `phase` (n_s,) [rad], `frequency_hz` common to all, so that one period is
-    the whole motion's.
+    `amplitude` and `bias` (n_s,) [rad or m], `phase` (n_s,) [rad]. All joints share `frequency_hz`, so the motion has one
+    period.
     """
 
     amplitude: np.ndarray

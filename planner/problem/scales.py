@@ -1,4 +1,4 @@
-"""The units in which a program's unknowns are of order one."""
+"""Units in which a program's unknowns are of order one."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,8 @@ import numpy as np
 class Scales:
     """Units in which the unknowns are of order one.
 
-    `time_s` [s], `position` (n_s,) [rad or m], `effort` (n_u,) and `residual` (n_s,), the generalised effort's, [N.m or N],
-    `length_m` the closure's [m].
+    `time_s` [s], `position` (n_s,) [rad or m], `effort` (n_u,) and `residual` (n_s,), of generalised efforts, [N.m or N],
+    `length_m` of the closure [m].
     """
 
     time_s: float

@@ -1,6 +1,6 @@
-"""Settings beside the problem proper: the mesh, the solver, and how the plan will be tracked.
+"""Settings of the mesh, the solver and the tracking of a plan.
 
-Each is checked here when it is made, by the keys that problem files have: a file's values come as they are.
+Values are checked at construction, by the definitions of the keys of problem files.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,100 +11,95 @@ import numpy as np
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.keys.kinds import BREAKS, LEAST_SHARE, MAX_DELAY
+from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY, MIN_INTERVAL_SHARE
 from linkplan.planner.keys.reading import checked
 from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
 from linkplan.planner.problem.values import frozen, plain, whole
 from linkplan.planner.transcription.schemes import scheme
 
-# What a file leaves out is what its sections say.
+# Defaults are those of the sections of problem files.
 _MESH, _SOLVER, _TRACKING = MeshSection(), SolverSection(), TrackingSection()
-# No solve takes so many iterations.
-_MAX_ITERATIONS = 1_000_000
-# Degrees that were made radians and degrees again are good to so many digits.
-_DIGITS = 12
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MeshSettings:
-    """The transcription's name, the number of intervals to begin with, and what efforts are over an interval."""
+    """The scheme, the initial number of intervals, and the shape of efforts on an interval."""
 
     scheme: str = _MESH.scheme
     intervals: int = _MESH.intervals
     effort: str = _MESH.effort  # "constant", "linear" or "polynomial"
-    tolerance_deg: float | None = None  # on the integrated state; None: refined towards 1e-6 while the mesh stays small
-    refine: str = (
-        _MESH.refine
-    )  # what is added where a mesh is too coarse: "intervals", "degree", or both, each where it pays
-    breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1, in place of `intervals` equal ones
+    tolerance_deg: float | None = None  # of the integrated state; None: 1e-6 while the mesh stays small
+    # Refinement of a mesh that is too coarse: "intervals", "degree", or "both", each where it pays.
+    refine: str = _MESH.refine
+    breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1; None: `intervals` equal ones
 
     def __post_init__(self) -> None:
-        scheme(self.scheme, self.effort)  # refuses what it does not know
+        scheme(self.scheme, self.effort)  # refuses unknown names
         given = plain(self.breaks)
         _check(self, "mesh", _MESH, ("intervals", "refine", "tolerance_deg", "breaks"))
         if self.breaks is not None:
             breaks = frozen(self.breaks)
-            if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < LEAST_SHARE):
+            if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < MIN_INTERVAL_SHARE):
                 raise ProblemError(f"mesh.breaks is {BREAKS}, got {given!r}")
             _set(self, "breaks", breaks)
 
 
-# The share of a plan's time that is kept for its certificate: solves end before that.
-CERTIFYING = 0.1
+# The share of a plan's time that is reserved for its certificate; solves end before it.
+CERTIFICATE_TIME_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
-    """How a program is solved: compiled or not, in how many starts, and how long it may take [s].
+    """Settings of the solver: compilation, number of starts, and time limit [s].
 
-    `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never". Of
-    `starts` motions to start from, the best answer is kept.
+    `compile` is "auto" (compiled functions if the cache has them or the mesh is large), "always" or "never". The best answer
+    from `starts` motions is kept.
     """
 
     compile: str = _SOLVER.compile
     max_time_s: float = _SOLVER.max_time_s
     starts: int = _SOLVER.starts
-    max_iterations: int | None = None  # None: as many as a hard problem takes
-    deadline: Deadline = NO_DEADLINE  # of all solves; the certificate of what they found has a little longer
+    max_iterations: int | None = None  # None: enough for a hard problem
+    deadline: Deadline = NO_DEADLINE  # of all solves; certificates have a later one
 
     def __post_init__(self) -> None:
         _check(self, "solver", _SOLVER, ("compile", "max_time_s", "starts"))
         if self.max_iterations is not None:
-            _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
+            _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, 1_000_000))
 
     @property
     def certificate_deadline(self) -> Deadline:
-        """The deadline of integrations of motions that were found."""
-        return self.deadline.later_by(CERTIFYING * self.max_time_s)
+        """The deadline of the integrations of certificates."""
+        return self.deadline.later_by(CERTIFICATE_TIME_SHARE * self.max_time_s)
 
     @property
     def judging_deadline(self) -> Deadline:
-        """The deadline of poses and contacts along motions that were found: a known one is not lost for want of time."""
+        """The deadline of poses and contacts along motions; it is late, so that a found motion is not lost."""
         return self.deadline.later_by(self.max_time_s)
 
     def begun(self) -> "SolverSettings":
-        """Return these settings with a deadline: `max_time_s` from now, less what certificates are to have."""
-        return replace(self, deadline=self.deadline.within((1 - CERTIFYING) * self.max_time_s))
+        """Return these settings with a deadline: `max_time_s` from now, less the certificate's share."""
+        return replace(self, deadline=self.deadline.within((1 - CERTIFICATE_TIME_SHARE) * self.max_time_s))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Tracking:
-    """How a plan is tracked: PD gains per actuated joint, sampling, delay, and LQR weights.
+    """Settings of tracking: PD gains per actuated joint, sampling, delay, and LQR weights.
 
     kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators: one number for
-    all, or one for each joint by name. LQR weighs a position error of `lqr_position` [rad], a velocity error of
-    `lqr_velocity` and an effort of the whole limit alike; on a slide of `lqr_position_m` [m] and `lqr_velocity_m_s`; LQI an
-    error that lasts `integral_time_s` as much again. Errors under computed torque and gain-scheduled PD have the natural
-    frequency `bandwidth_hz` [Hz] and the damping ratio; MPC looks `horizon_s` [s] ahead. The delay is a whole number of
-    control periods where a motion is tracked; a loop's frequency response may have any.
+    all, or one for each joint by name. LQR gives equal weight to a position error of `lqr_position` [rad], a velocity error
+    of `lqr_velocity` and the whole effort limit; on a slide to `lqr_position_m` [m] and `lqr_velocity_m_s`. LQI gives the
+    same weight to the integral of that error over `integral_time_s`. Errors under computed torque and gain-scheduled PD have
+    the natural frequency `bandwidth_hz` [Hz] and the damping ratio. MPC has the horizon `horizon_s` [s]. In tracking, the
+    delay is a whole number of control periods; frequency responses allow any delay.
     """
 
     kp: float | Mapping[str, float] = _TRACKING.kp
     kd: float | Mapping[str, float] = _TRACKING.kd
     period_s: float = _TRACKING.period_s
     delay_periods: float = _TRACKING.delay_periods
-    duration_s: float | None = None  # of the tracking run; default: the plan and a rest after it, or eight periods
+    duration_s: float | None = None  # of the tracking run; default: the plan and a rest, or eight periods
     lqr_position: float = np.radians(_TRACKING.lqr_position_deg)
     lqr_velocity: float = np.radians(_TRACKING.lqr_velocity_deg_s)
     lqr_position_m: float = _TRACKING.lqr_position_m
@@ -118,30 +113,31 @@ class Tracking:
         keys = ("kp", "kd", "period_s", "duration_s", "lqr_position_m", "lqr_velocity_m_s")
         keys += ("bandwidth_hz", "damping_ratio", "integral_time_s", "horizon_s")
         _check(self, "tracking", _TRACKING, keys)
-        delay = plain(self.delay_periods)  # an integer stays one
+        delay = plain(self.delay_periods)  # an integer stays an integer
         checked("tracking.delay_periods", delay)
         _set(self, "delay_periods", delay)
         for key, in_file in (("lqr_position", "lqr_position_deg"), ("lqr_velocity", "lqr_velocity_deg_s")):
             value = plain(getattr(self, key))
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            checked(f"tracking.{in_file}", float(f"{np.degrees(value):.{_DIGITS}g}") if is_number else value)
+            # Twelve digits remove the rounding of the conversion from degrees to radians and back.
+            checked(f"tracking.{in_file}", float(f"{np.degrees(value):.12g}") if is_number else value)
             _set(self, key, float(value))
 
     def tracked(self) -> "Tracking":
-        """Return these settings if a motion can be tracked with them: its delay is a whole number of control periods."""
+        """Return these settings if they can track a motion: the delay must be a whole number of control periods."""
         delay = whole(self.delay_periods, "tracking.delay_periods", 0, MAX_DELAY)
         return self if type(self.delay_periods) is int else replace(self, delay_periods=delay)
 
     @property
     def acts(self) -> bool:
-        """Whether any gain of PD is above zero."""
+        """Whether any PD gain is above zero."""
         return any(np.any(np.array([*one.values()] if isinstance(one, Mapping) else [one])) for one in (self.kp, self.kd))
 
     def gains(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return kp and kd (n,) of joints.
 
         Raises:
-            ProblemError: for a joint without a gain, or a gain of a joint that is none of these.
+            ProblemError: for a joint without a gain, or a gain of an unknown joint.
         """
         names, found = [joint.name for joint in joints], []
         for key in ("kp", "kd"):
@@ -157,8 +153,8 @@ class Tracking:
             found.append(np.array([given[name] for name in names]))
         return found[0], found[1]
 
-    def gains_said(self, joints: Sequence[Joint] = ()) -> str:
-        """Return kp and kd in words: one number, or one for each joint by name; with their units on joints of one kind."""
+    def gains_text(self, joints: Sequence[Joint] = ()) -> str:
+        """Return kp and kd as text: one number, or one for each joint by name; with units if all joints are of one kind."""
         kinds = {joint.kind for joint in joints}
         per = {"hinge": ("N.m/rad", "N.m.s/rad"), "slide": ("N/m", "N.s/m")}[kinds.pop()] if len(kinds) == 1 else ("", "")
 
@@ -170,14 +166,14 @@ class Tracking:
         return f"kp = {said(self.kp, per[0])}, kd = {said(self.kd, per[1])}"
 
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the position and velocity errors (n,) [rad or m, and per second] that weigh 1 on joints."""
+        """Return the position and velocity errors (n,) [rad or m, and per second] that have the weight 1."""
         hinge = np.array([joint.kind == "hinge" for joint in joints], dtype=bool)
         position = np.where(hinge, self.lqr_position, self.lqr_position_m)
         return position, np.where(hinge, self.lqr_velocity, self.lqr_velocity_m_s)
 
 
 def _check(settings: object, section: str, left_out: Section, keys: Sequence[str]) -> None:
-    """Put values in the place of what was given, if they can stand in a file's section; None may be what it leaves out."""
+    """Check settings against a file's section and set them; None is kept if the section has no default."""
     for key in keys:
         value = plain(getattr(settings, key))
         if value is not None or getattr(left_out, key) is not None:
@@ -185,5 +181,5 @@ def _check(settings: object, section: str, left_out: Section, keys: Sequence[str
 
 
 def _set(settings: object, field: str, value: object) -> None:
-    """Put a checked value in its place."""
+    """Set a field of a frozen object during construction."""
     object.__setattr__(settings, field, value)

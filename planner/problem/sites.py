@@ -1,7 +1,7 @@
-"""Tasks in space: points that sites of a mechanism start or end at, and the room that they stay within on the way.
+"""Tasks in space: points at which sites start or end, and regions in which they stay.
 
 Each limit is on one quantity of a site at p (3,) [m] in the world's frame: n . p for a box's coordinate (n an axis) and for
-a wall (n its normal), the distance from a polyline for a tube.
+a wall (n its normal), or the distance from a polyline for a tube.
 """
 
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ AXES = get_args(Axis)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SiteLimit:
-    """A limit on where a site is at every instant: a slab low <= n . p <= high [m], or a tube around a polyline.
+    """A limit on a site at every instant: a slab low <= n . p <= high [m], or a tube around a polyline.
 
     Args:
-        site: the site's name; `index` is its place in the model.
-        what: "x", "y", "z", "wall" or "tube"; with the site's name, and a number where there are several, its `name`.
-        normal: n (3,) of a slab, a unit vector; None of a tube.
-        low, high: bounds [m]; of a tube 0 and its radius.
-        along: the polyline's corners (n, 3) [m]; None of a slab.
-        scale: of a tube, the radius [m] that its row is made with; its own by default.
-        origin: (n . p) [m] where a wall's distance is counted from, 0 of a coordinate.
+        site: the site's name; `index` is its index in the model.
+        what: "x", "y", "z", "wall" or "tube"; `name` adds the site's name, and a number if there are several.
+        normal: unit vector n (3,) of a slab; None for a tube.
+        low, high: bounds [m]; 0 and the radius for a tube.
+        along: the polyline's corners (n, 3) [m]; None for a slab.
+        scale: the radius [m] in a tube's row; its own radius by default.
+        origin: n . p [m] at which a wall's distance is zero; 0 for a coordinate.
     """
 
     site: str
@@ -55,11 +55,11 @@ class SiteLimit:
 
     @property
     def is_tube(self) -> bool:
-        """Whether it is a tube, and no slab."""
+        """Whether it is a tube and not a slab."""
         return self.along is not None
 
     def value(self, p: np.ndarray) -> np.ndarray:
-        """Return its quantity (n,) [m] at points (n, 3): a coordinate, the distance from a wall, or from the polyline."""
+        """Return the limited quantity (n,) [m] at points (n, 3): a coordinate, or the distance from a wall or polyline."""
         p = np.asarray(p, dtype=float)
         if self.along is None:
             return p @ self.normal - self.origin
@@ -69,7 +69,7 @@ class SiteLimit:
 
     @property
     def key(self) -> tuple:
-        """What its row in a program is made of, its bounds apart: equal keys have equal rows."""
+        """The identity of its row in a program, without the bounds: equal keys have equal rows."""
         if self.along is None:
             return self.index, tuple(self.normal.tolist())
         return self.index, tuple(map(tuple, self.along.tolist())), self.scale
@@ -84,7 +84,7 @@ def _squared(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SitePoint:
-    """Where a site is at a motion's start or end: `point` (3,) [m] in the world, NaN where a coordinate is free."""
+    """The place of a site at a motion's start or end: `point` (3,) [m] in the world, NaN where a coordinate is free."""
 
     site: str
     index: int
@@ -94,5 +94,5 @@ class SitePoint:
         object.__setattr__(self, "point", frozen(self.point))
 
     def off_m(self, p: np.ndarray) -> float:
-        """Return how far a place p (3,) is from it [m], in the coordinates asked."""
+        """Return the distance [m] of a place p (3,) from the point, in the prescribed coordinates."""
         return float(np.sqrt(np.nansum((np.asarray(p) - self.point) ** 2)))

@@ -1,4 +1,4 @@
-"""The terms of an objective: integrands in SI, their units in a program, what they need, and what they make of efforts."""
+"""The terms of an objective: integrands in SI, units in a program, requirements, and the resulting shape of efforts."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,17 +21,17 @@ class Term:
     """One term: an integral over the motion.
 
     Args:
-        words: what it is.
+        words: description.
         unit: of the integral, SI.
         integrand: at an instant, in SI.
-        size: from a program's units and the motors: what the integral is, in SI, where the scaled integrand is one; of an
-            `exact` term one figure for each actuator.
-        order: 2 of squares, 1 of what is linear in the motion's quantities; 0 where it has no size below which it counts as
-            none.
-        exact: the cost of an interval (`COSTS`) that integrates it exactly; None of an integral by quadrature at nodes.
-        needs: out of `NEEDS` of a planning problem.
-        efforts: whether efforts "jump" between limits where it counts, "bend" where they reach one, or are "smooth".
-        chatters: whether the best motion of it may chatter.
+        size: from a program's units and the motors: the integral in SI for a scaled integrand of one; for an `exact` term
+            one
+            value per actuator.
+        order: 2 for squares, 1 for terms linear in the motion's quantities; 0 for terms without a negligible size.
+        exact: the cost of an interval (`COSTS`) that integrates it exactly; None for quadrature at nodes.
+        needs: keys of `NEEDS` of a planning problem.
+        efforts: the optimal efforts "jump" between limits, "bend" where they reach a limit, or are "smooth".
+        chatters: whether its optimal motion may chatter.
         positive_power: whether it needs the actuators' positive powers, which have kinks and are unknowns of a program.
     """
 
@@ -52,7 +52,7 @@ class Term:
 
 
 def motor_losses(motors: Motors) -> np.ndarray:
-    """Return the copper loss per squared effort (n_u,) of each motor, 0 where unknown."""
+    """Return the copper loss per squared effort (n_u,) of each motor; 0 if unknown."""
     return np.array([0.0 if motor is None else motor.loss for motor in motors])
 
 

@@ -1,4 +1,4 @@
-"""Values of a problem: numbers, each refused in one line that names its key as problem files have it."""
+"""Conversion of a problem's values; illegal values are refused in one line that names the key of problem files."""
 
 from collections.abc import Mapping
 from pathlib import PurePath
@@ -12,7 +12,7 @@ from linkplan.planner.keys.reading import read
 
 
 def frozen(value: object) -> np.ndarray:
-    """Return an array of floats that cannot be written to."""
+    """Return a read-only array of floats."""
     array = np.array(value, dtype=float)
     array.flags.writeable = False
     return array
@@ -40,7 +40,7 @@ def whole(value: object, key: str, low: int, high: int) -> int:
 
 
 def plain(value: Any) -> Any:
-    """Return a copy of a value in the types of a TOML file, what has none of them as it is, for the reader to refuse."""
+    """Return a copy of a value in the types of a TOML file; values without such a type are returned unchanged."""
     if isinstance(value, np.generic | np.ndarray):
         return plain(value.tolist())
     if isinstance(value, Mapping):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.planner.closed_chain.case import MechanismCase
-from linkplan.planner.closed_chain.formulate import SMOOTHING
+from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import attempt
@@ -54,7 +54,7 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
         if finer:
             mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
         now = replace(at.case.with_scheme(scheme), smoothing=smoothing)
-        what = f"smoothing of efforts {smoothing / SMOOTHING:.3g} of the first" + (", finer mesh" if finer else "")
+        what = f"smoothing of efforts {smoothing / SMOOTHING_WEIGHT:.3g} of the first" + (", finer mesh" if finer else "")
         found = attempt(now, now.start_from(motion), mesh, durations, what, warm=True)
         better = None if found is None else refine(now, found, warm=True)
         if better is None or not better.certificate.passed:
@@ -71,7 +71,7 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
     if first <= _EXACT_TRACKING_SHARE * unit:
         return refined, 0.0
     steps = Steps(
-        begin=case.smoothing, end=_FINAL_SHARE * SMOOTHING, factor=_STEP_FACTOR, least=_MIN_FACTOR, most=_MAX_STEPS
+        begin=case.smoothing, end=_FINAL_SHARE * SMOOTHING_WEIGHT, factor=_STEP_FACTOR, least=_MIN_FACTOR, most=_MAX_STEPS
     )
     at, change = followed(begin, steps, solved, enough=settled).stages[-1], 0.0
     while (

@@ -1,18 +1,18 @@
-"""Newton's method on a program's optimality conditions, from an optimum to other numbers, all steps by one factorisation.
+"""Newton steps on a program's optimality conditions, from an optimum to other numbers, with one factorisation for all steps.
 
-With the bounds and rows that bind held as equations, the conditions are F(x, lambda) = 0, with
+With the active bounds and rows as equations, the conditions are F(x, lambda) = 0, with
 
     F = [grad f + J^T lambda;  g - target],   K = F' = [H  J^T;  J  0].
 
-The first step, K d_1 = -F, is the first-order change of unknowns and multipliers with the numbers (Fiacco, Introduction to
-Sensitivity and Stability Analysis, 1983); which bounds bind is settled on that linearisation, as in the primal-dual active
-set strategy (Hintermueller, Ito & Kunisch, SIAM J. Optim. 13, 2003). Simplified steps follow by the same K. They shrink by
-about the same ratio Theta from one to the next, and so what is left after the last one, d, is
+The first step, K d_1 = -F, is the first-order sensitivity of unknowns and multipliers to the numbers (Fiacco, Introduction
+to Sensitivity and Stability Analysis, 1983). The active bounds are found for this linearisation, as in the primal-dual
+active set strategy (Hintermueller, Ito & Kunisch, SIAM J. Optim. 13, 2003). Simplified steps follow with the same K. They
+shrink by about the same ratio Theta, so the error after the last step d is bounded by
 
-    |x - x*|  <=  Theta / (1 - Theta) |d|,   Theta the ratio of the last two,
+    |x - x*|  <=  Theta / (1 - Theta) |d|,   Theta the ratio of the last two steps,
 
-in the largest of the scaled unknowns and row multipliers, as far as the ratio does not grow (Deuflhard, Newton Methods for
-Nonlinear Problems, 2004, section 2.1).
+in the largest scaled unknown or row multiplier, if the ratio does not grow (Deuflhard, Newton Methods for Nonlinear
+Problems, 2004, section 2.1).
 """
 
 from dataclasses import dataclass
@@ -23,19 +23,15 @@ import numpy as np
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
 
-# How often bounds may come to bind, or cease to, on one linearisation.
-_MOST_CHANGES = 8
-# A bound is overstepped, or a multiplier has the wrong sign, beyond this: scaled unknowns are of order one.
-_SLACK = 1e-9
-# Steps that shrink by less than this tell nothing of what is left.
-_SLOW = 0.5
-# Steps that are smaller than this need no further ones: what is left is a share of them.
-_SMALL = 1e-11
+# Tolerance on bounds and on signs of multipliers; scaled unknowns are of order one.
+_BOUND_SLACK = 1e-9
+# Newton steps below this end the iteration.
+_NEGLIGIBLE_STEP = 1e-11
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Optimum:
-    """Unknowns x (n,) with their multipliers: of rows (n_rows,) and bounds (n,), of f + rows g + bounds x."""
+    """Unknowns x (n,) and multipliers of rows (n_rows,) and bounds (n,), for f + rows g + bounds x."""
 
     x: np.ndarray
     rows: np.ndarray
@@ -44,15 +40,15 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class NewtonStep:
-    """Where Newton steps from an optimum led, and how far that may be from the optimum sought.
+    """The result of Newton steps from an optimum, with an error bound.
 
-    `left` is the largest error of a scaled unknown or row multiplier, as the steps shrink; infinite where that tells
-    nothing of it: they do not shrink, or which bounds bind has not settled. `violation` is the most by which a scaled row or
-    bound is overstepped, evaluated there; `steps` is how many steps were taken.
+    `error_bound` bounds the error of every scaled unknown and row multiplier; it is infinite if the steps do not shrink or
+    the active bounds do not settle. `violation` is the largest violation of a scaled row or bound at the result. `steps` is
+    the number of steps.
     """
 
     optimum: Optimum
-    left: float
+    error_bound: float
     violation: float
     steps: int
 
@@ -61,8 +57,8 @@ class NewtonStep:
 class Conditions:
     """A program's optimality conditions as functions of x, p and the rows' multipliers.
 
-    `slopes` gives grad f (n,), g (n_rows,) and K, `gaps` grad f + J^T lambda (n,) and g (n_rows,); `rows` and `columns` are
-    the places of K's values, column by column.
+    `slopes` gives grad f (n,), g (n_rows,) and K; `gaps` gives grad f + J^T lambda (n,) and g (n_rows,). `rows` and
+    `columns` are the places of K's values, column by column.
     """
 
     slopes: ca.Function
@@ -87,14 +83,14 @@ def conditions_of(program: Program) -> Conditions:
 
 
 def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, asked: Transcribed, most: int) -> NewtonStep:
-    """Return where Newton steps lead from an optimum to another problem's numbers.
+    """Return the result of Newton steps from an optimum to another problem's numbers.
 
     Args:
-        conditions: of the program that both have.
+        conditions: of the program of both problems.
         last: the numbers of the optimum.
-        optimum: where to begin.
-        asked: the numbers to go to.
-        most: how many steps, three at the least; fewer where they become small.
+        optimum: the starting point.
+        asked: the new numbers.
+        most: the largest number of steps, at least three; negligible steps end the iteration earlier.
     """
     x, lam, p, n = optimum.x, optimum.rows, asked.parameters, len(optimum.x)
     before = _values(conditions.gaps, x, last.parameters, lam)[1]
@@ -107,13 +103,13 @@ def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, ask
     lower, upper = np.concatenate([asked.lower, asked.row_lower]), np.concatenate([asked.upper, asked.row_upper])
     gradient, g, K = _values(conditions.slopes, x, p, lam)
     here, settled = np.concatenate([x, g]), False
-    for _ in range(_MOST_CHANGES):
-        kept = (sides == 0) == (np.arange(len(sides)) < n)  # unknowns that no bound holds, and rows that bind
+    for _ in range(8):  # changes of the active bounds in one linearisation
+        kept = (sides == 0) == (np.arange(len(sides)) < n)  # free unknowns and active rows
         to = np.where(sides > 0, upper, lower)
         factors = _factors(conditions, K, kept)
         if factors is None:
             break
-        d = np.where((sides != 0) & ~kept, to - here, 0.0)  # unknowns that are bound go where they are bound
+        d = np.where((sides != 0) & ~kept, to - here, 0.0)  # fixed unknowns move to their bounds
         known = np.concatenate([-gradient, to[n:] - g]) - _product(conditions, K, d)
         d[kept] = factors.solve(known[kept])
         moved = _product(conditions, K, d)
@@ -124,12 +120,12 @@ def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, ask
             settled = True
             break
     if not settled or not np.all(np.isfinite(d)):
-        return NewtonStep(optimum=optimum, left=np.inf, violation=_violation(here, lower, upper), steps=0)
+        return NewtonStep(optimum=optimum, error_bound=np.inf, violation=_violation(here, lower, upper), steps=0)
     x, rows = x + d[:n], d[n:].copy()
     sizes = [max(np.abs(d[:n]).max(), np.abs(rows - lam).max(initial=0.0))]
     free, binds = kept[:n], kept[n:]
     slope, g = _values(conditions.gaps, x, p, rows)
-    while len(sizes) < most and (sizes[-1] > _SMALL or len(sizes) < 2):
+    while len(sizes) < most and (sizes[-1] > _NEGLIGIBLE_STEP or len(sizes) < 2):
         found = factors.solve(np.concatenate([-slope[free], (to[n:] - g)[binds]]))
         x[free] += found[: free.sum()]
         rows[binds] += found[free.sum() :]
@@ -138,18 +134,19 @@ def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, ask
         if not sizes[-1] < sizes[-2]:
             break
     there, pushes = np.concatenate([x, g]), np.concatenate([np.where(free, 0.0, -slope), rows])
-    ratio = sizes[-1] / sizes[-2] if sizes[-2] > _SMALL else 0.0
-    sure = ratio < _SLOW and np.array_equal(_changed(sides, there, pushes, lower, upper), sides)
+    ratio = sizes[-1] / sizes[-2] if sizes[-2] > _NEGLIGIBLE_STEP else 0.0
+    # Steps that shrink more slowly than by a half give no reliable bound.
+    sure = ratio < 0.5 and np.array_equal(_changed(sides, there, pushes, lower, upper), sides)
     return NewtonStep(
         optimum=Optimum(x=np.clip(x, asked.lower, asked.upper), rows=rows, bounds=pushes[:n]),
-        left=float(ratio / (1 - ratio) * sizes[-1]) if sure else np.inf,
+        error_bound=float(ratio / (1 - ratio) * sizes[-1]) if sure else np.inf,
         violation=_violation(there, lower, upper),
         steps=len(sizes),
     )
 
 
 def _values(function: ca.Function, *numbers: np.ndarray) -> list[np.ndarray]:
-    """Return the values of a function's outputs, nonzeros where they are sparse; CasADi reads and writes numpy's memory."""
+    """Return the values of a function's outputs, nonzeros if they are sparse; CasADi reads and writes numpy's memory."""
     buffer, evaluate = function.buffer()
     given = [np.ascontiguousarray(a, dtype=float) for a in numbers]
     found = [np.empty(function.nnz_out(k)) for k in range(function.n_out())]
@@ -167,7 +164,7 @@ def _product(conditions: Conditions, K: np.ndarray, d: np.ndarray) -> np.ndarray
 
 
 def _factors(conditions: Conditions, K: np.ndarray, kept: np.ndarray):
-    """Return the factors of K over some of its rows and columns; None where it is singular there."""
+    """Return the factors of the submatrix of K with the kept rows and columns; None if it is singular."""
     import scipy.sparse.linalg
 
     of = kept[conditions.rows] & kept[conditions.columns]
@@ -181,18 +178,18 @@ def _factors(conditions: Conditions, K: np.ndarray, kept: np.ndarray):
 
 
 def _sides(value, multiplier, lower, upper, new_lower, new_upper) -> np.ndarray:
-    """Return which bound binds at an optimum: 1 the upper, -1 the lower, 0 none; what is fixed is at its upper."""
+    """Return the active bounds at an optimum: 1 the upper, -1 the lower, 0 none; fixed values count as at their upper."""
     above, below = multiplier > upper - value, -multiplier > value - lower
     return np.where(new_lower == new_upper, 1, np.where(above, 1, np.where(below, -1, 0)))
 
 
 def _changed(sides: np.ndarray, value: np.ndarray, push: np.ndarray, lower, upper) -> np.ndarray:
-    """Return which bounds bind next: those overstepped come in, those that pull in place of pushing leave."""
-    kept = np.where(sides * push < -_SLACK, 0, sides)
-    come = np.where(value > upper + _SLACK, 1, np.where(value < lower - _SLACK, -1, 0))
+    """Return the next active bounds: violated bounds become active, bounds with multipliers of the wrong sign inactive."""
+    kept = np.where(sides * push < -_BOUND_SLACK, 0, sides)
+    come = np.where(value > upper + _BOUND_SLACK, 1, np.where(value < lower - _BOUND_SLACK, -1, 0))
     return np.where(lower == upper, sides, np.where(sides == 0, come, kept))
 
 
 def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    """Return the most by which bounds are overstepped."""
+    """Return the largest violation of bounds."""
     return float(np.maximum(lower - value, value - upper).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Solving a program with IPOPT."""
+"""Solution of a program by IPOPT."""
 
 import contextlib
 import io
@@ -15,12 +15,11 @@ from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.interrupts import asked, solving
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.solvers.outcome import (
-    ACCEPTABLE,
     INVALID,
     MAX_ITERATIONS,
     OUT_OF_ITERATIONS,
     OUT_OF_TIME,
-    TOLERANCE,
+    SOLVER_TOLERANCE,
     Solver,
 )
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
@@ -29,29 +28,18 @@ from linkplan.planner.transcription.program import Program
 
 __all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "solve"]
 
-# From this many intervals on MUMPS does without its matching of rows to columns, whose time grows with the square of their
-# number: measured at 2,000 intervals, three quarters of a solve. Smaller programs keep it for its better pivots.
-_LARGE = 200
-# How near its end a warm solve begins, and how far its point is pushed off bounds that hold it: next to an answer with its
-# multipliers, four iterations do where a barrier of 1e-4 took five; nearer yet, limits that come to bind take twice as long.
-_WARM_BARRIER, _WARM_PUSH = 1e-6, 1e-9
-# The same without multipliers: near an answer, at one but for its mesh, from which a larger barrier leads away, and at one
-# that a few intervals more hardly change: along a limit that a motion slides about on, at no cost to speak of, 9 to 40
-# iterations do where a barrier of 1e-6 took 33 to more than 500.
-_NEAR_BARRIER, _AT_BARRIER, _ON_BARRIER = 1e-4, 1e-6, 1e-9
-# Nodes times iterations that take as long interpreted as compiling takes, measured on four-bars: 0.06 ms and 0.5 s. And the
-# fewest iterations before a solve is begun again.
-_WORTH_COMPILING, _FEWEST = 8000, 20
-# IPOPT's own limit on time [s] is positive: with less it stops after an iteration.
-_LEAST_TIME_S = 1e-3
+# Interpreting this many nodes times iterations takes as long as compiling; measured on four-bars: 0.06 ms each and 0.5 s.
+_COMPILING_COST = 8000
+# The fewest iterations before a solve is restarted with compiled functions.
+_MIN_PATIENCE_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Solution:
-    """A solver's result for a program: unknowns, whether a local optimum, its status in words, the time it took [s].
+    """A solver's result for a program: unknowns, convergence to a local optimum, status, and time [s].
 
-    `multipliers` (n_rows,) are the rows', of f + multipliers g, `bound_multipliers` (n,) the unknowns' own; None
-    without an answer.
+    `multipliers` (n_rows,) belong to the rows, for f + multipliers g, `bound_multipliers` (n,) to the unknowns; None
+    without a result.
     """
 
     transcribed: Transcribed
@@ -73,13 +61,13 @@ def build_solver(
     warm: bool = False,
     close: bool = False,
 ) -> Solver:
-    """Return IPOPT for a program; a warm one begins next to the point that it is given.
+    """Return IPOPT for a program; a warm solver begins close to its starting point.
 
     Args:
-        program: what to solve.
-        settings: how many iterations, and how long.
-        warm: whether it begins next to an answer.
-        close: whether that is the answer itself but for another mesh; both, whether it is so nearly to the last digit.
+        program: the program.
+        settings: limits on iterations and time.
+        warm: the starting point is close to a solution.
+        close: the starting point is a solution on another mesh. With `warm` too, it is accurate to almost the last digit.
 
     Raises:
         ProblemError: when the solver cannot be set up for the program.
@@ -94,46 +82,53 @@ def build_solver(
 
 def _ipopt(program: Program, iterations: int, settings: SolverSettings, *, warm: bool, close: bool) -> Solver:
     functions, left_s = program.functions, settings.deadline.within(settings.max_time_s).left_s
+    acceptable = 1e-8
     options = {
         "print_time": False,
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
-        "ipopt.tol": TOLERANCE,
-        "ipopt.constr_viol_tol": TOLERANCE,
-        # What it calls acceptable where it can do no better must be a motion all the same: by default a row may be off
-        # by 0.01.
-        "ipopt.acceptable_constr_viol_tol": ACCEPTABLE,
-        "ipopt.acceptable_compl_inf_tol": ACCEPTABLE,
+        "ipopt.tol": SOLVER_TOLERANCE,
+        "ipopt.constr_viol_tol": SOLVER_TOLERANCE,
+        # An "acceptable" point must still be a motion. By default its rows may be violated by 0.01.
+        "ipopt.acceptable_constr_viol_tol": acceptable,
+        "ipopt.acceptable_compl_inf_tol": acceptable,
         "ipopt.max_iter": iterations,
-        # IPOPT counts the time of all threads. The callback counts this one's, after each iteration.
-        "ipopt.max_cpu_time": max(_LEAST_TIME_S, left_s * threading.active_count()),
-        # Limits are promises: IPOPT may not relax them by its customary 1e-8.
+        # IPOPT counts the time of all threads, the callback only this thread's. IPOPT requires a positive limit.
+        "ipopt.max_cpu_time": max(1e-3, left_s * threading.active_count()),
+        # Limits are hard: IPOPT must not relax them by its default of 1e-8.
         "ipopt.bound_relax_factor": 0.0,
         "ipopt.honor_original_bounds": "yes",
         "grad_f": functions["grad_f"],
         "jac_g": functions["jac_g"],
         "hess_lag": functions["hess_lag"],
-        # Derivatives are all given; CasADi is not to look for more of them through compiled functions.
+        # All derivatives are given; CasADi would look for others in compiled functions.
         "no_nlp_grad": True,
-        # A function that gives NaN ends in a status; what CasADi has to say to it belongs nowhere.
+        # NaN leads to a status; CasADi's warnings about it are not needed.
         "show_eval_warnings": False,
         "calc_lam_p": False,
     }
-    if program.mesh.n_intervals >= _LARGE:
+    if program.mesh.n_intervals >= 200:
+        # MUMPS' matching of rows to columns takes time quadratic in the intervals: at 2,000, three quarters of a solve.
+        # Smaller programs keep it for its better pivots.
         options["ipopt.mumps_permuting_scaling"] = 0
     if not (warm or close):
         return _Ipopt(functions["nlp"], options, settings)
-    barrier = _AT_BARRIER if close else _NEAR_BARRIER
-    near = options | {"ipopt.mu_init": _ON_BARRIER if warm and close else barrier}
+    # Initial barriers without multipliers: close to a solution; at a solution on another mesh, from which a larger barrier
+    # leads away; and at a solution that hardly changes. For motions that slide along a limit, the last needs 9 to 40
+    # iterations instead of 33 to more than 500.
+    barrier = 1e-6 if close else 1e-4
+    near = options | {"ipopt.mu_init": 1e-9 if warm and close else barrier}
     near |= {f"ipopt.{push}": 0.01 * barrier for push in ("bound_push", "bound_frac")}
     pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
-    again = options | {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": _WARM_BARRIER}
-    again |= {f"ipopt.warm_start_{push}": _WARM_PUSH for push in pushes}
+    # With multipliers a barrier of 1e-6 needs four iterations, 1e-4 five; with a smaller one, changes of the active limits
+    # take twice as many.
+    again = options | {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-6}
+    again |= {f"ipopt.warm_start_{push}": 1e-9 for push in pushes}
     return _WarmIpopt(functions["nlp"], near, again, settings)
 
 
-class _Watch(ca.Callback):
-    """What IPOPT asks after every iteration: one where a signal asks this process to end, or the deadline has passed."""
+class _StopCallback(ca.Callback):
+    """IPOPT's callback after every iteration: it stops the solver on a signal or when the deadline has passed."""
 
     def __init__(self) -> None:
         ca.Callback.__init__(self)
@@ -141,45 +136,45 @@ class _Watch(ca.Callback):
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
-        """Return how many things CasADi has to tell of an iteration."""
+        """Return the number of inputs that CasADi offers."""
         return ca.nlpsol_n_out()
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Return that nothing of them is wanted."""
+        """Return an empty pattern, because no input is used."""
         del i
         return ca.Sparsity(0, 0)
 
     def get_n_out(self) -> int:
-        """Return how many answers there are."""
+        """Return the number of outputs."""
         return 1
 
     def eval(self, arg: list) -> list:
-        """Return whether to stop."""
+        """Return 1 to stop and 0 to continue."""
         del arg
         self.late = self.deadline.passed
         return [float(self.late or asked() is not None)]
 
 
 class _Ipopt:
-    """IPOPT with the callback that stops it, which CasADi itself does not keep alive."""
+    """IPOPT with its callback, to which CasADi itself keeps no reference."""
 
     def __init__(self, nlp: ca.Function, options: dict[str, Any], settings: SolverSettings) -> None:
-        self._watch, self._settings = _Watch(), settings
+        self._watch, self._settings = _StopCallback(), settings
         self._solver = ca.nlpsol("solver", "ipopt", nlp, options | {"iteration_callback": self._watch})
 
     def __call__(self, **numbers: Any) -> Any:
-        """Return the answer, "x", "f" and multipliers."""
+        """Return the result, "x", "f" and multipliers."""
         self._watch.deadline, self._watch.late = self._settings.deadline.within(self._settings.max_time_s), False
         return self._solver(**numbers)
 
     def stats(self) -> dict[str, Any]:
-        """Return what there is to say of the last answer."""
+        """Return statistics of the last call."""
         stats = self._solver.stats()
         return stats | {"return_status": OUT_OF_TIME} if self._watch.late else stats
 
 
 class _WarmIpopt:
-    """IPOPT that begins next to the point that it is given, and from its second answer on from the last multipliers."""
+    """IPOPT that begins close to its starting point, and from the second call on with the last multipliers."""
 
     def __init__(self, nlp: ca.Function, near: dict[str, Any], again: dict[str, Any], settings: SolverSettings) -> None:
         self._solver = self._near = _Ipopt(nlp, near, settings)
@@ -188,7 +183,7 @@ class _WarmIpopt:
         self._multipliers: dict[str, ca.DM] = {}
 
     def __call__(self, **numbers: Any) -> Any:
-        """Return the answer, "x" and "f"."""
+        """Return the result, "x" and "f"."""
         if self._multipliers and self._again is None:
             self._again = self._build()
         self._solver = self._again if self._multipliers and self._again is not None else self._near
@@ -198,16 +193,16 @@ class _WarmIpopt:
         return result
 
     def stats(self) -> dict[str, Any]:
-        """Return what there is to say of the last answer."""
+        """Return statistics of the last call."""
         return self._solver.stats()
 
 
 def solve(
     transcribed: Transcribed, settings: SolverSettings | None = None, *, warm: bool = False, close: bool = False
 ) -> Solution:
-    """Return the solver's answer, begun as in `build_solver`; never raises for a problem that has none.
+    """Return the solver's result, started as in `build_solver`; a problem without a solution raises nothing.
 
-    One that takes long on interpreted functions is given up for compiled ones, which lead it the same way, only sooner.
+    A long solve with interpreted functions is restarted with compiled ones, which take the same iterations in less time.
     """
     settings = settings or SolverSettings()
     first = _patience(transcribed, settings)
@@ -220,11 +215,11 @@ def solve(
 
 
 def _patience(transcribed: Transcribed, settings: SolverSettings) -> int | None:
-    """Return the iterations after which compiling costs less than to go on interpreted; None where that is no question."""
+    """Return the iterations after which compiling is cheaper than continuing interpreted; None if compiling is no option."""
     interval = transcribed.program.interval
     if interval.compiled or settings.compile != "auto" or compiler() is None:
         return None
-    few = max(_FEWEST, _WORTH_COMPILING // (transcribed.program.mesh.n_intervals * interval.n_nodes))
+    few = max(_MIN_PATIENCE_ITERATIONS, _COMPILING_COST // (transcribed.program.mesh.n_intervals * interval.n_nodes))
     return few if few < (MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations) else None
 
 
@@ -235,13 +230,13 @@ def _solved(transcribed: Transcribed, settings: SolverSettings, *, warm: bool, c
 
 
 def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0) -> Solution:
-    """Return a built solver's answer to a program's numbers, from its starting point.
+    """Return a built solver's result for a program's numbers, from its starting point.
 
     Raises:
         KeyboardInterrupt: when a signal stopped the solver.
     """
     begin = time.perf_counter()
-    with solving(), _unheard():
+    with solving(), _without_console_output():
         try:
             result = solver(
                 x0=transcribed.start,
@@ -251,7 +246,7 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
                 lbg=transcribed.row_lower,
                 ubg=transcribed.row_upper,
             )
-        except RuntimeError:  # bounds that contradict each other, or are not numbers
+        except RuntimeError:  # contradictory bounds, or NaN
             result = None
     if result is None:
         return Solution(
@@ -279,8 +274,8 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
     )
 
 
-def _unheard() -> contextlib.AbstractContextManager:
-    """Keep from the terminal what CasADi says there, which the status says too; threads would take it from each other."""
+def _without_console_output() -> contextlib.AbstractContextManager:
+    """Suppress CasADi's messages on stderr, which the status repeats; only in the main thread, because stderr is shared."""
     if threading.current_thread() is not threading.main_thread():
         return contextlib.nullcontext()
     return contextlib.redirect_stderr(io.StringIO())

@@ -1,7 +1,7 @@
 """Polynomials by their Bernstein coefficients, on one interval and on many (Farouki, CAGD 29, 2012).
 
-A curve stays in the convex hull of its coefficients. What scipy.interpolate has of this takes longer to import than a small
-plan takes to solve.
+A curve stays in the convex hull of its coefficients. This module avoids scipy.interpolate, whose import takes longer than
+planning a small problem.
 """
 
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PiecewisePolynomial:
-    """A polynomial on each of n intervals: Bernstein coefficients (degree + 1, n, k), breaks (n + 1,) that increase.
+    """A piecewise polynomial on n intervals: Bernstein coefficients (degree + 1, n, k) and increasing breaks (n + 1,).
 
-    At a break the later interval's value holds; beyond the ends the polynomials there go on.
+    At a break the value is the later interval's; outside the breaks the first and last polynomials are extrapolated.
     """
 
     coefficients: np.ndarray
@@ -24,14 +24,14 @@ class PiecewisePolynomial:
 
     @classmethod
     def through(cls, breaks: np.ndarray, position: np.ndarray, speed: np.ndarray) -> Self:
-        """Return quintics through positions with speeds (n + 1, k), and with no acceleration, at the breaks."""
+        """Return quintics through positions and speeds (n + 1, k) at the breaks, with zero acceleration there."""
         h = np.diff(breaks)[:, None]
         left = [position[:-1], position[:-1] + h / 5 * speed[:-1], position[:-1] + 2 * h / 5 * speed[:-1]]
         right = [position[1:] - 2 * h / 5 * speed[1:], position[1:] - h / 5 * speed[1:], position[1:]]
         return cls(np.stack([*left, *right]), np.asarray(breaks, dtype=float))
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
-        """Return values (m, k) at m places."""
+        """Return values (m, k) at m points."""
         at, n = np.asarray(at, dtype=float), len(self.breaks) - 1
         index = np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, n - 1)
         tau = (at - self.breaks[index]) / np.diff(self.breaks)[index]
@@ -40,7 +40,7 @@ class PiecewisePolynomial:
         return values.reshape(*at.shape, self.coefficients.shape[2])
 
     def derivative(self, order: int = 1) -> "PiecewisePolynomial":
-        """Return the derivative of an order; zero of a constant."""
+        """Return the derivative of the given order."""
         if not order:
             return self
         degree = len(self.coefficients) - 1
@@ -63,9 +63,9 @@ def bernstein_matrix(degree: int, points: np.ndarray) -> np.ndarray:
 
 
 def bernstein_value(coefficients: Any, at: Any) -> Any:
-    """Return a Bernstein polynomial's value (n,) at one point by de Casteljau: coefficients (degree + 1, n).
+    """Return the value (n,) of a Bernstein polynomial with coefficients (degree + 1, n) at one point, by de Casteljau.
 
-    Numbers or CasADi's symbols, whose value is a row.
+    Coefficients are numbers, or CasADi symbols, for which the value is a row.
     """
     points = coefficients
     for left in range(points.shape[0] - 1, 0, -1):
@@ -74,7 +74,7 @@ def bernstein_value(coefficients: Any, at: Any) -> Any:
 
 
 def bernstein_gram(degree: int) -> np.ndarray:
-    """Return int_0^1 B_i B_j (degree + 1, degree + 1), which makes integrals of squared polynomials exact."""
+    """Return int_0^1 B_i B_j (degree + 1, degree + 1), for exact integrals of squared polynomials."""
     k = np.arange(degree + 1)
     i, j = np.meshgrid(k, k, indexing="ij")
     of = _binomials(degree)
@@ -82,7 +82,7 @@ def bernstein_gram(degree: int) -> np.ndarray:
 
 
 def bernstein_product(first: Any, second: Any) -> list:
-    """Return the m + n + 1 coefficients of two polynomials' product, from m + 1 and n + 1: numbers or CasADi's symbols."""
+    """Return the m + n + 1 coefficients of the product of two polynomials, given as numbers or CasADi symbols."""
     m, n = first.shape[0] - 1, second.shape[0] - 1
     of_first, of_second, of_both = _binomials(m), _binomials(n), _binomials(m + n)
     return [
@@ -100,7 +100,7 @@ def bernstein_integral(degree: int) -> np.ndarray:
 
 
 def bernstein_elevation(degree: int, higher: int) -> np.ndarray:
-    """Return the matrix (higher + 1, degree + 1) from a curve's Bernstein coefficients to those at a higher degree."""
+    """Return the matrix (higher + 1, degree + 1) that raises the degree of Bernstein coefficients."""
     i, k = np.meshgrid(np.arange(degree + 1), np.arange(higher + 1))
     rest, step = _binomials(higher - degree), k - i
     inside = (step >= 0) & (step < len(rest))

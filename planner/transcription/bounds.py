@@ -1,4 +1,4 @@
-"""Bounds and linear rows of a program: what a formulation's limits and phase boundaries are on a mesh."""
+"""Bounds and linear rows of a program, from a formulation's limits and phase boundaries."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,24 +7,14 @@ import numpy as np
 
 from linkplan.planner.transcription.formulation import Formulation
 from linkplan.planner.transcription.interval import IntervalFunctions
-from linkplan.planner.transcription.junctions import ROOM, places
+from linkplan.planner.transcription.junctions import junction_places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.triplets import Triplets, no_rows
 
-# Free segments may shrink to this share of their guessed duration, or grow by that factor of the whole, and no further.
-_SHORTEST_SEGMENT = 0.02
-_LONGEST = 100.0
-# Scaled quantities are of order one: bounds so much wider bound nothing.
-_OUT_OF_THE_WAY = 10.0
-# A segment between switch times may shrink or stretch by this factor, and by half a mean interval beyond it.
-_SWITCH_MARGIN = 1.1
-# Where an arc along a path meets a bang its ends are read less well, and equations hold them.
-_JUNCTION_MARGIN = 1.3
-
 
 def bang_coefficients(bang_efforts: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.ndarray | None:
-    """Return what efforts are held at (n_intervals, n_coefficients, n_u), NaN where they are free."""
+    """Return the held efforts (n_intervals, n_coefficients, n_u), NaN where an effort is free."""
     if bang_efforts is None:
         return None
     return np.repeat(bang_efforts[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
@@ -32,7 +22,7 @@ def bang_coefficients(bang_efforts: np.ndarray | None, mesh: Mesh, layout: Layou
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Rows:
-    """Rows that are linear in the unknowns, in blocks: columns and coefficients (n, k), lower and upper bound (n,)."""
+    """Blocks of rows that are linear in the unknowns: columns and coefficients (n, k), lower and upper bounds (n,)."""
 
     columns: list[np.ndarray] = field(default_factory=list)
     values: list[np.ndarray] = field(default_factory=list)
@@ -66,8 +56,8 @@ class _Rows:
 def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.ndarray | None):
     """Return rows (n, size) with their lower and upper values.
 
-    States that return, efforts without jumps, the instants of phase boundaries where several segments lead to them, and
-    efforts within a factor of their limits where that factor is sought.
+    The rows impose periodic states, efforts without jumps, the times of phase boundaries after several segments, and,
+    when the least effort limit is sought, efforts within a common factor of their limits.
     """
     rows, effort = _Rows(), layout.effort()
     if formulation.returns:
@@ -96,7 +86,7 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.n
 
 
 def _boundary_groups(formulation: Formulation, mesh: Mesh):
-    """Yield what phase boundaries ask of segments: which, the bounds on their weighted sum, the weights; all scaled."""
+    """Yield per constraint on segment durations: segment indices, bounds on the weighted sum, and weights; all scaled."""
     begun, at = 0, 0.0
     for k, boundary in enumerate(formulation.boundaries[1:]):
         if boundary.share is not None:
@@ -122,9 +112,16 @@ def bounds(
     open_end_z: tuple[int, ...] = (),
     junctions: np.ndarray | None = None,
 ):
-    """Return the unknowns' bounds: limits, phase boundaries, durations guessed at (n_segments,) [s], efforts that are held.
+    """Return lower and upper bounds (n,) of the unknowns.
 
-    `open_end_z` are the algebraic unknowns of open ends; `junctions` as of `find_junctions`.
+    Args:
+        formulation: limits, phase boundaries and units.
+        layout: the unknowns.
+        mesh: the intervals.
+        durations: guessed segment durations (n_segments,) [s].
+        bang_efforts: held efforts (n_segments, n_u), NaN where an effort is free.
+        open_end_z: the algebraic unknowns at open ends.
+        junctions: the result of `find_junctions`.
     """
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     states = layout.states()
@@ -144,15 +141,17 @@ def bounds(
     for k, boundary in zip(mesh.boundaries(), formulation.boundaries, strict=True):
         lower[states[k]] = np.maximum(lower[states[k]], boundary.state[:, 0])
         upper[states[k]] = np.minimum(upper[states[k]], boundary.state[:, 1])
-        fixed = boundary.state[:, 0] == boundary.state[:, 1]  # what is asked exactly is asked, whatever a limit says
+        fixed = boundary.state[:, 0] == boundary.state[:, 1]  # a prescribed state overrides the limits
         lower[states[k][fixed]] = upper[states[k][fixed]] = boundary.state[fixed, 0]
     scaled = np.asarray(durations) / formulation.units.time_s
     place = layout.durations()
-    lower[place], upper[place] = _SHORTEST_SEGMENT * scaled, _LONGEST * scaled.sum()
+    # A free segment stays between 0.02 of its guessed duration and 100 times the whole guessed duration.
+    lower[place], upper[place] = 0.02 * scaled, 100.0 * scaled.sum()
     between_switches = np.bincount(mesh.phase)[mesh.phase] > 1
-    # Switch times begin near their solution: bounded, they converge to it.
-    margin = _SWITCH_MARGIN if junctions is None else _JUNCTION_MARGIN
-    room = margin + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
+    # Segments between switch times may change by this factor plus half a mean interval: bounded, switch times converge to a
+    # nearby solution. Guessed switch times beside constrained arcs are less accurate, and junction equations fix these.
+    factor = 1.1 if junctions is None else 1.3
+    room = factor + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
     lower[place[between_switches]], upper[place[between_switches]] = (
         (scaled / room)[between_switches],
         (room * scaled)[between_switches],
@@ -165,12 +164,12 @@ def bounds(
 
 
 def given_nodes(formulation: Formulation, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
-    """Return which nodes (n, n_nodes) stand at a phase boundary that gives all positions.
+    """Return a mask (n, n_nodes) of the nodes at phase boundaries that prescribe all positions.
 
     Args:
-        formulation: whose phase boundaries.
-        mesh: its intervals.
-        nodes: (n_nodes,) shares of an interval.
+        formulation: its phase boundaries.
+        mesh: intervals.
+        nodes: positions (n_nodes,) of the nodes in the unit interval.
     """
     found = np.zeros((mesh.n_intervals, len(nodes)), dtype=bool)
     for k, boundary in zip(mesh.boundaries(), formulation.boundaries, strict=True):
@@ -181,9 +180,9 @@ def given_nodes(formulation: Formulation, mesh: Mesh, nodes: np.ndarray) -> np.n
 
 
 def _with_junctions(lower, upper, formulation: Formulation, layout: Layout, mesh: Mesh, bang_efforts, junctions) -> None:
-    """Bound efforts where arcs meet: with a little room along a path's limit, at their own where that arc ends."""
-    room, unit = ROOM * np.diff(formulation.effort, axis=1).ravel(), formulation.units.effort
-    for last, segment, _, way in places(junctions, mesh):
+    """Widen the effort bounds beside a junction by the limits' span, and fix the effort at the end of a constrained arc."""
+    room, unit = np.diff(formulation.effort, axis=1).ravel(), formulation.units.effort
+    for last, segment, _, way in junction_places(junctions, mesh):
         arc, bang = (segment + 1, segment) if way > 0 else (segment, segment + 1)
         beside = last + 1 if way > 0 else last
         for j in np.flatnonzero(np.isnan(bang_efforts[arc]) & ~np.isnan(bang_efforts[bang])):
@@ -204,17 +203,17 @@ def row_bounds(
     given: np.ndarray | None = None,
     boundaries: Sequence[int] = (),
 ):
-    """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of open ends.
+    """Return the lower and upper bounds of each interval's rows: its own rows, its nodes' rows, its open ends' rows.
 
     Args:
-        formulation: whose limits.
+        formulation: its limits.
         interval: the rows.
         breaks_s: (n + 1,) of the mesh [s].
-        constrained_paths: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
-        meetings: places of junctions, as of `junctions.places`.
-        node_at_end: whether a node stands at an interval's end.
-        given: (n, n_nodes) nodes whose positions are given: there `position_path` is what it is, and out of the way.
-        boundaries: the breaks at which phase boundaries stand; a node is there where `passed` asks something of them.
+        constrained_paths: (n, n_path) path quantities held at their upper limit (1) or lower limit (-1) at the nodes.
+        meetings: places of junctions from `junction_places`.
+        node_at_end: whether an interval ends at a node.
+        given: mask (n, n_nodes) of nodes with prescribed positions, where `position_path` needs no bound.
+        boundaries: the intervals at which phases begin; a node ends the interval before each where `passed` has a value.
     """
     n, m = len(breaks_s) - 1, interval.n_nodes
     own = np.zeros((interval.n_own, 2))
@@ -226,20 +225,10 @@ def row_bounds(
         path = path + formulation.tightening(breaks_s)[:, :, None] * np.array([1.0, -1.0])
     at_open_ends, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
     if constrained_paths is not None:
-        for k, i in zip(*np.nonzero(constrained_paths), strict=True):
-            # Tightened evenly, by the most of any interval: an arc is smooth, and what follows it begins where it ends.
-            limit = path[:, i, 1].min() if constrained_paths[k, i] > 0 else path[:, i, 0].max()
-            at_nodes[k, :, i] = limit
-            at_open_ends[k, i] = -np.inf, np.inf  # the nodes say all there is to say
-            if k and constrained_paths[k - 1, i] == 0 and node_at_end and i not in formulation.rows.open_end_path:
-                at_nodes[k - 1, -1, i] = limit  # what does not jump is at its limit when the arc begins
-        for last, _, i, way in meetings:
-            if way > 0:
-                at_nodes[last, -1, i] = at_nodes[last + 1, -1, i]  # what the next arc is held at
-            else:
-                at_open_ends[last + 1, i] = -np.inf, np.inf
+        continuous = set(range(interval.n_path)) - set(formulation.rows.open_end_path) if node_at_end else set()
+        _hold_paths(path, at_nodes, at_open_ends, constrained_paths, meetings, continuous)
     if given is not None and formulation.position_path:
-        out_of_the_way = np.array([-_OUT_OF_THE_WAY, _OUT_OF_THE_WAY])
+        out_of_the_way = np.array([-10.0, 10.0])  # scaled quantities are of order one, so this never binds
         at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
     for boundary, i, value in formulation.passed:
         at_nodes[boundaries[boundary] - 1, -1, i] = value
@@ -253,3 +242,19 @@ def row_bounds(
             own[:, row] += amount[:, interval.own_items[row], None] * np.array([1.0, -1.0])
     both = np.concatenate([own, at_nodes, np.tile(at_open_ends, (1, interval.n_open_ends, 1))], axis=1)
     return both[:, :, 0].ravel(), both[:, :, 1].ravel()
+
+
+def _hold_paths(path, at_nodes, at_open_ends, constrained_paths, meetings, continuous: set[int]) -> None:
+    """Set the bounds at nodes and open ends of held path quantities; `continuous` ones are held from the node before too."""
+    for k, i in zip(*np.nonzero(constrained_paths), strict=True):
+        # The tightest limit of all intervals holds on the whole arc, because an arc is smooth and joins the next one.
+        limit = path[:, i, 1].min() if constrained_paths[k, i] > 0 else path[:, i, 0].max()
+        at_nodes[k, :, i] = limit
+        at_open_ends[k, i] = -np.inf, np.inf  # the nodes already hold the quantity
+        if k and constrained_paths[k - 1, i] == 0 and i in continuous:
+            at_nodes[k - 1, -1, i] = limit  # a continuous quantity is at its limit when the arc begins
+    for last, _, i, way in meetings:
+        if way > 0:
+            at_nodes[last, -1, i] = at_nodes[last + 1, -1, i]  # the value held on the next arc
+        else:
+            at_open_ends[last + 1, i] = -np.inf, np.inf

@@ -1,13 +1,13 @@
-"""The cache of compiled functions: a folder of libraries that are loaded as code, and so is nobody's but this user's.
+"""The cache of compiled functions: a folder of shared libraries that only this user may write, because they are run.
 
-An entry is a library and a record: one line with the hash of the rest, which is JSON and has the library's own hash and
-size. Both are checked before the library is loaded: what was cut short, altered or put there by somebody else counts as not
-there, and is compiled again. Files are moved into place whole, so that processes in parallel at worst compile the same thing
-twice; work folders are locked while they are used, and those that a kill left behind are removed by the next run.
+An entry is a library and a record. The record's first line is the hash of the rest, which is JSON with the library's hash.
+Both hashes are checked before the library is loaded. A truncated, altered or foreign entry is ignored and compiled again.
+Files are moved into place whole, so parallel processes at worst compile the same functions twice. Work folders are locked
+while in use, and the next run removes those of killed processes.
 
-The folder holds $LINKPLAN_CACHE_MB megabytes at the most, 2048 by default: beyond them the entries go that were not used for
-the longest time. A library that another process has loaded stays with it, whatever becomes of its name; one that goes
-between being found and being loaded is compiled again.
+The folder holds at most $LINKPLAN_CACHE_MB megabytes, 2048 by default. The entries that were unused for the longest time are
+removed first. A process keeps a library that it has loaded. A library that is removed between lookup and loading is compiled
+again.
 """
 
 import contextlib
@@ -30,25 +30,25 @@ except ImportError:  # not POSIX
     fcntl = None
 
 _WORK = ".work-"
-# A compilation that was begun so long ago [s] and is not there has failed.
-_BEGUN_S = 600.0
-# The largest libraries, of legs with thirteen joints, have ten megabytes and a megabyte of record. More is none of ours.
-_LARGEST_LIBRARY, _LARGEST_RECORD = 256 << 20, 32 << 20
-# The name of one of an entry's two files: nothing else in the folder is ever removed.
+# A compilation that began longer ago than this [s] and left no library has failed.
+_MAX_COMPILATION_AGE_S = 600.0
+# The largest libraries (legs with thirteen joints) have ten megabytes, their records one.
+_MAX_LIBRARY_BYTES, _MAX_RECORD_BYTES = 256 << 20, 32 << 20
+# Names of an entry's two files. No other file of the folder is removed.
 _ENTRY = re.compile(r"(k[0-9a-f]{32})\.(so|json)")
-# Some hundred of the largest libraries, or ten thousand of a knee's.
-MOST_MB = 2048
-_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+# Space for about a hundred of the largest libraries, or ten thousand of a four-bar's.
+DEFAULT_CACHE_MB = 2048
+_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _POSIX = hasattr(os, "geteuid")
 
 
 def cache_folder() -> Path:
-    """Return the folder of compiled functions: $LINKPLAN_CACHE, linkplan in the user's cache folder, or a temporary one's.
+    """Return the cache's folder: $LINKPLAN_CACHE, `linkplan` in the user's cache folder, or a temporary folder.
 
-    The last is for users without a home, as in containers: `linkplan-` and the user's number, in $TMPDIR or /tmp.
+    Users without a home folder, as in containers, get `linkplan-` and the user's number in $TMPDIR or /tmp.
 
     Raises:
-        OSError: when there is no folder for temporary files either.
+        OSError: when there is no folder for temporary files.
     """
     own, caches = os.environ.get("LINKPLAN_CACHE"), os.environ.get("XDG_CACHE_HOME")
     if own:
@@ -65,10 +65,10 @@ def cache_folder() -> Path:
 
 
 def trusted_folder(*, make: bool) -> Path:
-    """Return the cache's folder, in which nobody else can write, nor where it lies; made where that is wanted.
+    """Return the cache's folder after checking that nobody else can write in it or replace it; create it if `make`.
 
     Raises:
-        OSError: when it is not there or cannot be made, or somebody else owns it or a folder above it, or may write there.
+        OSError: when the folder is missing or cannot be created, or when others own it or may write in it or above it.
     """
     given = cache_folder()
     if make:
@@ -78,10 +78,10 @@ def trusted_folder(*, make: bool) -> Path:
     if not _POSIX:
         return folder
     found = folder.stat()
-    if found.st_uid == os.geteuid() and found.st_mode & _OTHERS and not os.environ.get("LINKPLAN_CACHE"):
-        folder.chmod(0o700)  # made by an earlier version under a generous umask
+    if found.st_uid == os.geteuid() and found.st_mode & _WRITABLE_BY_OTHERS and not os.environ.get("LINKPLAN_CACHE"):
+        folder.chmod(0o700)  # an earlier version created it under a permissive umask
         found = folder.stat()
-    above = dict.fromkeys([*Path(os.path.abspath(given)).parents, *folder.parents])  # links on the way lie in folders, too
+    above = dict.fromkeys([*Path(os.path.abspath(given)).parents, *folder.parents])  # parents of symbolic links count too
     why = _whose(found) or next((why for one in above if (why := _replaceable(one))), None)
     if why is not None:
         raise PermissionError(
@@ -91,50 +91,50 @@ def trusted_folder(*, make: bool) -> Path:
 
 
 def _whose(found: os.stat_result) -> str | None:
-    """Return in words who else has to do with a folder or file of the cache; None where nobody has."""
+    """Return a phrase that names who else owns or may write a file of the cache; None if nobody."""
     if _POSIX and found.st_uid != os.geteuid():
         return "belongs to somebody else"
-    return "may be written by others" if _POSIX and found.st_mode & _OTHERS else None
+    return "may be written by others" if _POSIX and found.st_mode & _WRITABLE_BY_OTHERS else None
 
 
 def _replaceable(above: Path) -> str | None:
-    """Return in words that somebody else may put another folder in the place of one in here; None where not.
+    """Return a phrase if somebody else may replace a folder inside `above`; else None.
 
-    A group counts where the cache is named in LINKPLAN_CACHE: in home folders it is often the user's own.
+    Group permissions count only for a folder named in LINKPLAN_CACHE, because home folders often belong to a private group.
     """
     found = above.stat()
     if found.st_uid not in (0, os.geteuid()):
         return f"lies in '{above}', which belongs to somebody else"
-    others = _OTHERS if os.environ.get("LINKPLAN_CACHE") else stat.S_IWOTH
+    others = _WRITABLE_BY_OTHERS if os.environ.get("LINKPLAN_CACHE") else stat.S_IWOTH
     kept = not found.st_mode & others or found.st_mode & stat.S_ISVTX
     return None if kept else f"lies in '{above}', which others may write"
 
 
-def find(folder: Path, key: str) -> tuple[Path, dict] | None:
-    """Return the library kept under a key and what was said of it; None where there is none that is whole and ours."""
+def find_entry(folder: Path, key: str) -> tuple[Path, dict] | None:
+    """Return the library kept under a key and its record; None if there is no complete entry of this user."""
     library = folder / f"{key}.so"
     try:
-        check, _, text = _read(folder / f"{key}.json", _LARGEST_RECORD).partition(b"\n")
+        check, _, text = _read(folder / f"{key}.json", _MAX_RECORD_BYTES).partition(b"\n")
         if hashlib.sha256(text).hexdigest().encode() != check:
             return None
-        said = json.loads(text)
-        return (library, said["functions"]) if hash_of(_read(library, _LARGEST_LIBRARY)) == said["library"] else None
+        record = json.loads(text)
+        return (library, record["functions"]) if hash_of(_read(library, _MAX_LIBRARY_BYTES)) == record["library"] else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
-def used(folder: Path, key: str) -> None:
-    """Note that an entry was used now: its record's date says so, where the disk lets it."""
+def mark_used(folder: Path, key: str) -> None:
+    """Set the date of an entry's record to now, if the disk allows it."""
     with contextlib.suppress(OSError):
         os.utime(folder / f"{key}.json")
 
 
 def evict(folder: Path, newest: str) -> None:
-    """Remove the entries that were not used for the longest time, as many as are beyond the most that the folder holds.
+    """Remove the entries that were unused for the longest time, until the folder is within its size limit.
 
     Args:
-        folder: the cache's.
-        newest: the key of the entry that was made now, which stays.
+        folder: the cache's folder.
+        newest: the key of the entry that was just made, which stays.
     """
     sizes: dict[str, int] = {}
     dates: dict[str, float] = {}
@@ -150,33 +150,33 @@ def evict(folder: Path, newest: str) -> None:
         if over <= 0:
             return
         if key != newest:
-            for suffix in ("json", "so"):  # without its record a library is none
+            for suffix in ("json", "so"):  # the record first: a library without a record is ignored
                 with contextlib.suppress(OSError):
                     (folder / f"{key}.{suffix}").unlink()
             over -= sizes[key]
 
 
 def most_bytes() -> float:
-    """Return how much the cache holds at the most: $LINKPLAN_CACHE_MB megabytes, MOST_MB where that is no such number."""
+    """Return the size limit of the cache [byte]: $LINKPLAN_CACHE_MB megabytes, or the default if that is no valid number."""
     given = os.environ.get("LINKPLAN_CACHE_MB", "").strip()
     try:
-        most = float(given or MOST_MB)
+        most = float(given or DEFAULT_CACHE_MB)
     except ValueError:
         most = math.nan
     if not most >= 0:
-        said = f"LINKPLAN_CACHE_MB is a number of megabytes of at least 0, got '{given}'; {MOST_MB} are kept"
-        warnings.warn(said, RuntimeWarning, stacklevel=2)
-        most = MOST_MB
+        message = f"LINKPLAN_CACHE_MB is a number of megabytes of at least 0, got '{given}'; {DEFAULT_CACHE_MB} are kept"
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
+        most = DEFAULT_CACHE_MB
     return most * 2**20
 
 
-def keep(built: Path, said: dict, folder: Path, key: str) -> Path:
-    """Move a library that was built into the cache, with what is said of it, and return its place.
+def keep_entry(built: Path, entry: dict, folder: Path, key: str) -> Path:
+    """Move a new library and its record into the cache, and return the library's path.
 
     Raises:
         OSError: when the disk refuses.
     """
-    text = json.dumps({"library": hash_of(built.read_bytes()), "functions": said}).encode()
+    text = json.dumps({"library": hash_of(built.read_bytes()), "functions": entry}).encode()
     record = built.with_suffix(".json")
     record.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
     for path in (built, record):
@@ -196,19 +196,19 @@ def _read(path: Path, most: int) -> bytes:
     """Return a file's content.
 
     Raises:
-        OSError: when it is no file, a link, somebody else's, or larger than it can be.
+        OSError: when it is not a regular file, belongs to somebody else, or is too large.
     """
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
     with open(descriptor, "rb") as file:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode) or found.st_size > most or _whose(found) is not None:
             raise PermissionError(f"'{path}' is not of this cache")
-        return file.read(found.st_size)  # Python sets aside as much as it is asked for
+        return file.read(found.st_size)
 
 
 @contextlib.contextmanager
 def work_folder(folder: Path) -> Iterator[Path]:
-    """Give a folder to compile in, gone at the end.
+    """Yield a new folder to compile in, and remove it at the end.
 
     Raises:
         OSError: when it cannot be made.
@@ -224,8 +224,8 @@ def work_folder(folder: Path) -> Iterator[Path]:
             os.close(lock)
 
 
-def handed_over(folder: Path) -> tuple[Path, int | None]:
-    """Return a folder to compile in and its lock, for another process to take over and to remove.
+def detached_work_folder(folder: Path) -> tuple[Path, int | None]:
+    """Return a new folder to compile in and its lock; the process that takes them over removes the folder.
 
     Raises:
         OSError: when it cannot be made.
@@ -235,7 +235,7 @@ def handed_over(folder: Path) -> tuple[Path, int | None]:
 
 
 def wanted_again(folder: Path, key: str) -> bool:
-    """Return whether a key was wanted before and nobody has begun to compile it within a few minutes; mark that it is now.
+    """Mark a key as wanted; return True if it was wanted before and no process has begun to compile it recently.
 
     Raises:
         OSError: when the disk refuses.
@@ -250,14 +250,14 @@ def wanted_again(folder: Path, key: str) -> bool:
     try:
         begun.touch(mode=0o600, exist_ok=False)
     except FileExistsError:
-        if time.time() - begun.stat().st_mtime < _BEGUN_S:
+        if time.time() - begun.stat().st_mtime < _MAX_COMPILATION_AGE_S:
             return False
         begun.touch()
     return True
 
 
 def sweep(folder: Path) -> None:
-    """Remove the work folders whose owners are gone."""
+    """Remove the work folders of ended processes."""
     if fcntl is None:
         return
     for left in [folder / entry.name for entry in os.scandir(folder) if entry.name.startswith(_WORK)]:
@@ -271,10 +271,10 @@ def sweep(folder: Path) -> None:
 
 
 def _locked(work: Path) -> int | None:
-    """Return a folder, open and locked until it is closed; None where there are no locks.
+    """Return a descriptor that locks a folder until it is closed; None on systems without locks.
 
     Raises:
-        OSError: when somebody else has it.
+        OSError: when another process holds the lock.
     """
     if fcntl is None:
         return None

@@ -1,4 +1,4 @@
-"""Direct collocation: from a formulation on a mesh to numbers for a solver, and from its numbers back to curves."""
+"""Direct collocation: build a nonlinear program from a formulation on a mesh, and convert a solution to curves."""
 
 import functools
 import time
@@ -10,8 +10,8 @@ import numpy as np
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_beside, compiled, node_key
-from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
+from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_in_background, compiled, node_key
+from linkplan.planner.transcription.formulation import Formulation, Start, Units, stretched_durations
 from linkplan.planner.transcription.interval import (
     ChainFunctions,
     IntervalFunctions,
@@ -19,7 +19,7 @@ from linkplan.planner.transcription.interval import (
     interval_of,
     open_end_path,
 )
-from linkplan.planner.transcription.junctions import find_junctions, places
+from linkplan.planner.transcription.junctions import find_junctions, junction_places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.node import NodeFunctions, build_node
@@ -28,23 +28,20 @@ from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.triplets import Triplets
 
-# Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
-_ROUNDING = 4e-15
+# Efforts stay this share inside their limits, so that rounding in evaluating the polynomial cannot exceed a limit.
+_LIMIT_ROUNDING_SHARE = 4e-15
 # From this many intervals on, compiling (about a second) costs less than a dozen interpreted iterations.
-_WORTH_COMPILING = 400
-# Share of a limit that a guessed effort may use: interior-point methods want room.
-_GUESS_MARGIN = 0.95
+_MIN_COMPILED_INTERVALS = 400
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Transcribed:
-    """A program with the numbers that one problem puts into it.
+    """A program with the numbers of one problem.
 
-    `bang_efforts` (n_segments, n_u) are efforts held over whole segments, `constrained_paths` (n_segments, n_path) path
-    quantities held at their upper limit (1) or lower one (-1), `junctions` (n_segments - 1, n_path) where one goes over
-    into the other; `least_limit` says that the smallest common factor on the effort limits is sought in place of the
-    objective. `numbers` (n_numbers,) are those of the system's own expressions. `origin` is what a client wants to find
-    again beside its program.
+    `bang_efforts` (n_segments, n_u) are efforts held over whole segments. `constrained_paths` (n_segments, n_path) marks
+    path quantities held at their upper limit (1) or lower limit (-1). `junctions` (n_segments - 1, n_path) marks the
+    switches between them. With `least_limit` the program minimises the common factor on the effort limits instead of the
+    objective. `numbers` (n_numbers,) are the constants of the system's expressions. `origin` is data of the caller.
     """
 
     program: Program
@@ -61,17 +58,17 @@ class Transcribed:
     constrained_paths: np.ndarray | None
     junctions: np.ndarray | None
     least_limit: bool
-    build_s: float  # time that building took [s]
+    build_s: float  # building time [s]
     origin: Any = None
 
     @property
     def units(self) -> Units:
-        """What the scaled unknowns are multiplied by."""
+        """The units of the scaled unknowns."""
         return self.formulation.units
 
     @property
     def objective_scale(self) -> float:
-        """The objective in SI over the program's value."""
+        """The ratio of the objective in SI units to the program's value."""
         return 1.0 if self.least_limit else self.units.objective
 
 
@@ -79,8 +76,8 @@ class Transcribed:
 class Curves:
     """Bernstein coefficients (degree + 1, n, k) of a solution's polynomials on its intervals, in SI units.
 
-    `position` and `velocity` of the second-order coordinates, `state` of the first-order ones, `effort`; `breaks_s` (n +
-    1,).
+    `position` and `velocity` belong to the second-order coordinates, `state` to the first-order states. `breaks_s` has the
+    shape (n + 1,).
     """
 
     breaks_s: np.ndarray
@@ -112,10 +109,10 @@ def collocate(
         durations: guessed durations (n_segments,) [s] of its segments.
         start: the motion to start from.
         compile_mode: "auto", "always" or "never".
-        deadline: of compiling.
-        least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
+        deadline: ends compilation.
+        least_limit: minimise the common factor on the effort limits instead of the objective.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
-        constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
+        constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower limit (-1) over whole
             segments.
     """
     begin = time.perf_counter()
@@ -133,12 +130,12 @@ def collocate(
         n_open_ends=interval.n_open_ends,
         n_z_open_end=len(interval.open_end_z),
     )
-    durations = fitted(durations, formulation.boundaries, mesh.phase, formulation.units.time_s)
+    durations = stretched_durations(durations, formulation.boundaries, mesh.phase, formulation.units.time_s)
     linear, linear_lower, linear_upper = linear_rows(
         formulation, layout, mesh, bang_coefficients(bang_efforts, mesh, layout) if least_limit else None
     )
     junctions = None
-    if 1 not in chosen.open_ends and not least_limit:  # one equation at a node where arcs meet
+    if 1 not in chosen.open_ends and not least_limit:  # a junction's equation needs a node at the interval's end
         junctions = find_junctions(formulation, mesh, durations, start, bang_efforts, constrained_paths)
     lower, upper = bounds(
         formulation, layout, mesh, durations, None if least_limit else bang_efforts, interval.open_end_z, junctions
@@ -165,17 +162,17 @@ def collocate(
 
 
 def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.ndarray) -> Transcribed:
-    """Return a program with another formulation's numbers in it; nothing is built.
+    """Return a program with the numbers of another formulation, without building it again.
 
     Args:
-        transcribed: of a formulation of the same structure.
-        formulation: whose numbers to take, in the same units.
-        x: unknowns to start from, as a rule the last solution; given instants are the new formulation's.
+        transcribed: a program of the same structure.
+        formulation: gives the new numbers, in the same units.
+        x: unknowns to start from, usually the last solution; prescribed times are replaced by the new formulation's.
     """
     begin = time.perf_counter()
     program = transcribed.program
     layout, mesh, unit = program.layout, program.mesh, formulation.units.time_s
-    durations = fitted(x[layout.durations()] * unit, formulation.boundaries, mesh.phase, unit)
+    durations = stretched_durations(x[layout.durations()] * unit, formulation.boundaries, mesh.phase, unit)
     start = np.array(x)
     start[layout.durations()] = durations / unit
     lower, upper = bounds(
@@ -202,9 +199,9 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
 def _interval(
     formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str, deadline: Deadline
 ) -> IntervalFunctions:
-    """Return the functions of one interval: compiled ones where they are wanted or at hand."""
+    """Return the functions of one interval, compiled if the mode asks for it or the cache has them."""
     (system, _), rows = without_numbers(formulation.build_system()), formulation.rows
-    at_once = mode == "always" or (mode == "auto" and n_intervals >= _WORTH_COMPILING)
+    at_once = mode == "always" or (mode == "auto" and n_intervals >= _MIN_COMPILED_INTERVALS)
 
     def code(kind: type[CodeT], key: str, build: Callable[[], CodeT]) -> CodeT:
         found = None if mode == "never" else cached(key, kind)
@@ -212,9 +209,9 @@ def _interval(
             return found
         if at_once:
             return compiled(key, kind, build, deadline)
-        found = _built(_Asked(key=(key, kind), by=build))
+        found = _built(_BuildRequest(key=(key, kind), by=build))
         if mode == "auto":
-            compile_beside(key, found)
+            compile_in_background(key, found)
         return found
 
     at_open_ends = open_end_path(chosen, rows)
@@ -225,9 +222,9 @@ def _interval(
 
 
 def with_compiled_code(transcribed: Transcribed, deadline: Deadline = NO_DEADLINE) -> Transcribed:
-    """Return a program with compiled functions in place of interpreted ones, which give the same numbers.
+    """Return a program with compiled functions in place of interpreted ones; both give the same numbers.
 
-    Where compiling does not end in its share of the time until a `deadline`, they are interpreted as before.
+    If compilation does not end within its share of the time until `deadline`, the functions stay interpreted.
     """
     begin = time.perf_counter()
     old, formulation = transcribed.program, transcribed.formulation
@@ -237,31 +234,31 @@ def with_compiled_code(transcribed: Transcribed, deadline: Deadline = NO_DEADLIN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Asked:
-    """What is built once for as long as it is asked for again: the same where its key is, and made `by` a function."""
+class _BuildRequest:
+    """An argument for a memoised builder: equal keys share one result of the function `by`."""
 
     key: tuple
     by: Callable[[], Any] = field(compare=False)
 
 
 @functools.lru_cache(maxsize=16)
-def _built(asked: _Asked) -> Any:
-    return asked.by()
+def _built(request: _BuildRequest) -> Any:
+    return request.by()
 
 
 def _program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linear: Triplets, endpoint) -> Program:
-    """Return the program over a mesh; what a whole program adds to an interval's cost is what is minimised."""
+    """Return the program over a mesh; its linear cost is the extra unknown, if there is one."""
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
     numbers = (mesh.fraction, mesh.segment, mesh.phase, linear.rows, linear.columns, linear.values)
     sizes = tuple(getattr(layout, name) for name in layout.__slots__)
     key = (sizes, interval.node, interval.chain, endpoint, linear.shape, *(part.tobytes() for part in numbers))
-    return _built_program(_Asked(key=key, by=lambda: build_program(layout, mesh, interval, linear, cost, endpoint)))
+    return _built_program(_BuildRequest(key=key, by=lambda: build_program(layout, mesh, interval, linear, cost, endpoint)))
 
 
 @functools.lru_cache(maxsize=4)
-def _built_program(asked: _Asked) -> Program:
-    return asked.by()
+def _built_program(request: _BuildRequest) -> Program:
+    return request.by()
 
 
 def _row_bounds(
@@ -269,7 +266,7 @@ def _row_bounds(
 ):
     of_intervals = None if constrained_paths is None else constrained_paths[mesh.segment]
     given = given_nodes(formulation, mesh, np.asarray(chosen.nodes, dtype=float))
-    meetings, node_at_end = tuple(places(junctions, mesh)), 1 not in chosen.open_ends
+    meetings, node_at_end = tuple(junction_places(junctions, mesh)), 1 not in chosen.open_ends
     return row_bounds(
         formulation,
         interval,
@@ -285,9 +282,9 @@ def _row_bounds(
 def _parameters(
     formulation: Formulation, chosen: Scheme, n_open_ends: int, mesh: Mesh, breaks: np.ndarray, numbers: np.ndarray
 ) -> np.ndarray:
-    """Return the parameters: per interval its share, its own, those of nodes and open ends; the endpoint's.
+    """Return the parameters: per interval its share, its own, those of its nodes and open ends; then the endpoint's.
 
-    The last of a node's are the numbers (n,) of its system's expressions.
+    A node's parameters end with the numbers (n,) of its system's expressions.
     """
     at = np.concatenate([chosen.nodes, chosen.open_ends[:n_open_ends]])
     times = breaks[:-1, None] + np.diff(breaks)[:, None] * at
@@ -307,11 +304,11 @@ def _start(
     breaks: np.ndarray,
     durations: np.ndarray,
 ) -> np.ndarray:
-    """Return the starting point (n,): a motion sampled at breaks and nodes, efforts inside their limits."""
+    """Return the starting point (n,): a motion sampled at breaks and nodes, with efforts inside their limits."""
     x = np.zeros(layout.size)
     x[layout.states()] = start.states(breaks)
     n, m = layout.n_intervals, layout.n_nodes
-    # The right end of an interval belongs to the next one; step a hair inside, where accelerations may jump.
+    # An interval's right end belongs to the next interval. Sample just before it, because accelerations may jump there.
     nodes = np.clip(chosen.nodes, 0.0, 1.0 - 1e-9)
     times = (breaks[:-1, None] + np.diff(breaks)[:, None] * nodes).ravel()
     acceleration, rate, algebraic, effort = start.nodes(times)
@@ -332,14 +329,15 @@ def _start(
     finite = np.all(np.isfinite(limit), axis=1)
     both = np.where(finite[:, None], limit, 0.0)
     middle, half = 0.5 * both.sum(axis=1), 0.5 * np.diff(both, axis=1).ravel()
-    low = np.where(finite, middle - _GUESS_MARGIN * half, limit[:, 0])
-    high = np.where(finite, middle + _GUESS_MARGIN * half, limit[:, 1])
+    # Interior-point methods need a start inside the limits: a guessed effort uses at most 95 % of them.
+    low = np.where(finite, middle - 0.95 * half, limit[:, 0])
+    high = np.where(finite, middle + 0.95 * half, limit[:, 1])
     x[layout.effort()] = np.clip(coefficients, low, high) / unit
     return x
 
 
 def curves_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Curves:
-    """Return the polynomials that a program's unknowns x (n,) are; efforts are cut at `limit` (n_u, 2) against rounding."""
+    """Return the polynomials of a program's unknowns x (n,); efforts are clipped to `limit` (n_u, 2) against rounding."""
     program, chosen, units = transcribed.program, transcribed.scheme, transcribed.units
     layout, n_s, T = program.layout, program.layout.n_s, transcribed.units.time_s
     breaks = program.mesh.breaks(x[layout.durations()] * T)
@@ -354,7 +352,7 @@ def curves_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Cur
     def integrated(coefficients: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.einsum("pj,kjs->pks", coefficients, values)
 
-    inside = np.where(np.isfinite(limit), _ROUNDING * np.abs(limit), 0.0)
+    inside = np.where(np.isfinite(limit), _LIMIT_ROUNDING_SHARE * np.abs(limit), 0.0)
     effort = np.clip(x[layout.effort()] * units.effort, limit[:, 0] + inside[:, 0], limit[:, 1] - inside[:, 1])
     return Curves(
         breaks_s=breaks,

@@ -1,8 +1,8 @@
-"""A process of its own that compiles what a planner wrote, and puts it into the cache.
+"""A separate process that compiles the functions written by a planner and puts the library into the cache.
 
     python -m linkplan.planner.transcription.finish_compiling FOLDER WORK KEY TIMEOUT_S COMMAND...
 
-It loads neither CasADi nor numpy, is nicer than the planner, and holds the lock of WORK, which it removes at its end.
+The process loads neither CasADi nor numpy, has a low priority, holds the lock of WORK, and removes WORK at its end.
 """
 
 import contextlib
@@ -13,24 +13,20 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import IO
 
-from linkplan.planner.transcription.cache import evict, keep
-
-# Added to the priority number: the planner goes first.
-_NICER = 10
+from linkplan.planner.transcription.cache import evict, keep_entry
 
 
-def run_with_children(command: list[str], work: Path | None, timeout_s: float, said: IO[bytes] | None = None) -> None:
-    """Run a program in a folder; where it hangs or is interrupted, its children end with it.
+def run_with_children(command: list[str], work: Path | None, timeout_s: float) -> None:
+    """Run a program in a folder; kill it with its children when it exceeds the timeout or is interrupted.
 
     Raises:
-        OSError: where it cannot be started.
-        subprocess.SubprocessError: where it fails, or takes too long.
+        OSError: when it cannot be started.
+        subprocess.SubprocessError: when it fails or exceeds the timeout.
     """
     nothing = subprocess.DEVNULL
     with subprocess.Popen(
-        command, cwd=work, stdin=nothing, stdout=said or nothing, stderr=nothing, start_new_session=True
+        command, cwd=work, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True
     ) as process:
         try:
             code = process.wait(timeout_s)
@@ -46,12 +42,12 @@ def run_with_children(command: list[str], work: Path | None, timeout_s: float, s
 
 
 def main(folder: Path, work: Path, key: str, timeout_s: float, command: list[str]) -> int:
-    """Compile in WORK and keep the library in FOLDER; 1 where that fails."""
+    """Compile in WORK and keep the library in FOLDER; return 1 on failure."""
     try:
         if hasattr(os, "nice"):
-            os.nice(_NICER)
+            os.nice(10)  # the planner has priority
         run_with_children(command, work, timeout_s)
-        keep(work / f"{key}.so", json.loads((work / f"{key}.said").read_text(encoding="utf-8")), folder, key)
+        keep_entry(work / f"{key}.so", json.loads((work / f"{key}.record").read_text(encoding="utf-8")), folder, key)
         evict(folder, key)
         return 0
     except (OSError, ValueError, subprocess.SubprocessError):

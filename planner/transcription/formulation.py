@@ -1,7 +1,6 @@
-"""A continuous problem as the transcription takes it: functions at a node, and numbers for their bounds and parameters.
+"""The input of a transcription: a continuous problem as functions at a node, with the numbers of bounds and parameters.
 
-All is scaled: states, unknowns and time are of order one. Mechanisms and users' differential equations both become one of
-these; what comes after knows neither.
+All quantities are scaled to order one. Mechanisms and users' differential equations are both converted to a `Formulation`.
 """
 
 from collections.abc import Callable
@@ -15,9 +14,9 @@ from linkplan.planner.transcription.system import Endpoint, System
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PhaseBoundary:
-    """A start, waypoint or goal: bounds (n_state, 2) on its state, bounds (2,) on its instant from the start.
+    """A start, waypoint or goal: bounds (n_state, 2) on its state, bounds (2,) on its time since the start.
 
-    `share` puts it at a share of the whole duration in place of an instant.
+    `share` fixes the time as a share of the whole duration instead.
     """
 
     state: np.ndarray
@@ -26,13 +25,13 @@ class PhaseBoundary:
 
     @property
     def fixed(self) -> bool:
-        """Whether its instant is given."""
+        """Whether its time is prescribed."""
         return self.time[0] == self.time[1]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Units:
-    """What the scaled unknowns are multiplied by: `time_s`, `state` (n_state,), `effort` (n_u,), `objective`."""
+    """Units of the scaled unknowns: `time_s`, `state` (n_state,), `effort` (n_u,), `objective`."""
 
     time_s: float
     state: np.ndarray
@@ -45,14 +44,14 @@ class Formulation:
     """Structure and numbers of a continuous problem.
 
     `build_system` makes the system when it is needed. Bounds are [low, high] rows: `state` (n_state, 2), `algebraic` (n_z,
-    2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), `own` by kind of an interval's own rows. `returns` are states
-    that end as they began, but for what they have gone on by, `advance` (n_returns,) or nothing; `adrift` are those that
-    need not, as nothing depends on them. `smooth` says whether efforts may not jump. `eta` are an interval's own parameters,
-    `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to how far
-    (n, n_path) path bounds are tightened on each interval, `own_tightening` by kind how far (n, n_items) own ones are.
-    `position_path` are path quantities that follow from the positions of the second-order coordinates alone: where a phase
-    boundary gives those, nothing is left to bound. `passed` are values that path quantities have at phase boundaries on the
-    way: (boundary, quantity, value).
+    2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), and `own` by kind of an interval's own rows. `returns` are
+    the periodic states; they end at their initial value plus `advance` (n_returns,). `adrift` are states that need not
+    return, because nothing depends on them. `smooth` forbids jumps of efforts. `eta` are an interval's own parameters.
+    `theta` maps times (n, m) [s] to node parameters (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to amounts
+    (n, n_path) by which path bounds are tightened on each interval, and `own_tightening` gives, by kind, amounts
+    (n, n_items) for own rows. `position_path` are path quantities that depend only on the positions of second-order
+    coordinates; they need no bound at phase boundaries that prescribe all positions. `passed` are prescribed values
+    (boundary, quantity, value) of path quantities at waypoints.
     """
 
     build_system: Callable[[], System]
@@ -84,24 +83,26 @@ class Formulation:
 
     @property
     def periodic(self) -> bool:
-        """Whether every state returns, but for those that are adrift."""
+        """Whether every state returns except those adrift."""
         return bool(self.returns) and len(self.returns) + len(self.adrift) == len(self.state)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Start:
-    """A motion to start a solver from, scaled, as functions of times (n,) [s].
+    """A scaled motion to start a solver from, as functions of times (n,) [s].
 
-    `states` gives (n, n_state); `nodes` gives accelerations (n, n_s), rates (n, n_x), algebraic unknowns (n, n_z) and
-    efforts (n, n_u), the latter in their own units.
+    `states` gives (n, n_state). `nodes` gives accelerations (n, n_s), rates (n, n_x), algebraic unknowns (n, n_z) and
+    efforts (n, n_u); the efforts are in their own units.
     """
 
     states: Callable[[np.ndarray], np.ndarray]
     nodes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
 
 
-def fitted(durations: np.ndarray, boundaries: tuple[PhaseBoundary, ...], phase: np.ndarray, time_s: float) -> np.ndarray:
-    """Return segment durations [s] stretched so that phase boundaries with a given instant stand there."""
+def stretched_durations(
+    durations: np.ndarray, boundaries: tuple[PhaseBoundary, ...], phase: np.ndarray, time_s: float
+) -> np.ndarray:
+    """Return segment durations [s], stretched to meet the prescribed times of phase boundaries."""
     durations = np.array(durations, dtype=float)
     begun, at = 0, 0.0
     for k, boundary in enumerate(boundaries[1:]):

@@ -1,14 +1,14 @@
-"""One interval of a transcription: from its unknowns to its nodes, its own rows, and the chain rule back.
+"""One interval of a transcription: its nodes and own rows as functions of its unknowns, with derivatives by the chain rule.
 
-The unknowns of an interval, all scaled, are w = [left state (s, v, x); nodal accelerations, nodal rates, nodal algebraic
-unknowns; Bernstein coefficients of the effort; right state; duration of its segment], and h = share * duration its width.
-Nodes are polynomials in w (linear but for h), so that the expensive functions, those of the system at a node, are
-differentiated once and for one node, and the interval's derivatives follow by matrix products:
+The scaled unknowns of an interval are w = [left state (s, v, x); nodal accelerations, nodal rates, nodal algebraic unknowns;
+Bernstein coefficients of the effort; right state; duration of its segment]. Its width is h = share * duration. The nodes'
+unknowns xi_i are polynomials in w, linear except for h. The expensive functions (the system at a node) are therefore
+differentiated once, for one node, and the interval's derivatives follow by matrix products:
 
     J = [J_own; J_i T_i],   H = H_own + sum_i T_i^T H_i T_i + sum_k g_ik d2 xi_ik / dw2,   T_i = d xi_i / dw.
 
-An end at which no node stands (Radau's left one) is checked where a path quantity may jump with the effort: closure and
-that quantity are rows there, dynamics and costs are not.
+An open end is an end of the interval without a node (Radau's left end). If a path quantity may jump with the effort, its row
+and the closure are imposed at open ends too, without dynamics and costs.
 """
 
 from dataclasses import dataclass
@@ -18,25 +18,30 @@ import numpy as np
 
 from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram, bernstein_matrix, bernstein_product
 from linkplan.planner.transcription.layout import Layout
-from linkplan.planner.transcription.node import NodeFunctions, Pattern, as_kept, build_node, nonzeros, triplets
+from linkplan.planner.transcription.node import NodeFunctions, Pattern, build_node, convert_lists, nonzeros, triplets
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
 
-# Costs that an interval adds itself, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.
+# Costs of an interval, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.
 COSTS = ("time", "effort", "effort_rate")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class IntervalRows:
-    """What an interval adds of its own: costs, and rows on Bernstein coefficients, which hold at every instant.
+    """Costs of an interval, and its rows on Bernstein coefficients, which hold at every instant.
 
-    `costs` are names out of `COSTS`. `speed_columns` and `position_columns` are second-order coordinates, `state_columns`
-    first-order states, `rate_columns` efforts whose rate is bounded. `motor_columns` are pairs (effort, coordinate) whose
-    line alpha u + beta v is bounded, `power_columns` pairs whose product u v is, `power_levers` (effort, levers) whose
-    product with the sum of levers times speeds is, each a pair (algebraic unknown, coordinate), and `squared_sums` are
-    algebraic unknowns the sum of whose squares is: polynomials through the nodes. Weights, alpha and beta are numbers of the
-    program (eta), not of its structure. `open_end_path` are path quantities that jump with the effort: they are bounded at
-    an interval's ends too.
+    `costs` are names from `COSTS`. The other fields say which quantities are bounded:
+
+    * `speed_columns`, `position_columns`: second-order coordinates; `state_columns`: first-order states.
+    * `rate_columns`: efforts whose rate is bounded.
+    * `motor_columns`: pairs (effort, coordinate) with the line alpha u + beta v.
+    * `power_columns`: pairs (effort, coordinate) with the product u v.
+    * `power_levers`: pairs (effort, levers) with the effort times the sum of lever times speed; a lever is a pair
+      (algebraic unknown, coordinate).
+    * `squared_sums`: algebraic unknowns, as polynomials through the nodes, with the sum of their squares.
+    * `open_end_path`: path quantities that jump with the effort and are therefore bounded at open ends too.
+
+    Weights, alpha and beta are parameters of the program (eta) and not part of its structure.
     """
 
     costs: tuple[str, ...] = ()
@@ -62,13 +67,13 @@ class IntervalRows:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ChainFunctions:
-    """CasADi functions of one interval that take its nodes' values as they come, and where their nonzeros stand.
+    """CasADi functions of one interval that take its nodes' values as inputs, with their sparsity patterns.
 
-    `nodes` (w, share), xi of nodes and open ends side by side; `own` (w, share, eta), own rows and own cost;
-    `chain_jacobian` (w, share, eta, node Jacobians, open-end Jacobians), `chain_gradient` (w, share, eta, running costs,
-    their gradients), `chain_hessian` (w, share, eta, lambda_own, sigma, gradients of nodes and open ends, node Hessians,
-    open-end Hessians, gradients of the running costs). They know sizes and patterns and no system: every system of one shape
-    has the same.
+    `nodes` (w, share) gives xi of nodes and open ends as columns. `own` (w, share, eta) gives own rows and own cost.
+    `chain_jacobian` takes (w, share, eta, node Jacobians, open-end Jacobians). `chain_gradient` takes (w, share, eta,
+    running costs, their gradients). `chain_hessian` takes (w, share, eta, lambda_own, sigma, gradients of nodes and open
+    ends, node Hessians, open-end Hessians, gradients of the running costs). They depend on the system's sizes and patterns
+    only.
     """
 
     nodes: ca.Function
@@ -80,21 +85,21 @@ class ChainFunctions:
     hessian_pattern: Pattern
     n_own: int
     own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "power", ...
-    own_items: tuple[int, ...]  # per own row: of which of its kind's columns
+    own_items: tuple[int, ...]  # per own row: index into the columns of its kind
 
     def __post_init__(self) -> None:
-        as_kept(self)
+        convert_lists(self)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class IntervalFunctions:
-    """The functions of one interval, those of its nodes and the chain rule's, and what its rows are."""
+    """The functions of one interval (its nodes' and the chain rule's) and a description of its rows."""
 
     node: NodeFunctions
     chain: ChainFunctions
     n_equations: int
     n_path: int
-    n_open_ends: int  # open ends: no node stands there
+    n_open_ends: int  # ends without a node
     weights: np.ndarray  # (n_nodes,) of the quadrature
     node_kinds: tuple[str, ...]  # per row of a node: "closure", "dynamics", "speed", or what the system calls it
 
@@ -110,44 +115,44 @@ class IntervalFunctions:
 
     @property
     def own_kinds(self) -> tuple[str, ...]:
-        """What each of its own rows is."""
+        """The kind of each own row."""
         return self.chain.own_kinds
 
     @property
     def own_items(self) -> tuple[int, ...]:
-        """Of which of its kind's columns each of its own rows is."""
+        """The index of each own row into the columns of its kind."""
         return self.chain.own_items
 
     @property
     def open_end_rows(self) -> tuple[int, ...]:
-        """The rows of a node that are rows at open ends."""
+        """The rows of a node that are imposed at open ends."""
         return self.node.open_end_rows
 
     @property
     def open_end_z(self) -> tuple[int, ...]:
-        """The algebraic unknowns that those need."""
+        """The algebraic unknowns in these rows."""
         return self.node.open_end_z
 
     @property
     def n_rows(self) -> int:
-        """The number of an interval's rows: its own, each node's equations and path quantities, what is looked at."""
+        """The number of rows: own rows, each node's equations and path quantities, rows at open ends."""
         at_nodes = self.n_nodes * (self.n_equations + self.n_path)
         return self.n_own + at_nodes + self.n_open_ends * len(self.open_end_rows)
 
     @property
     def row_kinds(self) -> tuple[str, ...]:
-        """What each of an interval's rows is."""
+        """The kind of each row."""
         at_open_ends = tuple(self.node_kinds[i] for i in self.open_end_rows)
         return self.own_kinds + self.n_nodes * self.node_kinds + self.n_open_ends * at_open_ends
 
     @property
     def compiled(self) -> bool:
-        """Whether the nodes' functions, most of the work, are compiled ones."""
+        """Whether the nodes' functions, which do most of the work, are compiled."""
         return self.node.node_value.class_name() == "External"
 
 
 def open_end_path(scheme: Scheme, rows: IntervalRows) -> tuple[int, ...]:
-    """Return the path quantities that are rows at ends where no node stands; none where there are no such ends."""
+    """Return the path quantities that are imposed at open ends; empty if the scheme has no open ends."""
     return rows.open_end_path if scheme.open_ends else ()
 
 
@@ -173,7 +178,7 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
 
 
 def build_chain(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunctions) -> ChainFunctions:
-    """Return the chain rule's functions of one interval; of `system` and `node` sizes and patterns alone are asked."""
+    """Return the chain rule's functions of one interval; of `system` and `node` only sizes and patterns matter."""
     m, n_open_ends = scheme.n_nodes, len(scheme.open_ends) if open_end_path(scheme, rows) else 0
     layout = Layout(
         n_s=system.n_s,
@@ -251,7 +256,7 @@ def build_chain(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFu
 
 
 class _Parts:
-    """An interval's unknowns taken apart: rows are nodes or coefficients."""
+    """The unknowns of an interval by kind; rows are nodes or coefficients."""
 
     def __init__(self, layout: Layout, scheme: Scheme, w: ca.SX, share: ca.SX) -> None:
         n_s = layout.n_s
@@ -283,7 +288,7 @@ class _Parts:
         return ca.horzcat(s, v, self.a, x, self.r, self.z, u).T
 
     def open_end_columns(self, scheme: Scheme, open_end_z: tuple[int, ...]) -> ca.SX:
-        """Return xi (n_xi, n_open_ends) of the interval's ends at which no node stands."""
+        """Return xi (n_xi, n_open_ends) of the interval's open ends."""
         extrapolate, columns = ca.SX(ca.DM(scheme.at_open_ends)), []
         for i, end in enumerate(scheme.open_ends):
             z = ca.SX.zeros(1, self.z.shape[1])
@@ -296,7 +301,7 @@ class _Parts:
 
 
 def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows, eta: ca.SX):
-    """Return the interval's own rows, the kind of each and its item: continuity, then bounded Bernstein coefficients."""
+    """Return the own rows, with the kind and the item of each: continuity, then bounded Bernstein coefficients."""
     h, matrix = parts.h, parts.matrix
     continuity = ca.horzcat(
         parts.s1 - parts.s0 - h * parts.v0 - h**2 * matrix["position_end"].T @ parts.a,
@@ -344,7 +349,7 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
 
 
 def _own_cost(parts: _Parts, scheme: Scheme, rows: IntervalRows, eta: ca.SX) -> ca.SX:
-    """Return the interval's weighted costs, integrals of its effort's polynomial being exact."""
+    """Return the interval's weighted costs, with exact integrals of the effort's polynomial."""
     degree, n_u = scheme.effort_at.shape[1] - 1, parts.u.shape[1]
     cost, at = ca.SX(0), 0
     for name in rows.costs:

@@ -1,4 +1,4 @@
-"""Where the unknowns of a program stand: interval by interval, then the last state, the durations, and what is extra."""
+"""Indices of a program's unknowns: interval by interval, then the last state, the durations and the extra unknowns."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Layout:
-    """Where the unknowns of each interval stand in the whole vector."""
+    """Indices of each interval's unknowns in the vector of all unknowns."""
 
     n_s: int
     n_z: int
@@ -16,10 +16,10 @@ class Layout:
     n_intervals: int
     n_segments: int
     n_x: int = 0
-    n_effort: int = 0  # Bernstein coefficients of each effort; as many as nodes where 0
-    n_extra: int = 0  # unknowns of the whole program beyond its last state and durations
-    n_open_ends: int = 0  # open ends of an interval: no node stands there
-    n_z_open_end: int = 0  # algebraic unknowns at each of those
+    n_effort: int = 0  # Bernstein coefficients of each effort; 0 means the number of nodes
+    n_extra: int = 0  # unknowns of the whole program after the last state and the durations
+    n_open_ends: int = 0  # ends of an interval without a node
+    n_z_open_end: int = 0  # algebraic unknowns at each open end
 
     @property
     def n_state(self) -> int:
@@ -33,7 +33,7 @@ class Layout:
 
     @property
     def block(self) -> int:
-        """The number of unknowns that belong to one interval, its left state included."""
+        """The number of unknowns of one interval, with its left state."""
         inner = self.n_nodes * (self.n_s + self.n_x + self.n_z) + self.effort_coefficients * self.n_u
         return self.n_state + inner + self.n_open_ends * self.n_z_open_end
 
@@ -76,7 +76,7 @@ class Layout:
         return self.size - self.n_extra - self.n_segments + np.arange(self.n_segments)
 
     def extra(self) -> np.ndarray:
-        """Return the indices (n_extra,) of the whole program's further unknowns."""
+        """Return the indices (n_extra,) of the extra unknowns."""
         return self.size - self.n_extra + np.arange(self.n_extra)
 
     def _inner(self, start: int, count: int, width: int) -> np.ndarray:

@@ -1,21 +1,18 @@
-"""Meshes: how the unit of time is divided into intervals, and which of the instants between them may move."""
+"""Meshes: the division of normalised time into intervals and segments, whose boundaries may move."""
 
 from dataclasses import dataclass
 
 import numpy as np
-
-# An interval beside a segment is at most so many times as long as that, in a graded mesh.
-_BESIDE = 2.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Mesh:
     """Intervals grouped in segments whose durations the solver may choose, segments grouped in phases.
 
-    `fraction` (n,) is each interval's share of its segment, `segment` (n,) the segment's index; shares of one segment sum
-    to 1. With one segment the mesh is fixed in relative time; with more, the instants between segments move: the switch
-    times of a least-time motion. `phase` (n_segments,) says in which of the problem's phases, between start, waypoints and
-    goal, a segment lies; one where it is left out.
+    `fraction` (n,) is each interval's share of its segment; the shares of a segment sum to 1. `segment` (n,) is the
+    segment's index. In a mesh of one segment the intervals are fixed in relative time. With more segments, the instants
+    between them move, as the switch times of a least-time motion. `phase` (n_segments,) is the index of the problem's phase
+    (between start, waypoints and goal) of each segment; by default there is one phase.
     """
 
     fraction: np.ndarray
@@ -51,7 +48,7 @@ class Mesh:
         return int(self.phase[-1]) + 1
 
     def boundaries(self) -> np.ndarray:
-        """Return the intervals (n_phases + 1,) that begin at a phase boundary; the last one is past the last interval."""
+        """Return the first interval of each phase, then the number of intervals: (n_phases + 1,)."""
         of_interval = self.phase[self.segment]
         return np.concatenate([np.searchsorted(of_interval, np.arange(self.n_phases)), [self.n_intervals]])
 
@@ -72,7 +69,7 @@ def broken(breaks: np.ndarray) -> Mesh:
 
 
 def segmented(durations: np.ndarray, n_intervals: int, at_least: int = 3, phase: np.ndarray | None = None) -> Mesh:
-    """Return about `n_intervals` intervals over segments of given durations, shared out by duration."""
+    """Return about `n_intervals` intervals, distributed over segments in proportion to their durations."""
     durations = np.asarray(durations, dtype=float)
     share = np.maximum(at_least, np.round(n_intervals * durations / durations.sum())).astype(int)
     fraction = np.concatenate([np.full(n, 1.0 / n) for n in share])
@@ -80,14 +77,14 @@ def segmented(durations: np.ndarray, n_intervals: int, at_least: int = 3, phase:
 
 
 def halved(mesh: Mesh, which: np.ndarray) -> Mesh:
-    """Return the mesh with the intervals marked in `which` (n,) cut in two."""
+    """Return the mesh with the intervals marked in `which` (n,) halved."""
     pieces = np.where(which, 2, 1)
     fraction = np.repeat(mesh.fraction / pieces, pieces)
     return Mesh(fraction=fraction, segment=np.repeat(mesh.segment, pieces), phase=mesh.phase)
 
 
 def graded(mesh: Mesh, durations: np.ndarray) -> Mesh:
-    """Return the mesh with the intervals beside a segment much shorter than they halved towards it until they are not.
+    """Return the mesh in which no interval is more than twice as long as an adjacent segment, by repeated halving.
 
     Args:
         mesh: intervals.
@@ -98,8 +95,8 @@ def graded(mesh: Mesh, durations: np.ndarray) -> Mesh:
         widths = mesh.fraction * durations[mesh.segment]
         ends = np.flatnonzero(np.diff(mesh.segment))
         wide = np.zeros(mesh.n_intervals, dtype=bool)
-        wide[ends] = widths[ends] > _BESIDE * durations[mesh.segment[ends + 1]]
-        wide[ends + 1] |= widths[ends + 1] > _BESIDE * durations[mesh.segment[ends]]
+        wide[ends] = widths[ends] > 2.0 * durations[mesh.segment[ends + 1]]
+        wide[ends + 1] |= widths[ends + 1] > 2.0 * durations[mesh.segment[ends]]
         if not wide.any():
             return mesh
         mesh = halved(mesh, wide)

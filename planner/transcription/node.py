@@ -1,7 +1,7 @@
 """One node of a transcription: the system's rows and running cost at an instant, with their derivatives.
 
-These are the expensive functions, and they know neither scheme nor mesh: taken once, they serve every transcription of a
-system. Nonzeros are dense columns; where they stand is said beside them.
+These are the expensive functions. They depend on neither scheme nor mesh, so every transcription of a system uses the same.
+Sparse matrices are columns of nonzeros, each with its pattern.
 """
 
 from dataclasses import dataclass, fields
@@ -11,22 +11,24 @@ import numpy as np
 
 from linkplan.planner.transcription.system import System
 
-# Operations of a node from which on it is shared before it is differentiated, and of a function beyond which what they have
-# in common is not looked for: a platform on six legs with 3.4 million gained a thousandth by that, in 150 s.
-_LONG, _SHARED = 20_000, 1_000_000
+# Common subexpressions of a node with more operations than this are eliminated before differentiation.
+_MAX_UNSHARED_OPERATIONS = 20_000
+# In functions with more operations they are not sought: with 3.4 million (a platform on six legs) this took 150 s and saved
+# 0.1 %.
+_MAX_SHARED_OPERATIONS = 1_000_000
 Pattern = tuple[np.ndarray, np.ndarray]  # rows and columns of nonzeros, column by column
-_NOTHING: Pattern = (np.zeros(0, dtype=int), np.zeros(0, dtype=int))
+_EMPTY_PATTERN: Pattern = (np.zeros(0, dtype=int), np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class NodeFunctions:
-    """CasADi functions of one node (xi, theta), and of an end at which none stands.
+    """CasADi functions of one node (xi, theta), and of an open end, where no node lies.
 
     `node_value` gives the rows (n_f,), `node_jacobian` the nonzeros of their Jacobian, `node_cost` the running cost and
-    `node_cost_gradient` its gradient; `node_hessian` (xi, theta, lambda of rows and cost) a gradient and the nonzeros of an
-    upper triangle. `open_end_value`, `open_end_jacobian` and `open_end_hessian` are the same of the rows that are imposed
-    where no node stands, `open_end_rows` of a node's, without a cost; None where none are. `open_end_z` are the algebraic
-    unknowns that those need.
+    `node_cost_gradient` its gradient. `node_hessian` (xi, theta, multipliers of rows and cost) gives a gradient and the
+    nonzeros of an upper triangle. `open_end_value`, `open_end_jacobian` and `open_end_hessian` are the same functions for
+    the rows at open ends, without a cost; None if there are no such rows. `open_end_rows` are the indices of these rows
+    among a node's rows, `open_end_z` the algebraic unknowns in them.
     """
 
     node_value: ca.Function
@@ -39,17 +41,17 @@ class NodeFunctions:
     open_end_hessian: ca.Function | None = None
     jacobian_pattern: Pattern
     hessian_pattern: Pattern
-    open_end_jacobian_pattern: Pattern = _NOTHING
-    open_end_hessian_pattern: Pattern = _NOTHING
+    open_end_jacobian_pattern: Pattern = _EMPTY_PATTERN
+    open_end_hessian_pattern: Pattern = _EMPTY_PATTERN
     open_end_rows: tuple[int, ...] = ()
     open_end_z: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        as_kept(self)
+        convert_lists(self)
 
 
-def as_kept(functions: object) -> None:
-    """Make patterns and tuples of what may come as lists from a record of the cache."""
+def convert_lists(functions: object) -> None:
+    """Convert the lists of a cache record to patterns and tuples, in place during construction."""
     for field in fields(functions):
         value = getattr(functions, field.name)
         if field.name.endswith("pattern"):
@@ -59,7 +61,7 @@ def as_kept(functions: object) -> None:
 
 
 def build_node(system: System, open_end_path: tuple[int, ...] = ()) -> NodeFunctions:
-    """Return the functions of a node of a system; path quantities of `open_end_path` are rows at open ends too."""
+    """Return a system's node functions; the path quantities in `open_end_path` are rows at open ends too."""
     functions, patterns = _functions(system, "node", system.node, system.n_equations + system.n_path)
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
     cost = ca.densify(system.node(xi, theta))[system.n_equations + system.n_path]
@@ -76,10 +78,10 @@ def build_node(system: System, open_end_path: tuple[int, ...] = ()) -> NodeFunct
 
 
 def _functions(system: System, name: str, at: ca.Function, n_f: int) -> tuple[dict[str, ca.Function], dict[str, Pattern]]:
-    """Return the value, Jacobian and Hessian functions of rows (n_f,) and a cost, and the latter two's patterns."""
+    """Return the value, Jacobian and Hessian functions of rows (n_f,) and a cost, with the patterns of the latter two."""
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
     F = ca.densify(at(xi, theta))
-    if ca.n_nodes(F) > _LONG:  # shared before it is differentiated: a third less to differentiate
+    if ca.n_nodes(F) > _MAX_UNSHARED_OPERATIONS:  # leaves a third less to differentiate
         F = ca.cse(F)
     jacobian = ca.jacobian(F[:n_f], xi)
     lam = ca.SX.sym("lam", F.numel())
@@ -94,18 +96,18 @@ def _functions(system: System, name: str, at: ca.Function, n_f: int) -> tuple[di
 
 
 def _function(name: str, inputs: list, outputs: list) -> ca.Function:
-    shared = ca.n_nodes(ca.veccat(*outputs)) <= _SHARED
+    shared = ca.n_nodes(ca.veccat(*outputs)) <= _MAX_SHARED_OPERATIONS
     return ca.Function(name, inputs, outputs, {"cse": shared})
 
 
 def _open_end_rows(system: System, open_end_path: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the rows of a node that hold where none stands: closure, and the path quantities that are bounded there."""
+    """Return the rows of a node that are imposed at open ends: closure, and the given path quantities."""
     closure = tuple(i for i in range(system.n_equations) if system.kinds[i] == "closure")
     return closure + tuple(system.n_equations + i for i in open_end_path)
 
 
 def _at_open_ends(system: System, open_end_rows: tuple[int, ...]) -> ca.Function:
-    """Return a node's function with those rows alone, and a cost of zero."""
+    """Return a node's function with only these rows, and a cost of zero."""
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
     return ca.Function("open_end", [xi, theta], [ca.vertcat(system.node(xi, theta)[list(open_end_rows)], 0)])
 

@@ -1,7 +1,7 @@
-"""A system without its numbers: what is left is its structure, and one compilation serves every system that has it.
+"""Systems with the constants of their expressions as parameters, so that one compilation serves systems of one structure.
 
-Masses, lengths and all else that a model says stand in a node's expressions as constants. Taken out, they are parameters of
-a node: mechanisms of one kind (every four-bar of a design study) then have the same functions, compiled once for all.
+Masses, lengths and other numbers of a model are constants in a node's expressions. As parameters of the node, they leave the
+same functions for all mechanisms of one kind (every four-bar of a design study), which are compiled once.
 """
 
 import functools
@@ -12,20 +12,20 @@ import numpy as np
 
 from linkplan.planner.transcription.system import System
 
-# Constants are taken out where they are summands, factors or divisors alone: an exponent, or what is compared with, decides
-# what derivatives look like.
-_TAKEN = (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV)
-# Constants of the equations and not of the model, and by how much a model's number may be off one of them by rounding: a
-# rotation's entry that is one for one mechanism and one less a rounding for the next is one for both.
-_OF_THE_EQUATIONS, _ROUNDING = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]), 4e-16
+# Only constants that are summands, factors or divisors become parameters. Exponents and compared constants determine the
+# form of the derivatives and stay.
+_REPLACED_OPERATIONS = (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV)
+# Constants of the equations, not of the model. A model's number that equals one of them except for rounding counts as
+# equal: an entry of a rotation may be 1 in one mechanism and 1 - 1e-16 in the next.
+_EQUATION_CONSTANTS, _RELATIVE_ROUNDING = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]), 4e-16
 
 
 @functools.lru_cache(maxsize=32)
 def without_numbers(system: System) -> tuple[System, np.ndarray]:
-    """Return a system with the numbers of its node's expressions as further parameters, its last ones, and these (n,).
+    """Return a system with its node's constants as further parameters, and the values (n,) of these parameters.
 
-    A user's differential equation, of one problem and not of a family, is returned as it is, without any; so is a system
-    that calls functions of its own.
+    A user's differential equation is returned unchanged, because it is one problem and not a family. So is a system whose
+    expressions call functions.
     """
     node = system.node
     if not system.n_s or not node.is_a("SXFunction") or ca.OP_CALL in map(node.instruction_id, range(node.n_instructions())):
@@ -56,29 +56,29 @@ def without_numbers(system: System) -> tuple[System, np.ndarray]:
 
 
 def _taken(node: ca.Function) -> list[int]:
-    """Return the instructions of a function whose constants are a model's numbers."""
+    """Return the indices of the instructions that load a model's numbers."""
     standing: dict[int, int] = {}  # the instruction whose constant a place of the work vector holds
     kept: set[int] = set()
     taken = []
     for k in range(node.n_instructions()):
         op, out = node.instruction_id(k), node.instruction_output(k)
-        if op != ca.OP_INPUT and op not in _TAKEN:
+        if op != ca.OP_INPUT and op not in _REPLACED_OPERATIONS:
             kept |= {standing[place] for place in node.instruction_input(k) if place in standing}
         if op == ca.OP_OUTPUT:
             continue
         standing.pop(out[0], None)
-        if op == ca.OP_CONST and _of_a_model(node.instruction_constant(k)):
+        if op == ca.OP_CONST and _is_model_number(node.instruction_constant(k)):
             standing[out[0]] = k
             taken.append(k)
     return [k for k in taken if k not in kept]
 
 
 def _rounded(constant: float) -> float:
-    """Return a constant, or the one of the equations that it is but for rounding."""
-    nearest = float(_OF_THE_EQUATIONS[np.argmin(np.abs(_OF_THE_EQUATIONS - constant))])
-    return nearest if abs(nearest - constant) <= _ROUNDING * abs(nearest) else constant
+    """Return a constant, replaced by the constant of the equations that it equals except for rounding."""
+    nearest = float(_EQUATION_CONSTANTS[np.argmin(np.abs(_EQUATION_CONSTANTS - constant))])
+    return nearest if abs(nearest - constant) <= _RELATIVE_ROUNDING * abs(nearest) else constant
 
 
-def _of_a_model(constant: float) -> bool:
-    """Return whether a constant is none of the equations'."""
-    return bool(np.isfinite(constant)) and _rounded(constant) not in _OF_THE_EQUATIONS
+def _is_model_number(constant: float) -> bool:
+    """Check that a constant is finite and no constant of the equations."""
+    return bool(np.isfinite(constant)) and _rounded(constant) not in _EQUATION_CONSTANTS

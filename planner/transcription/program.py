@@ -1,10 +1,10 @@
-"""The nonlinear program over a mesh: an interval's functions, mapped and put in place by index.
+"""The nonlinear program over a mesh: the functions of one interval, mapped over all intervals and placed by index.
 
-Unknowns are the intervals' (left state, nodal accelerations, nodal dependent positions z lifted and tied by phi(s, z) = 0,
-Bernstein coefficients of the effort), then the last state, the segments' durations, and what a whole program adds. The
-first and second derivatives of one node and one interval are taken once, symbolically, mapped over all of them, and their
-nonzeros are put in place by a permutation: building costs the same for 10 intervals as for 1,000, and no graph colouring
-is run. Rows that are linear in the unknowns (periodicity, total duration) are appended.
+The unknowns are, interval by interval, the left state, nodal accelerations, nodal dependent positions z (with rows
+phi(s, z) = 0) and the effort's Bernstein coefficients; then the last state, the segments' durations, and extra unknowns.
+Derivatives of one node and one interval are taken once, symbolically, and mapped. A permutation puts their nonzeros into
+place, so building takes the same time for 10 intervals as for 1,000 and needs no graph colouring. Rows that are linear in
+the unknowns (periodicity, total duration) are appended.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from linkplan.planner.transcription.triplets import Triplets, pattern, scatter
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Program:
-    """A program that is built: CasADi functions of all unknowns x and parameters p, ready for a solver.
+    """A nonlinear program: CasADi functions of all unknowns x and parameters p, ready for a solver.
 
     Parameters are, per interval, its share of the segment, its own parameters and those of its nodes; then the endpoint's.
     """
@@ -77,8 +77,8 @@ def build_program(
     h = share * x[layout.durations()[mesh.segment].tolist()].T
     f = ca.sum2(own_costs) + ca.dot(h, ca.DM(interval.weights).T @ running) + ca.dot(c, x) + (ends.cost if ends else 0)
 
-    # CasADi's map deals columns out in order: nodes k m to (k + 1) m - 1 are interval k's.
-    # Jacobian: nonzeros of the intervals' Jacobians side by side, then the linear rows', permuted into column order.
+    # CasADi's map distributes columns in order: nodes k m to (k + 1) m - 1 belong to interval k.
+    # Jacobian: the intervals' nonzeros, then the linear rows' nonzeros, permuted into column order.
     node_jacobian = node.node_jacobian.map(m * n)(xi, theta_nodes)
     values = chain.chain_jacobian.map(n)(w, share, eta, node_jacobian, open_ends.jacobian)
     rows, columns = chain.jacobian_pattern
@@ -139,7 +139,7 @@ def build_program(
 
 
 class _OpenEnds:
-    """What is bounded at open ends, where no node stands: rows, and the values of their derivatives; empty where nothing is.
+    """Rows at open ends and their derivatives' values; empty if nothing is bounded there.
 
     `points` and `theta` are the columns (n_open_ends * n_xi, n) and (n_open_ends * n_theta, n) of n intervals.
     """
@@ -164,10 +164,10 @@ class _OpenEnds:
 
 
 class _Ends:
-    """The endpoint's rows and cost with their derivatives, and where those stand in the whole program's.
+    """The endpoint's rows and cost with their derivatives, and their places in the whole program.
 
-    Its local unknowns are e = [first state; last state; algebraic unknowns of the last node, where it asks for them;
-    duration]; the duration is the sum of the segments'.
+    The local unknowns are e = [first state; last state; algebraic unknowns of the last node, if the endpoint needs them;
+    duration], where the duration is the sum of the segments' durations.
     """
 
     def __init__(self, endpoint: Endpoint, layout: Layout, x: ca.MX, parameters: ca.MX) -> None:
@@ -178,7 +178,7 @@ class _Ends:
         # CasADi makes a row of an empty slice of a column.
         rows, cost = ca.reshape(F[: endpoint.n_rows], endpoint.n_rows, 1), F[endpoint.n_rows]
         at = ca.vertcat(x[[int(i) for i in places]], ca.sum1(x[layout.durations().tolist()]))
-        # Each local unknown stands at one place, the duration at as many as there are segments.
+        # Each local unknown has one place, except the duration, which has one place per segment.
         self._where = [np.array([i]) for i in places] + [layout.durations()]
         value = ca.Function("ends", [e, q], [rows, cost])(at, parameters)
         self.rows, self.cost = value
@@ -204,7 +204,7 @@ class _Ends:
         return self._hessian(*self._at, ca.vertcat(lam_f, lam_rows))
 
     def _spread(self, rows, columns, *, second_is_place: bool):
-        """Return triplets with local unknowns at their places, and which value stands at each."""
+        """Return triplets with local unknowns replaced by their places, and the index of the value at each."""
         first, second, order = [], [], []
         for value, (i, j) in enumerate(zip(rows, columns, strict=True)):
             for a in [i] if second_is_place else self._where[i]:
@@ -226,7 +226,7 @@ def _gather(layout: Layout, mesh: Mesh) -> np.ndarray:
 
 
 def _assemble(values: ca.MX, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> ca.MX:
-    """Return the sparse matrix of triplets, equal places added."""
+    """Return the sparse matrix of triplets; values at equal places are added."""
     key = columns * shape[0] + rows
     places, inverse = np.unique(key, return_inverse=True)
     sparsity = pattern(places % shape[0], places // shape[0], shape)

@@ -1,4 +1,4 @@
-"""The names of the transcriptions: known without loading what computes them."""
+"""Names of the transcriptions, in a module that is quick to import."""
 
 MAX_DEGREE = 9
 # The nodes of the first-order families, on the unit interval.
@@ -7,5 +7,5 @@ NAMES = (
     *(f"{name}{form}" for name in LOBATTO for form in ("", "-consistent")),
     *(f"{family}-{degree}" for family in ("radau", "gauss") for degree in range(1, MAX_DEGREE + 1)),
 )
-# What an effort is over an interval: the degree of its polynomial at the most.
+# The highest degree of an effort's polynomial on an interval.
 EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}

@@ -1,19 +1,19 @@
-"""Transcriptions: how a motion is written on one interval, as validated constants.
+"""Transcriptions: the representation of a motion on one interval, as validated constants.
 
 On an interval of width h, with tau in [0, 1] and collocation nodes c_1..c_m, the acceleration is the polynomial through
-its values a_i at the nodes; velocity and position are its exact integrals,
+its values a_i at the nodes. Velocity and position are its exact integrals,
 
     v(tau) = v_0 + h sum_j a_j int_0^tau l_j,      s(tau) = s_0 + h tau v_0 + h^2 sum_j a_j int_0^tau int l_j,
 
-so that s' = v at every instant and not only at the nodes (the second-order-consistent form of Moreno-Martin, Ros &
-Celaya, arXiv 2302.09056: applied to q'' = f, first-order schemes let the interpolated velocity differ from the
-derivative of the interpolated position). Radau nodes give order 2m-1, Lobatto's three nodes are Hermite-Simpson's.
+so s' = v at every instant and not only at the nodes. This is the second-order-consistent form of Moreno-Martin, Ros &
+Celaya, arXiv 2302.09056; first-order schemes applied to q'' = f let the interpolated velocity differ from the derivative
+of the interpolated position. Radau nodes give order 2m-1. Lobatto's three nodes are those of Hermite-Simpson.
 
-The first-order form of a scheme integrates the nodal velocities instead, s' being the polynomial through them; it is kept
-for comparison ("trapezoid", "hermite-simpson" beside their "-consistent" forms).
+In the first-order form of a scheme, s' is the polynomial through the nodal velocities. This form is kept for comparison:
+"trapezoid" and "hermite-simpson" are first-order, "trapezoid-consistent" and "hermite-simpson-consistent" second-order.
 
-The effort is a polynomial held by its Bernstein coefficients: the curve stays in their convex hull (Farouki, CAGD 29, 2012),
-so coefficients within a limit keep the effort within it at every instant. Its degree is m-1 unless a lower one is asked for.
+The effort is a polynomial given by its Bernstein coefficients. The curve stays in their convex hull (Farouki, CAGD 29,
+2012), so coefficients within a limit keep the effort within it at every instant. The default degree is m-1.
 """
 
 from dataclasses import dataclass
@@ -32,10 +32,11 @@ from linkplan.planner.transcription.scheme_names import EFFORTS, LOBATTO, MAX_DE
 class Scheme:
     """A transcription's constants on the unit interval, for m nodes.
 
-    `nodes` (m,); `velocity` (m, m) and `position` (m, m) integrate nodal accelerations once and twice up to each node;
-    `velocity_end` and `position_end` (m,) up to 1; `weights` (m,) are the quadrature's. `effort_at` (m, n_effort) takes
-    Bernstein coefficients to values at the nodes; `velocity_coefficients` (m + 1, m) and `position_coefficients` (m + 2, m;
-    m + 1 in first-order form) take nodal accelerations to Bernstein coefficients of v - v_0 and s - s_0 - h tau v_0.
+    `nodes` (m,) are the nodes. `velocity` (m, m) and `position` (m, m) integrate nodal accelerations once and twice up to
+    each node, `velocity_end` and `position_end` (m,) up to 1. `weights` (m,) are quadrature weights. `effort_at`
+    (m, n_effort) maps Bernstein coefficients to values at the nodes. `velocity_coefficients` (m + 1, m) and
+    `position_coefficients` (m + 2, m; m + 1 in first-order form) map nodal accelerations to the Bernstein coefficients of
+    v - v_0 and s - s_0 - h tau v_0.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Scheme:
 
     def __post_init__(self) -> None:
         m = len(self.nodes)
-        tolerance = 1e-10  # conditioning of nine Radau nodes costs five digits of the machine's sixteen
+        tolerance = 1e-10  # nine Radau nodes are so ill-conditioned that five of sixteen digits are lost
         ones = np.ones(m)
         checks = (
             np.all(np.diff(self.nodes) > 0) and self.nodes[0] >= 0 and self.nodes[-1] <= 1,
@@ -84,12 +85,12 @@ class Scheme:
 
     @property
     def open_ends(self) -> tuple[int, ...]:
-        """The ends of an interval, 0 or 1, at which no node stands: 0 of Radau's, both of Gauss's."""
+        """The ends of an interval, 0 or 1, without a node: 0 for Radau, both for Gauss."""
         return (0,) * bool(self.nodes[0] > 0) + (1,) * bool(self.nodes[-1] < 1)
 
     @property
     def at_open_ends(self) -> np.ndarray:
-        """The matrix (n_open, m) from nodal accelerations to those at the open ends."""
+        """The matrix (n_open, m) that maps nodal accelerations to the accelerations at the open ends."""
         m = self.n_nodes
         to_coefficients = np.linalg.inv(bernstein_matrix(m - 1, self.nodes))
         return bernstein_matrix(m - 1, np.array(self.open_ends, dtype=float)) @ to_coefficients
@@ -99,7 +100,7 @@ def scheme(name: str, effort: str = "polynomial") -> Scheme:
     """Return the transcription called `name`, with efforts "constant", "linear" or "polynomial" over an interval.
 
     Raises:
-        ProblemError: for any other name.
+        ProblemError: for an unknown name.
     """
     if not isinstance(name, str) or name not in NAMES:
         raise ProblemError(

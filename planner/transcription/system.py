@@ -1,9 +1,8 @@
-"""What is to hold at one instant: the continuous problem as functions of a node's unknowns.
+"""A continuous problem at one instant: equations, bounded quantities and running cost as functions of a node's unknowns.
 
 A node is (s, v, a, x, r, z, u): positions, velocities and accelerations of second-order coordinates, states x of first-order
-equations with their rates r, algebraic unknowns z, efforts u. A system says which equations and which bounded quantities
-belong to it and what it costs; it knows nothing of meshes. Mechanisms make one kind of system, a user's own differential
-equation another, and the transcription serves both.
+equations with their rates r, algebraic unknowns z, efforts u. A system is independent of meshes. Mechanisms and users'
+differential equations are both converted to systems.
 """
 
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ class System:
     node: ca.Function
     n_equations: int
     n_path: int
-    kinds: tuple[str, ...]  # what each equation and path quantity is, for messages and tests
+    kinds: tuple[str, ...]  # the kind of each equation and path quantity, for messages and tests
 
     def __post_init__(self) -> None:
         if len(self.kinds) != self.n_equations + self.n_path:
@@ -45,7 +44,7 @@ class System:
 
     @property
     def n_state(self) -> int:
-        """The number of states that an interval hands to the next: s, v and x."""
+        """The number of states that adjacent intervals share: s, v and x."""
         return 2 * self.n_s + self.n_x
 
 
@@ -75,10 +74,10 @@ def node_symbols(n_s: int, n_x: int, n_z: int, n_u: int) -> NodeSymbols:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Endpoint:
-    """What is asked of a motion's two ends together: rows, and a cost.
+    """Rows and a cost that depend on both ends of a motion.
 
-    `function` maps (first state, last state, duration, parameters), all scaled, to a column [rows (n_rows,); cost]. Where it
-    is `algebraic`, its fifth input are the algebraic unknowns (n_z,) of the last node, which then stands at the end.
+    `function` maps (first state, last state, duration, parameters), all scaled, to a column [rows (n_rows,); cost]. If
+    `algebraic`, its fifth input is the algebraic unknowns (n_z,) of the last node, which must then lie at the end.
     """
 
     function: ca.Function
@@ -91,10 +90,10 @@ class Endpoint:
         return int(self.function.size1_in(3))
 
     def unknowns(self, first: Any, last: Any, z: Any) -> list:
-        """Return places of its unknowns, duration apart, in one list: of the first and last state, of z where it asks."""
+        """Return the unknowns except the duration in one list: first state, last state, and z if `algebraic`."""
         return [*first, *last, *(z if self.algebraic else ())]
 
     def at(self, e: ca.SX, duration: ca.SX, parameters: ca.SX, n_state: int) -> ca.SX:
-        """Return its column at the unknowns e, in the order of `unknowns`."""
+        """Return [rows; cost] at the unknowns e, in the order of `unknowns`."""
         further = [e[2 * n_state :]] if self.algebraic else []
         return ca.densify(self.function(e[:n_state], e[n_state : 2 * n_state], duration, parameters, *further))

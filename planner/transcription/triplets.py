@@ -1,4 +1,4 @@
-"""Sparse matrices as triplets, and as CasADi's: scipy.sparse takes longer to import than a small program takes to build."""
+"""Sparse matrices as triplets and as CasADi matrices, without scipy.sparse, whose import is slow."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Triplets:
-    """A matrix by its nonzeros: rows, columns and values (n,) at places that all differ."""
+    """A sparse matrix by its nonzeros: rows, columns and values (n,), at distinct places."""
 
     rows: np.ndarray
     columns: np.ndarray
@@ -16,7 +16,7 @@ class Triplets:
     shape: tuple[int, int]
 
     def dm(self) -> ca.DM:
-        """Return it as CasADi's."""
+        """Return the CasADi matrix."""
         order = np.lexsort((self.rows, self.columns))
         return ca.DM(pattern(self.rows[order], self.columns[order], self.shape), self.values[order])
 
@@ -28,12 +28,12 @@ def no_rows(size: int) -> Triplets:
 
 
 def pattern(rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> ca.Sparsity:
-    """Return the pattern of nonzeros that come column by column, and in each by rows."""
+    """Return the sparsity pattern of nonzeros sorted by column, then by row."""
     begins = np.searchsorted(columns, np.arange(shape[1] + 1))
     return ca.Sparsity(shape[0], shape[1], begins.tolist(), rows.tolist())
 
 
 def scatter(target: np.ndarray, size: int) -> ca.DM:
-    """Return the matrix (size, n) that adds value i to place target[i]."""
+    """Return the matrix (size, n) that adds value i to entry target[i]."""
     n = len(target)
     return ca.DM(ca.Sparsity(size, n, list(range(n + 1)), np.asarray(target).tolist()), np.ones(n))

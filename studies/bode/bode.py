@@ -95,7 +95,7 @@ class BodeStudy:
     def loop_name(self) -> str:
         """The tracker with its gains, period and delay, as text."""
         settings = self.settings
-        name = self.law if self.law == "lqr" else settings.gains_said(self.mechanism.independent_joints)
+        name = self.law if self.law == "lqr" else settings.gains_text(self.mechanism.independent_joints)
         name += f" sampled every {settings.period_s:g} s"
         if self.timing.delay_steps:
             name += f" with a delay of {self.timing.delay_s / settings.period_s:g} period(s)"

@@ -4,7 +4,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair, Meeting, exclusion, meetings
-from linkplan.planner.certificate.collisions import who
+from linkplan.planner.certificate.collisions import geom_names
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 
 
@@ -45,8 +45,8 @@ def contact_findings(
         if meeting.since is None:
             depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
             notes.append(
-                f"{who(meeting)} overlap as deep at home, or on a pin that they share, {depth}: contact forces are not"
-                f" planned for; the simulator applies them unless told {exclusion(meeting.bodies)}"
+                f"{geom_names(meeting)} overlap as deep at home, or on a pin that they share, {depth}: contact forces are"
+                f" not planned for; the simulator applies them unless told {exclusion(meeting.bodies)}"
             )
         elif treatment == "note":
             notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")
@@ -63,4 +63,4 @@ def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: KinematicLoopPath,
     at = position_at(np.array([meeting.since]))[0]
     where = ", ".join(f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.independent_joints, at, strict=True))
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
-    return f"{who(meeting)} collide at {where} on {path.title}, {depth}"
+    return f"{geom_names(meeting)} collide at {where} on {path.title}, {depth}"

@@ -22,7 +22,7 @@ from linkplan.controllers.trackers.tracker import AnyTracker, Tracker
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.models.poses.contacts import exclusion
-from linkplan.planner.certificate.collisions import who
+from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.values import number, whole
@@ -259,7 +259,7 @@ def contact_note(plan: Plan, rollout: Rollout) -> str | None:
     met = plan.certificate.contacts if plan.certificate is not None else ()
     if not (rollout.contacts and met):
         return None
-    pairs = ", ".join(who(meeting).removeprefix("geoms ") for meeting in met[:3])
+    pairs = ", ".join(geom_names(meeting).removeprefix("geoms ") for meeting in met[:3])
     more = f" and {len(met) - 3} more pairs" if len(met) > 3 else ""
     exclusions = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in met[:3]))
     return (

@@ -17,7 +17,7 @@ from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.certificate.collisions import noted
+from linkplan.planner.certificate.collisions import contact_note
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.planner.limits.samples import singularity_ratios
@@ -91,7 +91,7 @@ class FirstMotion:
     def notes(self) -> list[str]:
         """What the motion leaves out: contacts that there are by construction, a sentence each."""
         certificate = None if self.plan is None else self.plan.certificate
-        return [] if certificate is None else [noted(meeting) for meeting in certificate.contacts]
+        return [] if certificate is None else [contact_note(meeting) for meeting in certificate.contacts]
 
     @property
     def planned(self) -> bool:

@@ -13,8 +13,7 @@ from linkplan.planner.certificate.certificate import (
     VELOCITY_SHARE,
     Certificate,
 )
-from linkplan.planner.certificate.collisions import who
-from linkplan.planner.certificate.site_ends import ENDS_SHARE
+from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Checklist, Item
@@ -122,7 +121,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     ]
     motion = plan.problem.motion
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        allowed = ENDS_SHARE * mechanism.extent_m
+        allowed = BOUNDARY_SHARE * mechanism.extent_m
         error = certificate.site_error_m
         items.append(_item("sites, off where they are asked to be", error <= allowed, error, allowed, "m", None))
     if mechanism.closures:
@@ -149,7 +148,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
 def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
     return [
         _item(
-            f"contact of {who(meeting)}, depth",
+            f"contact of {geom_names(meeting)}, depth",
             plan.problem.contacts != "refuse" or meeting.since is None,
             1e3 * meeting.depth_m,
             0.0 if plan.problem.contacts == "refuse" and meeting.since is not None else None,

@@ -59,7 +59,7 @@ def _table(plan: Plan) -> Table:
             places = 4 - math.floor(math.log10(abs(worst.limit) or 1.0))  # of the limit's size: less is rounding
             figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
             at = float(f"{worst.time_s:.5g}")
-            rows.append([corner.said(joints), worst.kept, actuator.name, *figures, actuator.unit, at])
+            rows.append([corner.description(joints), worst.kept, actuator.name, *figures, actuator.unit, at])
     heads = [(head, "") for head in ("machine", "kept", "nearest to its limit", "effort", "limit", "left", "unit")]
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
@@ -76,7 +76,7 @@ def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> li
         needed, unit = motion.effort[:, j], actuator.unit
         modelled = Line(name="as modelled", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
         lines = [
-            Line(name=corner.said(joints), values=np.asarray(efforts[:, item, j]), unit=unit, limits=bounds)
+            Line(name=corner.description(joints), values=np.asarray(efforts[:, item, j]), unit=unit, limits=bounds)
             for item, corner in enumerate(corners)
         ]
         title = f"What each machine needs of {actuator.name} for the motion"

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from linkplan.planner.solvers.outcome import TOLERANCE
+from linkplan.planner.solvers.outcome import SOLVER_TOLERANCE
 
 L1, L2, L3, L4 = 0.057, 0.0741, 0.0855, 0.057
 GRAVITY = 9.81
@@ -71,7 +71,7 @@ def acceleration_function() -> ca.Function:
 
 
 # IPOPT as linkplan has it, for every peer.
-IPOPT = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE}
+IPOPT = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": SOLVER_TOLERANCE}
 # The quickest of barriers 1e-3, 1e-4, 1e-6 and 1e-8 and pushes 1e-6 and 1e-9 on both problems: 3 and 4 iterations.
 WARM = IPOPT | {"expand": True, "error_on_fail": True, "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-8}
 for _push in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"):

@@ -18,7 +18,7 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.models.tree.ties import tied_points
 from linkplan.planner.files.problem_file import load_problem
-from linkplan.planner.problem.limits import Limits, free
+from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
@@ -72,13 +72,13 @@ def random_problem(seed: int) -> PlanningProblem | None:
     can = reach(mechanism, 0)
     start[0] -= min(_MOST, _SHARE * (start[0] - can.lower.position))
     goal[0] += min(_MOST, _SHARE * (can.upper.position - goal[0]))
-    unlimited = free(mechanism.n_q)
+    unlimited = free_bounds(mechanism.n_q)
     return PlanningProblem(
         name=f"planar {seed}",
         mechanism=mechanism,
         motion=Motion(kind="reach", start=start, goal=goal, duration_s=_DURATION_S),
         objective="effort",
-        limits=Limits(effort=free(mechanism.n_u), position=unlimited, speed=unlimited),
+        limits=Limits(effort=free_bounds(mechanism.n_u), position=unlimited, speed=unlimited),
     )
 
 

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.boundary import exactly, missed
+from linkplan.planner.certificate.boundary import exact_bounds, relative_violation
 from linkplan.planner.certificate.flow import flow, flows
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
@@ -174,11 +174,13 @@ def test_a_flow_that_ends_within_an_interval_says_so_and_no_interval_follows():
 
 def test_ends_are_missed_by_what_they_are_outside_of_what_is_asked():
     low, high = np.array([0.0, -np.inf]), np.array([1.0, np.inf])
-    assert missed(np.array([0.5, 1e9]), low, high, 1.0) == 0.0
-    assert missed(np.array([1.5, 1e9]), low, high, np.array([2.0, 1.0])) == pytest.approx(0.25)
-    assert missed(np.array([-1.0, 0.0]), low, high, 1.0) == pytest.approx(1.0)
-    assert missed(np.array([3.0, 5.0]), *exactly(np.array([3.5, np.nan])), 1.0) == pytest.approx(0.5)
-    assert missed(np.array([3.0, 5.0]), *exactly(np.array([3.5, 7.0]), np.array([True, False])), 1.0) == pytest.approx(2.0)
+    assert relative_violation(np.array([0.5, 1e9]), low, high, 1.0) == 0.0
+    assert relative_violation(np.array([1.5, 1e9]), low, high, np.array([2.0, 1.0])) == pytest.approx(0.25)
+    assert relative_violation(np.array([-1.0, 0.0]), low, high, 1.0) == pytest.approx(1.0)
+    assert relative_violation(np.array([3.0, 5.0]), *exact_bounds(np.array([3.5, np.nan])), 1.0) == pytest.approx(0.5)
+    assert relative_violation(
+        np.array([3.0, 5.0]), *exact_bounds(np.array([3.5, 7.0]), np.array([True, False])), 1.0
+    ) == pytest.approx(2.0)
 
 
 def test_why_a_solver_stopped_is_said_where_it_says_nothing_of_the_problem():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.certificate.integration import GROWTH, integrate
+from linkplan.planner.certificate.integration import RESTART_GROWTH, integrate
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
@@ -42,14 +42,14 @@ def allowed(plan: Plan) -> np.ndarray:
 
 
 def test_an_error_next_to_upright_would_grow_beyond_all_rounding():
-    assert np.exp(RATE * WAIT_S) > 1e6 * GROWTH
+    assert np.exp(RATE * WAIT_S) > 1e6 * RESTART_GROWTH
 
 
 @pytest.mark.slow
 def test_a_rod_that_waits_upright_is_planned_and_judged_anew_as_often_as_errors_grow():
     plan = over_upright()
     assert plan.status == "optimal", plan.message
-    most = np.log(np.exp(RATE * WAIT_S)) / np.log(GROWTH)
+    most = np.log(np.exp(RATE * WAIT_S)) / np.log(RESTART_GROWTH)
     assert 1 <= plan.certificate.integration_restarts <= most + 1
     assert plan.certificate.integration_error_deg <= INTEGRATION_DEG
 
@@ -72,7 +72,7 @@ def test_an_unstable_motion_with_efforts_that_are_not_its_own_does_not_pass(shar
 
 
 def test_what_is_begun_anew_still_adds_up_what_each_interval_is_off():
-    """A step of the planned velocity in the middle is a defect: it grows by no more than GROWTH, and is seen."""
+    """A step of the planned velocity in the middle is a defect: it grows by no more than RESTART_GROWTH, and is seen."""
     plan = over_upright()
     motion, jump = plan.trajectory, 1e-4
     velocity = np.array(motion.velocity)

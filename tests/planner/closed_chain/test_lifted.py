@@ -31,7 +31,7 @@ def lifted_rows_along(mechanism: Mechanism, rng: np.random.Generator, *, wrong: 
 
 @pytest.mark.parametrize("model", ["five-bar", "andrews-squeezer", hexapod()], ids=["five-bar", "squeezer", "hexapod"])
 def test_rows_of_a_lifted_node_are_kept_by_the_reduced_dynamics(model, monkeypatch):
-    monkeypatch.setattr(lifted, "_LONG", 0)
+    monkeypatch.setattr(lifted, "_MAX_ELIMINATION_OPERATIONS", 0)
     mechanism, rng = load_mechanism(model), np.random.default_rng(3)
     assert lifted.is_lifted(mechanism)
     assert np.abs(lifted_rows_along(mechanism, rng)).max() < ROWS
@@ -52,7 +52,7 @@ def test_a_lifted_program_has_the_reduced_ones_answer(fastest, monkeypatch):
         return plan_motion(load_problem("five-bar-reach", limits))
 
     reduced = planned()
-    monkeypatch.setattr(lifted, "_LONG", 0)
+    monkeypatch.setattr(lifted, "_MAX_ELIMINATION_OPERATIONS", 0)
     same = planned()
     assert lifted.is_lifted(same.problem.mechanism)
     assert (reduced.status, same.status) == ("optimal", "optimal"), same.message

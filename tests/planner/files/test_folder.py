@@ -16,7 +16,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import MANIFEST, plain, write_json, write_whole
 from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.plan_folder import read_plan, record, write_plan
-from linkplan.planner.files.plan_record import FORMAT
+from linkplan.planner.files.plan_record import PLAN_FORMAT
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
 from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING
@@ -84,7 +84,7 @@ def test_a_folder_holds_the_plan_s_three_files(saved):
 
 def test_the_record_is_json_with_its_units_in_its_names(saved):
     said = json.loads((saved / "plan.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
-    assert said["format"] == FORMAT
+    assert said["format"] == PLAN_FORMAT
     assert said["status"] == "optimal"
     assert said["duration_s"] == pytest.approx(0.16)
     assert said["peak_effort"]["act_O"] == pytest.approx(86.3, abs=PRINTED_NM)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.integration import GROWTH
+from linkplan.planner.certificate.integration import RESTART_GROWTH
 from linkplan.planner.ode.certificate import certify_ode
 from linkplan.planner.ode.integration import is_unstable
 from linkplan.planner.ode.problem import OdeProblem
@@ -47,7 +47,7 @@ def test_a_motion_that_no_integration_could_follow_is_planned_and_judged_anew_as
     slopes = [w * (-a + b * np.exp(-w * T)), w * (-a * np.exp(-w * T) + b)]
     plan = long()
     assert plan.objective == pytest.approx((slopes[1] - slopes[0]) / 2, rel=ODE_CLOSED_FORM)
-    assert 1 <= plan.certificate.integration_restarts <= POLE * LONG_S / np.log(GROWTH) + 1
+    assert 1 <= plan.certificate.integration_restarts <= POLE * LONG_S / np.log(RESTART_GROWTH) + 1
     assert plan.certificate.integration_error <= plan.problem.tolerance
     assert "unstable" in plan.message
 
@@ -89,7 +89,7 @@ def test_an_unstable_motion_with_efforts_that_are_not_its_own_does_not_pass(shar
 
 @pytest.mark.slow
 def test_what_is_begun_anew_still_adds_up_what_each_interval_is_off():
-    """A step of the planned state in the middle is a defect: it grows by no more than GROWTH, and is seen."""
+    """A step of the planned state in the middle is a defect: it grows by no more than RESTART_GROWTH, and is seen."""
     motion, step = long().trajectory, 1e-6
     state = np.array(motion.state)
     state[:, state.shape[1] // 2 :] += step

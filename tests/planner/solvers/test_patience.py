@@ -33,8 +33,8 @@ def cold(tmp_path, monkeypatch):
 @pytest.mark.slow
 @needs_compiler
 def test_a_solve_that_takes_long_ends_compiled_and_to_the_last_bit_where_the_interpreter_ends(monkeypatch):
-    monkeypatch.setattr(module, "_WORTH_COMPILING", 1)
-    monkeypatch.setattr(module, "_FEWEST", 3)
+    monkeypatch.setattr(module, "_COMPILING_COST", 1)
+    monkeypatch.setattr(module, "_MIN_PATIENCE_ITERATIONS", 3)
     slow = solve(*reversed(programmed("solver.compile=never")))
     settings, program = programmed()
     assert slow.iterations > 3
@@ -54,8 +54,8 @@ def test_a_short_one_stays_interpreted():
 
 @pytest.mark.parametrize(("compile_mode", "most"), [("never", None), ("auto", 3)])
 def test_one_that_may_not_be_compiled_or_may_take_few_iterations_is_begun_once(compile_mode, most, monkeypatch):
-    monkeypatch.setattr(module, "_WORTH_COMPILING", 1)
-    monkeypatch.setattr(module, "_FEWEST", 3)
+    monkeypatch.setattr(module, "_COMPILING_COST", 1)
+    monkeypatch.setattr(module, "_MIN_PATIENCE_ITERATIONS", 3)
     settings, program = programmed(f"solver.compile={compile_mode}")
     found = solve(program, replace(settings, max_iterations=most))
     assert not found.transcribed.program.interval.compiled

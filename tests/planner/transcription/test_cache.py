@@ -15,7 +15,15 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.transcription import cache
 from linkplan.planner.transcription import compiled as module
-from linkplan.planner.transcription.cache import cache_folder, evict, find, keep, trusted_folder, used, work_folder
+from linkplan.planner.transcription.cache import (
+    cache_folder,
+    evict,
+    find_entry,
+    keep_entry,
+    mark_used,
+    trusted_folder,
+    work_folder,
+)
 from linkplan.planner.transcription.compiled import cached, compiled, compiler
 from linkplan.planner.transcription.node import NodeFunctions, build_node
 
@@ -34,7 +42,7 @@ def kept(folder: Path, key: str = "k1") -> Path:
     """Return the library of an entry that is none, put into the cache as a compiled one is."""
     with work_folder(folder) as work:
         (work / f"{key}.so").write_bytes(LIBRARY)
-        return keep(work / f"{key}.so", {"n": 3}, folder, key)
+        return keep_entry(work / f"{key}.so", {"n": 3}, folder, key)
 
 
 def key_of(number: int) -> str:
@@ -51,7 +59,7 @@ def entries(folder: Path, count: int) -> int:
 
 
 def left(folder: Path, count: int) -> list[int]:
-    return [number for number in range(count) if find(folder, key_of(number)) is not None]
+    return [number for number in range(count) if find_entry(folder, key_of(number)) is not None]
 
 
 def test_beyond_its_bound_the_cache_loses_what_was_not_used_for_the_longest_time(folder, monkeypatch):
@@ -61,7 +69,7 @@ def test_beyond_its_bound_the_cache_loses_what_was_not_used_for_the_longest_time
         path.write_bytes(LIBRARY)
     evict(folder, key_of(5))
     assert left(folder, 6) == [0, 1, 2, 3, 4, 5]  # six small ones are none too many
-    used(folder, key_of(0))
+    mark_used(folder, key_of(0))
     monkeypatch.setenv("LINKPLAN_CACHE_MB", str(3.5 * one / 2**20))
     evict(folder, key_of(5))
     assert left(folder, 6) == [0, 4, 5]
@@ -113,7 +121,7 @@ def test_the_cache_is_made_for_its_user_alone(folder):
 
 def test_what_is_kept_is_found(folder):
     library = kept(folder)
-    assert find(folder, "k1") == (library, {"n": 3})
+    assert find_entry(folder, "k1") == (library, {"n": 3})
     assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
 
 
@@ -124,7 +132,7 @@ def test_a_damaged_library_counts_as_none(damage, at, folder):
     changed = {"cut": LIBRARY[:at], "flipped": LIBRARY[:at] + b"!" + LIBRARY[at + 1 :], "longer": LIBRARY + b"x"}[damage]
     assert changed != LIBRARY
     library.write_bytes(changed)
-    assert find(folder, "k1") is None
+    assert find_entry(folder, "k1") is None
 
 
 def test_a_record_with_any_byte_altered_counts_as_none(folder):
@@ -133,9 +141,9 @@ def test_a_record_with_any_byte_altered_counts_as_none(folder):
     whole = record.read_bytes()
     for at in range(len(whole)):
         record.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-        assert find(folder, "k1") is None
+        assert find_entry(folder, "k1") is None
     record.write_bytes(whole)
-    assert find(folder, "k1") is not None
+    assert find_entry(folder, "k1") is not None
 
 
 @pytest.mark.parametrize("name", ["k1.json", "k1.so"])
@@ -143,7 +151,7 @@ def test_a_file_larger_than_any_of_ours_is_not_read(name, folder):
     kept(folder)
     with (folder / name).open("r+b") as file:
         file.truncate(1 << 40)  # takes no room, and more memory than there is
-    assert find(folder, "k1") is None
+    assert find_entry(folder, "k1") is None
 
 
 @needs_owners
@@ -151,7 +159,7 @@ def test_a_file_larger_than_any_of_ours_is_not_read(name, folder):
 def test_a_file_that_others_may_write_counts_as_none(name, folder):
     kept(folder)
     (folder / name).chmod(0o622)
-    assert find(folder, "k1") is None
+    assert find_entry(folder, "k1") is None
 
 
 @needs_owners
@@ -160,7 +168,7 @@ def test_a_link_counts_as_none(name, folder, tmp_path):
     kept(folder)
     (folder / name).rename(tmp_path / name)
     (folder / name).symlink_to(tmp_path / name)
-    assert find(folder, "k1") is None
+    assert find_entry(folder, "k1") is None
 
 
 @needs_owners
@@ -170,7 +178,7 @@ def test_somebody_elses_folder_is_not_used(folder, monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: other)
     with pytest.raises(PermissionError, match="belongs to somebody else"):
         trusted_folder(make=True)
-    assert find(folder, "k1") is None
+    assert find_entry(folder, "k1") is None
 
 
 @needs_owners
@@ -254,7 +262,7 @@ def test_a_compiler_that_hangs_ends_with_its_children(folder, tmp_path, monkeypa
     script.write_text(f'#!/bin/sh\nsleep 600 & echo $! > "{tmp_path}/child"\nwait\n', encoding="utf-8")
     script.chmod(0o700)
     monkeypatch.setattr(module, "compiler", lambda: (str(script),))
-    monkeypatch.setattr(module, "_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(module, "_COMPILER_TIMEOUT_S", 0.5)
     with pytest.warns(RuntimeWarning, match="timed out"):
         compiled("k1", NodeFunctions, built)
     assert list(folder.iterdir()) == []
@@ -301,7 +309,7 @@ def test_users_without_a_home_have_a_temporary_cache(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "home", nobody)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert cache_folder().parent == tmp_path
-    assert find(trusted_folder(make=True), "k1") is None
+    assert find_entry(trusted_folder(make=True), "k1") is None
     monkeypatch.setattr(Path, "home", lambda: Path("/nonexistent"))
     assert cache_folder().parent == tmp_path
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))

@@ -8,7 +8,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.transcription.compiled import cached, compile_beside, compiler
+from linkplan.planner.transcription.compiled import cached, compile_in_background, compiler
 from linkplan.planner.transcription.node import NodeFunctions, build_node
 from tests.support.tolerances_planner import ROUNDING
 
@@ -28,13 +28,13 @@ def functions():
 
 
 def test_what_is_wanted_once_is_not_compiled(folder, functions):
-    assert compile_beside("k1", functions) is None
+    assert compile_in_background("k1", functions) is None
     assert [path.name for path in folder.iterdir()] == ["k1.wanted"]
 
 
 def test_what_is_wanted_again_is_compiled_kept_and_nothing_else_is_left(folder, functions):
-    compile_beside("k1", functions)
-    process = compile_beside("k1", functions)
+    compile_in_background("k1", functions)
+    process = compile_in_background("k1", functions)
     assert process.wait() == 0
     assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
     fast = cached("k1", NodeFunctions).node_value
@@ -46,19 +46,19 @@ def test_what_is_wanted_again_is_compiled_kept_and_nothing_else_is_left(folder, 
 
 @pytest.mark.usefixtures("folder")
 def test_one_process_at_a_time_compiles_a_key(functions):
-    compile_beside("k1", functions)
-    process = compile_beside("k1", functions)
-    assert compile_beside("k1", functions) is None
+    compile_in_background("k1", functions)
+    process = compile_in_background("k1", functions)
+    assert compile_in_background("k1", functions) is None
     process.wait()
 
 
 @pytest.mark.usefixtures("folder")
 def test_nobody_is_warned_of_a_process_that_is_left_to_itself(functions, monkeypatch):
     monkeypatch.setattr("linkplan.planner.transcription.compiled.compiler", lambda: ("sleep", "1", ";"))
-    compile_beside("k1", functions)
+    compile_in_background("k1", functions)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        assert compile_beside("k1", functions).poll() is None  # at work, and held by nothing
+        assert compile_in_background("k1", functions).poll() is None  # at work, and held by nothing
         gc.collect()
     assert [str(one.message) for one in said] == []
 
@@ -66,7 +66,7 @@ def test_nobody_is_warned_of_a_process_that_is_left_to_itself(functions, monkeyp
 @pytest.mark.usefixtures("folder")
 def test_a_compiler_that_fails_leaves_no_litter(folder, functions, monkeypatch):
     monkeypatch.setattr("linkplan.planner.transcription.compiled.compiler", lambda: ("false",))
-    compile_beside("k1", functions)
-    assert compile_beside("k1", functions).wait() == 1
+    compile_in_background("k1", functions)
+    assert compile_in_background("k1", functions).wait() == 1
     assert sorted(path.name for path in folder.iterdir()) == ["k1.begun", "k1.wanted"]
     assert cached("k1", NodeFunctions) is None

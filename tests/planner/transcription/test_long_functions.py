@@ -23,8 +23,8 @@ AT = (np.array([0.3, -0.4, 0.7]), np.array([0.2]))
 
 def functions_of(monkeypatch, long: float, shared: float) -> dict[str, ca.Function]:
     """Return the functions of rows in which one term comes again and again, by other bounds of length."""
-    monkeypatch.setattr(node, "_LONG", long)
-    monkeypatch.setattr(node, "_SHARED", shared)
+    monkeypatch.setattr(node, "_MAX_UNSHARED_OPERATIONS", long)
+    monkeypatch.setattr(node, "_MAX_SHARED_OPERATIONS", shared)
     xi, theta = ca.SX.sym("xi", 3), ca.SX.sym("theta", 1)
     terms = [ca.sin(xi[0]) * ca.exp(xi[1]) for _ in range(4)]
     at = ca.Function("rows", [xi, theta], [ca.vertcat(terms[0] * xi[2], terms[1] + theta[0], terms[2] * terms[3])])
@@ -52,6 +52,6 @@ def test_no_compiler_is_begun_on_what_none_ends(monkeypatch, tmp_path):
     monkeypatch.setattr(compiled, "_written", lambda *_: pytest.fail("it was written"))
     x = ca.SX.sym("x")
     long = _Code(value=ca.Function("value", [x], [ca.sin(x)]))
-    monkeypatch.setattr(compiled, "_ENDLESS", 0)
+    monkeypatch.setattr(compiled, "_MAX_INSTRUCTIONS", 0)
     assert compiled.compiled("key", _Code, lambda: long) is long
-    assert [compiled.compile_beside("key", long) for _ in range(2)] == [None, None]
+    assert [compiled.compile_in_background("key", long) for _ in range(2)] == [None, None]

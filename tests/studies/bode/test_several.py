@@ -86,7 +86,7 @@ def test_gains_by_joint_name_every_independent_joint():
     with pytest.raises(ProblemError, match=r"tracking.kp has a gain for each independent joint \(O1, O2\), got O1"):
         load_problem("five-bar-reach", ["tracking.kp={ O1 = 20 }"])
     problem = load_problem("five-bar-reach", ["tracking.kp={ O1 = 20, O2 = 30 }"])
-    assert problem.tracking.gains_said() == "kp = { O1 = 20, O2 = 30 }, kd = 1"
+    assert problem.tracking.gains_text() == "kp = { O1 = 20, O2 = 30 }, kd = 1"
 
 
 def test_default_poses_of_several_freedoms_lie_along_the_motion():

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.limits import Limits, free
+from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.planning_problem import Motion, PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.output.draw_plan import draw_effort, draw_position, plan_figure
@@ -27,7 +27,7 @@ def many() -> Plan:
     )
     motors = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-9 9"/>' for k in range(len(KINDS)))
     mechanism = load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
-    n, unlimited = len(KINDS), free(len(KINDS))
+    n, unlimited = len(KINDS), free_bounds(len(KINDS))
     problem = PlanningProblem(
         name="many",
         mechanism=mechanism,
