@@ -81,7 +81,7 @@ def _off_objective(problem: PlanningProblem, trajectory: Trajectory, saved: floa
     below = (0.5 if objective.is_smoothed else share) * size + negligible
     if saved - below <= value <= saved + share * size + negligible:
         return []
-    return [f"its objective is said to be {saved:.6g}, and that of the motion is {value:.6g}"]
+    return [f"its saved objective is {saved:.6g}, and that of its motion is {value:.6g}"]
 
 
 @np.errstate(all="ignore")  # the duration in an edited file may be 1e200 s

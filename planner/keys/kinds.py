@@ -45,9 +45,6 @@ MAX_PAYLOAD = 1e12
 # key.
 Known = Callable[[str, str, str], None]
 
-# Raises where a name is of nothing that its noun says: "joint", "actuator", "site", "closure"; the last is its table's key.
-Known = Callable[[str, str, str], None]
-
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Positive = Annotated[float, Meta(gt=0, le=MAX_NUMBER)]
 AtLeastZero = Annotated[float, Meta(ge=0, le=MAX_NUMBER)]
