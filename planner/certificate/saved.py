@@ -1,6 +1,7 @@
 """Checks of a motion that is read from a file, beyond the certificate.
 
-They compare its duration, its reference, the pose in the middle of a periodic motion, and its objective as an integral.
+The checks compare its duration, its reference, the pose in the middle of a periodic motion, and its objective as an
+integral.
 """
 
 import casadi as ca
@@ -88,7 +89,7 @@ def _off_objective(problem: PlanningProblem, trajectory: Trajectory, saved: floa
 def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> float:
     """Return the objective [SI] that counts as zero: a motion without work still has the solver's rounding.
 
-    It is 1e-6 of every term's quantity on its natural scale, a hundred times the solver's tolerance. The scales are a
+    The value is 1e-6 of every term's quantity on its natural scale, a hundred times the solver's tolerance. The scales are a
     radian or the mechanism's extent for each joint, and the effort limit; without a limit, the motion's largest effort or,
     if larger, the effort that accelerates the inertia within the duration.
     """

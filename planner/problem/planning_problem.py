@@ -271,7 +271,7 @@ class PlanningProblem:
         """Phrases on what plans neglect of the model; they say so if it makes plans wrong."""
         found = audit(self.mechanism.model)
         return tuple(
-            f"left out of the plan, which makes it wrong: {one.text}" if one.falsifies else one.text for one in found
+            f"left out of the plan, which makes it false: {one.text}" if one.falsifies else one.text for one in found
         )
 
 
