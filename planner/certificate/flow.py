@@ -196,7 +196,7 @@ def side_by_side(
 def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
     """Return a right-hand side on an interval for numpy.
 
-    It is called thousands of times per motion, so CasADi reads and writes numpy's memory without copies.
+    The function is called thousands of times per motion, so CasADi reads and writes numpy's memory without copies.
     """
     buffer, evaluate = function.buffer()
     # The right-hand side keeps references to these arrays, because CasADi keeps addresses only.

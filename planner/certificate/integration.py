@@ -4,7 +4,7 @@ As a rule the model is integrated once from the start to the end. Along an unsta
 there) errors grow by many orders of magnitude, and after some seconds rounding determines the final state. Then every
 interval is integrated from the planned state, its defect is propagated by the motion's own transition matrices, and the
 integration is restarted whenever an error would have grown by `RESTART_GROWTH`. The certificate then shows that the plan is
-a motion of the model, not that open-loop control could follow it. It reports the number of restarts.
+a motion of the model, not that open-loop control could follow it. The number of restarts is reported.
 """
 
 import functools

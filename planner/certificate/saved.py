@@ -1,6 +1,7 @@
 """Checks of a motion that is read from a file, beyond the certificate.
 
-They compare its duration, its reference, the pose in the middle of a periodic motion, and its objective as an integral.
+The checks compare its duration, its reference, the pose in the middle of a periodic motion, and its objective as an
+integral.
 """
 
 import casadi as ca
@@ -81,14 +82,14 @@ def _off_objective(problem: PlanningProblem, trajectory: Trajectory, saved: floa
     below = (0.5 if objective.is_smoothed else share) * size + negligible
     if saved - below <= value <= saved + share * size + negligible:
         return []
-    return [f"its objective is said to be {saved:.6g}, and that of the motion is {value:.6g}"]
+    return [f"its saved objective is {saved:.6g}, and that of its motion is {value:.6g}"]
 
 
 @np.errstate(all="ignore")  # the duration in an edited file may be 1e200 s
 def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> float:
     """Return the objective [SI] that counts as zero: a motion without work still has the solver's rounding.
 
-    It is 1e-6 of every term's quantity on its natural scale, a hundred times the solver's tolerance. The scales are a
+    The value is 1e-6 of every term's quantity on its natural scale, a hundred times the solver's tolerance. The scales are a
     radian or the mechanism's extent for each joint, and the effort limit; without a limit, the motion's largest effort or,
     if larger, the effort that accelerates the inertia within the duration.
     """

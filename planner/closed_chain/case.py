@@ -116,10 +116,10 @@ def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
 def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> RefinementTarget:
     """Return the expected structure of a problem's optimum, and the accuracy to reach.
 
-    Efforts jump between their limits, zero and constrained arcs if time or work is minimised. They are continuous with kinks
-    at their limits if squared efforts are minimised. In least time they are at their limits wherever no other limit binds.
-    The change of the objective is checked where limits on coefficients may cost something that the motion itself does not
-    show. With limits on power imposed at every instant, switches are not sought, and jumps may lie inside intervals.
+    Efforts jump between their limits, zero and constrained arcs if time or work is minimised. Efforts are continuous with
+    kinks at their limits if squared efforts are minimised. In least time they are at their limits wherever no other limit
+    binds. The change of the objective is checked where limits on coefficients may cost something that the motion itself does
+    not show. Switches are not sought if limits on power are imposed at every instant; jumps may then lie inside intervals.
     """
     objective = problem.objective
     continuous_efforts = objective.efforts("bend")

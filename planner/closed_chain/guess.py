@@ -197,7 +197,7 @@ def _guess_along(path: PiecewisePolynomial, duration: float, start_pose: np.ndar
 def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[Guess]:
     """Yield motions for a reach that gain energy by swinging: first away from the goal, or past the goal and back.
 
-    With less effort than gravity needs, the direct way is infeasible, and a solver that starts on it fails.
+    The direct way is infeasible with less effort than gravity needs, and a solver that starts on it fails.
     """
     motion = problem.motion
     if motion.kind != "reach" or motion.waypoints:

@@ -125,7 +125,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
 
 
 def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.SX) -> ca.SX:
-    """Return the path quantities at a node: limits' rows, sites' coordinates at waypoints, and P - u w."""
+    """Return the path quantities: limits' rows, sites' coordinates at waypoints, P - u w of positive powers."""
     path = [limit.row(at, own) for limit, own in zip(asked.limits, numbers, strict=True) if limit.at_nodes]
     path += [SitePathLimit.coordinate(*where).row(at, ca.SX(0, 1)) for where in asked.passed]
     if asked.works:

@@ -47,7 +47,7 @@ def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])
     span = np.ptp(s, axis=0)
     position = np.where(span > 1e-3 * unit, span, unit)
-    # A motion at rest in balance needs almost no effort. Its unit is then 1e-6 of the effort that accelerates the inertia.
+    # A motion at rest in balance needs almost no effort. The unit is then 1e-6 of the effort that accelerates the inertia.
     inertia = sampled(mechanism.dynamics.reduced_inertia, poses[:1])[0]
     maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])
     least = 1e-6 * np.abs(inertia @ position).max() / guess.duration_s**2 / np.maximum(np.abs(maps).max(), 1e-300)

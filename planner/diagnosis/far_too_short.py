@@ -83,7 +83,7 @@ def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
         f" {effort[at, column]:.4g} {actuator.unit} at t = {time[at]:.3g} s,"
     )
     if bound[at, column] == 0:
-        sentence += " to which side it gives nothing"
+        sentence += " a direction in which it gives nothing"
     else:
         sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g}"
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)

@@ -71,7 +71,7 @@ def efforts_without_proof(search: Search) -> Plan | None:
     if not _over(search) or not may_swing(search.problem):
         return None
     sentence, _ = effort_sentence(search.problem, search.named_limit)
-    return _failed(search, f"no motion was found; on the one of least effort that was, {sentence}, which is no proof")
+    return _failed(search, f"no motion was found; on the motion of least effort found, {sentence}; this is no proof")
 
 
 def efforts(search: Search) -> Plan | None:

@@ -91,7 +91,7 @@ def _check_push(keys: set[str], pushed: dict[str, str | None]) -> None:
     wanted = {"push_body": forces[:1], "push_joint": ["push_effort"] if "push_effort" in keys else []}
     for word, needs in wanted.items():
         if needs and pushed[word] is None:
-            raise ProblemError(f"imperfections.{needs[0]} is a push on nothing; name imperfections.{word}")
+            raise ProblemError(f"imperfections.{needs[0]} is a push without a target; name imperfections.{word}")
         if pushed[word] is not None and not needs:
             lack = "push_force_x_n, _y_n or _z_n" if word == "push_body" else "push_effort"
             raise ProblemError(f"imperfections.{word} is pushed with no force; give imperfections.{lack}")

@@ -127,7 +127,7 @@ def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | N
         joint = mechanism.joints[index]
         if joint.kind != "hinge" or joint.chart is not None:
             what = "slide" if joint.kind == "slide" else "part of a ball joint"
-            raise ProblemError(f"motion.turns of joint {name}: it is a {what}; hinges turn for ever")
+            raise ProblemError(f"motion.turns of joint {name}: it is a {what}; only hinges turn endlessly")
         if index not in places:
             names = ", ".join(j.name for j in mechanism.independent_joints)
             raise ProblemError(f"motion.turns of joint {name}: its turns follow from {names}; name those")

@@ -320,10 +320,10 @@ def unchecked(folder: str | Path) -> str | None:
     """Return the reason why it is unknown whether a saved plan's model has changed, or None if it is known."""
     saved = read_plan_record(Path(folder))
     if saved.fingerprint is None:
-        return "plan.json has no fingerprint of its model: whether that has changed since is not known"
+        return "plan.json has no fingerprint of its model: it is unknown whether the model has changed since"
     then = saved.versions.get("mujoco")
     if then != mujoco_version():
-        return f"planned with MuJoCo {then}, this is {mujoco_version()}: whether the model has changed since is not known"
+        return f"planned with MuJoCo {then}, this is {mujoco_version()}: it is unknown whether the model has changed since"
     return None
 
 

@@ -182,8 +182,8 @@ def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], fold
 
 def _duration_notes(motion: MotionSection, objective: Objective, reference: Sine | None) -> list[str]:
     """Return a note if the duration is free by default."""
-    said = any(value is not None for value in (motion.duration_s, motion.min_duration_s, motion.max_duration_s))
-    if said or reference is not None or objective.has("time"):
+    is_given = any(value is not None for value in (motion.duration_s, motion.min_duration_s, motion.max_duration_s))
+    if is_given or reference is not None or objective.has("time"):
         return []
     return ['motion.duration_s is not given: the duration is free (give it, or write motion.duration_s = "free")']
 
@@ -324,7 +324,7 @@ def _check_poses(section: MotionSection, problem: PlanningProblem) -> None:
             names = ", ".join(joint.name for joint in mechanism.independent_joints)
             raise ProblemError(
                 f"{where}.{key} of joint {mechanism.joints[extra[0]].name}: it follows from {names}; a waypoint that leaves"
-                " one of them free names none that follows"
+                " one of them free must not name dependent joints"
             )
         try:
             pose = close_at(mechanism, s)

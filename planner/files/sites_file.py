@@ -64,7 +64,8 @@ def pose_at(
     active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
     if not rows:
         raise ProblemError(
-            f"{where} asks nothing of the motion: what it names of {', '.join(p.site for p in points)} does not move"
+            f"{where} does not constrain the motion: the named coordinates of {', '.join(p.site for p in points)} do not"
+            " move"
         )
     s = found.pose[mechanism.independent]
     return s, rows if len(rows) < active else ()
@@ -121,7 +122,7 @@ def _limits(one: dict, where: str) -> list[tuple[str, float, float, dict[str, An
         short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _MIN_LENGTH)
         if len(short):
             again = one["along"][int(short[0])]
-            raise ProblemError(f"{where}.along goes on from point to point, got {again!r} twice in a row")
+            raise ProblemError(f"{where}.along has distinct consecutive points, got {again!r} twice in a row")
         return [("tube", 0.0, found.radius_m, {"along": along})]
     given = {axis: getattr(found, axis) for axis in AXES if getattr(found, axis) is not None}
     bounds = {axis: interval(ends, f"{where}.{axis}") for axis, ends in given.items()}

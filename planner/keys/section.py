@@ -10,10 +10,10 @@ ABSENT: Any = None
 
 def key(meaning: str, unit: str = "", default: str = "") -> Meta:
     """Return a key's description: its meaning, its unit, and a phrase for its default if that is no single value."""
-    said = f"{meaning[0].upper()}{meaning[1:]}" + (f" [{unit}]" if unit else "") + "."
+    sentence = f"{meaning[0].upper()}{meaning[1:]}" + (f" [{unit}]" if unit else "") + "."
     shown = {"x-unit": unit} if unit else {}
     return Meta(
-        description=f"{said} Default: {default}." if default else said,
+        description=f"{sentence} Default: {default}." if default else sentence,
         extra={"meaning": meaning, "unit": unit, "default": default},
         extra_json_schema=shown,
     )

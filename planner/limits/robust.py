@@ -43,10 +43,10 @@ class RobustLimit(PathLimit):
 
     def margin(self, samples: Samples) -> Margin:
         problem, actuator = samples.problem, samples.problem.mechanism.actuators[self.actuator]
-        said = self.corners[self.corner].description(tuple(joint.name for joint in problem.mechanism.joints))
+        corner = self.corners[self.corner].description(tuple(joint.name for joint in problem.mechanism.joints))
         bounds = problem.robust.room * problem.limits.effort[self.actuator]
         values = samples.corner_efforts[:, self.corner, self.actuator]
-        return margin_of(self, f"{actuator.name} with {said}", values, bounds, actuator.unit, samples)
+        return margin_of(self, f"{actuator.name} with {corner}", values, bounds, actuator.unit, samples)
 
     @classmethod
     def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:

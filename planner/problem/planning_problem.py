@@ -113,7 +113,9 @@ class PlanningProblem:
         if motion.kind == "track" and list(objective.weights) != ["tracking"]:
             raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{objective.name}'")
         if motion.turns is not None and self.reference is not None:
-            raise ProblemError("motion.turns goes on turn after turn, and a [reference] returns: keep one of them")
+            raise ProblemError(
+                "motion.turns and [reference] exclude each other, because a reference returns to its start: keep one of them"
+            )
 
     def _check_periodic(self) -> None:
         """Refuse a periodic motion without a cause to move, or with unsuitable ends."""
@@ -170,9 +172,9 @@ class PlanningProblem:
         if lost is not None:
             corner = lost.description(tuple(joint.name for joint in mechanism.joints))
             raise ProblemError(
-                f"[robust] keeps one motion for every machine in its ranges; {moved}, and the rest moves otherwise at the"
-                f" corner: {corner}; legal are ranges that they make up"
-                " for: the torque constant, friction at joints that they drive"
+                f"[robust] keeps one motion for every machine in its ranges; {moved}, and the others move differently at the"
+                f" corner: {corner}; legal are ranges that actuators"
+                " compensate: the torque constant, friction at driven joints"
             )
 
     def _check_periods(self) -> None:
@@ -183,7 +185,7 @@ class PlanningProblem:
         if periods * self.mesh.intervals > MAX_INTERVALS:
             raise ProblemError(
                 f"motion.duration_s = {self.motion.duration_s:g} s is {periods:.6g} periods of the reference; with"
-                f" mesh.intervals = {self.mesh.intervals} each, at most {MAX_INTERVALS / self.mesh.intervals:.6g} may be"
+                f" mesh.intervals = {self.mesh.intervals} each, at most {MAX_INTERVALS / self.mesh.intervals:.6g} are legal"
             )
 
     def _check_objective(self) -> None:
@@ -196,7 +198,7 @@ class PlanningProblem:
                 if not np.all(np.isfinite(ends))
             ]
             raise ProblemError(
-                "objective.minimize 'time' needs finite limits.effort: without them no time is the least; there are none"
+                "objective.minimize 'time' needs finite limits.effort: without them there is no least time; they are missing"
                 f" (a motor's ctrlrange, a servo's forcerange) for {', '.join(unlimited)}"
             )
         if list(objective.weights) == ["time"] and motion.stays:
@@ -269,7 +271,7 @@ class PlanningProblem:
         """Phrases on what plans neglect of the model; they say so if it makes plans wrong."""
         found = audit(self.mechanism.model)
         return tuple(
-            f"left out of the plan, which is false by it: {one.text}" if one.falsifies else one.text for one in found
+            f"left out of the plan, which makes it false: {one.text}" if one.falsifies else one.text for one in found
         )
 
 

@@ -158,12 +158,12 @@ class Tracking:
         kinds = {joint.kind for joint in joints}
         per = {"hinge": ("N.m/rad", "N.m.s/rad"), "slide": ("N/m", "N.s/m")}[kinds.pop()] if len(kinds) == 1 else ("", "")
 
-        def said(given: float | Mapping[str, float], unit: str) -> str:
+        def gain_text(given: float | Mapping[str, float], unit: str) -> str:
             if not isinstance(given, Mapping):
                 return f"{given:g} {unit}".rstrip()
             return "{ " + ", ".join(f"{name} = {value:g}" for name, value in given.items()) + f" }} {unit}".rstrip()
 
-        return f"kp = {said(self.kp, per[0])}, kd = {said(self.kd, per[1])}"
+        return f"kp = {gain_text(self.kp, per[0])}, kd = {gain_text(self.kd, per[1])}"
 
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return the position and velocity errors (n,) [rad or m, and per second] that have the weight 1."""

@@ -56,5 +56,5 @@ def test_an_objective_beyond_what_counts_as_none_is_refused_of_a_motion_that_nee
     plan = planned(tmp_path, "without weight", LIMITED, "work")
     floor = negligible_objective(plan.problem, plan.trajectory)
     assert floor == pytest.approx(1e-6 * 5)  # a millionth of 5 N.m through a radian [J]
-    with pytest.raises(CertificateError, match="objective is said to be"):
+    with pytest.raises(CertificateError, match="saved objective is"):
         write_plan(replace(plan, objective=3 * floor), tmp_path)

@@ -133,7 +133,7 @@ REFUSED = [
     ({"at": {"foot": [2.0, 0.0, 0.0]}}, ["motion.waypoints[0].at.foot", "out of reach", "comes no nearer than"]),
     ({"at": {"foot": [0.4, 0.1]}}, ["motion.waypoints[0].at.foot", "[x, y, z]"]),
     ({"at": {"foot": VIA}, "at_deg": {"J1": 3.0}}, ["waypoints[0].at and", "waypoints[0].at_deg", "keep one"]),
-    ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "does not move"]),
+    ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "do not move"]),
     ({"at": [0.4, 0.0, 0.1]}, ["motion.waypoints[0].at is a table of site"]),
     ({"at_foot": VIA}, ["unknown key 'motion.waypoints[0].at_foot'", "at_deg, at_m, at,"]),
 ]
