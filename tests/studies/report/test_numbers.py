@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from linkplan.studies.report.numbers import MOST, kept, rounded
+from linkplan.studies.report.numbers import MAX_SAMPLES, kept, rounded
 
 
 def test_a_peak_of_one_sample_stays():
@@ -10,7 +10,7 @@ def test_a_peak_of_one_sample_stays():
     values[12_345] = 3.0
     rows = kept(values[:, None])
     assert 12_345 in rows
-    assert len(rows) < MOST
+    assert len(rows) < MAX_SAMPLES
 
 
 def test_a_smooth_line_is_within_what_a_screen_shows_of_all_its_samples():
@@ -22,7 +22,7 @@ def test_a_smooth_line_is_within_what_a_screen_shows_of_all_its_samples():
 
 
 def test_few_samples_are_all_kept():
-    assert len(kept(np.zeros((MOST, 3)))) == MOST
+    assert len(kept(np.zeros((MAX_SAMPLES, 3)))) == MAX_SAMPLES
 
 
 def test_digits_are_counted_from_the_largest():
