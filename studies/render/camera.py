@@ -1,4 +1,4 @@
-"""Which way a picture looks: by the mechanism, by azimuth and elevation, or through one of the model's cameras."""
+"""The camera of a picture: the mechanism's default, azimuth and elevation, or one of the model's cameras."""
 
 from dataclasses import dataclass
 
@@ -14,17 +14,17 @@ from linkplan.studies.render.scenes import stand
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """A direction of sight, azimuth and elevation [rad], and the index of the model's camera that has it; -1 for none."""
+    """A direction of sight, azimuth and elevation [rad], and the index of the model's camera; -1 for a free camera."""
 
     direction: tuple[float, float]
     fixed: int = -1
 
 
 def camera_from(text: str | None, mechanism: Mechanism) -> Camera:
-    """Return the camera that is asked for: None, a name, or "azimuth/elevation" in degrees.
+    """Return the camera for None (the default), a name, or "azimuth/elevation" in degrees.
 
     Raises:
-        ProblemError: for what is neither.
+        ProblemError: for any other text.
     """
     model = mechanism.model
     if text is None:
