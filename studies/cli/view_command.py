@@ -18,7 +18,7 @@ _INSTEAD = "render writes the same motion as a film or a picture, report as a pa
 
 
 def run_view(arguments: argparse.Namespace) -> int:
-    """Play a tracked plan in the viewer; 1 where the plan has no motion."""
+    """Play a tracked plan in the viewer; 1 if the plan has no motion."""
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     for name in ("slow", "seconds"):
         value = getattr(arguments, name)
@@ -45,7 +45,7 @@ def run_view(arguments: argparse.Namespace) -> int:
 
 
 def _refuse_without_screen() -> None:
-    """Refuse at once, before a plan that may take minutes, where no window can be opened."""
+    """Refuse if no window can be opened, before a plan that may take minutes."""
     if not has_screen():
         raise ProblemError(f"view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set; {_INSTEAD}")
     gl = find_gl("glfw", os.environ)
