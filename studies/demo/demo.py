@@ -1,4 +1,4 @@
-"""The whole path on the Optimus knee, in one folder: check, plan, track, compare, bode, and the source document redone."""
+"""All studies of the Optimus knee in one folder: check, plan, track, compare, bode, and the source document's experiment."""
 
 import time
 from collections.abc import Callable
@@ -48,7 +48,7 @@ Sections = list[Section]
 
 
 def demo(target: Path, say: Say) -> tuple[dict, str]:
-    """Write the demo's folder and return what it found, as a record and as text."""
+    """Write the demo's folder and return its results, as a record and as text."""
     begin = time.monotonic()
     outcome: dict = {}
 
