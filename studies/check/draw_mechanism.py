@@ -11,7 +11,7 @@ from linkplan.models.poses.reach import Reach
 from linkplan.models.poses.skeleton import sticks, view
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.output.directions import direction_said
+from linkplan.studies.output.directions import direction_name
 from linkplan.studies.output.drawing import BLACK, BLUE, GREY, RED, SERIES, STYLES, outside_legend, page
 
 # An inertia that changes by more than this factor is drawn on a logarithmic axis.
@@ -83,7 +83,7 @@ def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
             )
     axes.set_aspect("equal", adjustable="datalim")
     axes.locator_params(axis="x", nbins=6)
-    right, up = (direction_said(direction) for direction in view(mechanism.model))
+    right, up = (direction_name(direction) for direction in view(mechanism.model))
     axes.set_xlabel(f"{right} [m]")
     axes.set_ylabel(f"{up} [m]")
 

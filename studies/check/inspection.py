@@ -136,18 +136,11 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
     driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > ACTING_SHARE * reached.max()}
     steerable = bool(driven) and _steerable(mechanism)
-    for column, can in enumerate(reaches):
-        index = int(mechanism.independent[column])
-        if driven and index not in driven and index not in mechanism.passive_dofs and mechanism.n_u < mechanism.dof:
-            sentence, fault = undriven(mechanism, column, steerable=steerable)
-            (problems if fault else notes).append(sentence)
-        one_sided = pushed_one_way(mechanism, column)
-        problems += [] if one_sided is None else [one_sided]
-        stops = [_stop_finding(mechanism, can, upper=upper) for upper in (False, True)]
-        problems += [sentence for sentence, fault in stops if fault]
-        notes += [sentence for sentence, fault in stops if sentence and not fault]
-        notes += _singular_notes(mechanism, can)
-        notes += _toggle_notes(mechanism, can) if index not in mechanism.passive_dofs else []
+    for can in reaches:
+        idle = bool(driven) and int(mechanism.independent[can.coordinate]) not in driven and mechanism.n_u < mechanism.dof
+        faults, facts = _coordinate_findings(mechanism, can, idle=idle, steerable=steerable)
+        problems += faults
+        notes += facts
     notes += feeble_drives(mechanism)
     beyond, ends = tendon_findings(mechanism, reaches)
     problems += [*beyond, *coincident_sites(mechanism)]
@@ -155,6 +148,22 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
+
+
+def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steerable: bool) -> tuple[list[str], list[str]]:
+    """Return the problems and notes on an independent joint; `idle` if no actuator acts on it at home."""
+    problems, notes, column = [], [], can.coordinate
+    passive = int(mechanism.independent[column]) in mechanism.passive_dofs
+    if idle and not passive:
+        sentence, fault = undriven(mechanism, column, steerable=steerable)
+        (problems if fault else notes).append(sentence)
+    one_sided = pushed_one_way(mechanism, column)
+    problems += [] if one_sided is None else [one_sided]
+    stops = [_stop_finding(mechanism, can, upper=upper) for upper in (False, True)]
+    problems += [sentence for sentence, fault in stops if fault]
+    notes += [sentence for sentence, fault in stops if sentence and not fault]
+    notes += _singular_notes(mechanism, can)
+    return problems, notes if passive else [*notes, *_toggle_notes(mechanism, can)]
 
 
 def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:

@@ -33,7 +33,7 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
     if arguments.output is None:
         for option, what in _WITH_OUTPUT.items():
             if getattr(arguments, option, False):
-                raise ProblemError(f"--{option} writes {what} into the folder of -o, and there is none; say -o DIR too")
+                raise ProblemError(f"--{option} writes {what} into the folder of -o, which is not given; add -o DIR")
         return None
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")

@@ -46,7 +46,7 @@ _MODULES = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Before:
+class _CommandState:
     """A command, its -o, and the identity of the result at that path before the command started."""
 
     command: str = ""
@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         keep_closed_streams_closed()
         warnings.showwarning = _warned
-    before = _Before()
+    before = _CommandState()
     try:
         with listening(to_the_end=argv is None):
             arguments = _arguments(argv)
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = arguments
             else:
                 target = getattr(arguments, "output", None)
-                before = _Before(command=arguments.command, target=target, result=_result_at(target))
+                before = _CommandState(command=arguments.command, target=target, result=_result_at(target))
                 arguments.mujoco_gl = os.environ.get("MUJOCO_GL")
                 if argv is None and before.command != "view":
                     # Otherwise MuJoCo starts a process that looks for a window library and also receives signals.
@@ -146,7 +146,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return unforeseen(arguments.command, error)
 
 
-def _interrupted(before: _Before) -> int:
+def _interrupted(before: _CommandState) -> int:
     """Print the state of an interrupted command's result, and return the exit code."""
     what, result = "nothing was written", _result_at(before.target)
     if result not in (None, before.result):

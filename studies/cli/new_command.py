@@ -19,7 +19,7 @@ def run_new(arguments: argparse.Namespace) -> int:
 
     target, say = new_file(arguments), progress(arguments)
     if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
-        raise ProblemError(f"'{arguments.model}' is a problem already, and new begins one; name its mechanism's model")
+        raise ProblemError(f"'{arguments.model}' is already a problem; new takes the model of a mechanism")
     refuse_no_model(arguments.model)
     found = first_motion(arguments.model, say)
     tables = found.tables

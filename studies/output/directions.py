@@ -5,7 +5,7 @@ import numpy as np
 _AXES = ("x", "y", "z")
 
 
-def direction_said(direction: np.ndarray) -> str:
+def direction_name(direction: np.ndarray) -> str:
     """Return the name of a direction (3,): an axis of the world with its sign, or its components."""
     k = int(np.argmax(np.abs(direction)))
     if 1.0 - abs(direction[k]) < 1e-6:

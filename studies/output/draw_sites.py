@@ -8,7 +8,7 @@ from linkplan.models.poses.skeleton import body_name, sticks, view
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.studies.output.directions import direction_said
+from linkplan.studies.output.directions import direction_name
 from linkplan.studies.output.drawing import GREY, SERIES, outside_legend
 
 
@@ -49,8 +49,8 @@ def draw_sites(axes, plan: Plan) -> None:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal", adjustable="box")
-    axes.set_xlabel(f"{direction_said(right)} [m]")
-    axes.set_ylabel(f"{direction_said(up)} [m]")
+    axes.set_xlabel(f"{direction_name(right)} [m]")
+    axes.set_ylabel(f"{direction_name(up)} [m]")
     outside_legend(axes, narrow=True)
 
 

@@ -71,7 +71,7 @@ def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
             if np.isfinite(margin)
         ]
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        rows.append(["sites from where start, waypoints and goal ask them", error_figure(certificate.site_error_m), "m"])
+        rows.append(["error of sites at start, waypoints and goal", error_figure(certificate.site_error_m), "m"])
     rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
     rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)

@@ -9,7 +9,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
 from linkplan.studies.render.framing import own_direction
-from linkplan.studies.render.scenes import stand
+from linkplan.studies.render.scenes import place_bodies
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +32,7 @@ def camera_from(text: str | None, mechanism: Mechanism) -> Camera:
     names = [model.camera(k).name for k in range(model.ncam)]
     if text in names:
         data = mujoco.MjData(model)
-        stand(model, data, mechanism.qpos_of(mechanism.home))
+        place_bodies(model, data, mechanism.qpos_of(mechanism.home))
         sight = -np.array(data.cam_xmat[names.index(text)]).reshape(3, 3)[:, 2]
         direction = float(np.arctan2(sight[1], sight[0])), float(np.arcsin(np.clip(sight[2], -1.0, 1.0)))
         return Camera(direction=direction, fixed=names.index(text))

@@ -17,7 +17,7 @@ from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, framed, own_direction
 from linkplan.studies.render.motion import Motion, tracked_motion
 from linkplan.studies.render.mujoco_painter import add_figure, add_shapes
-from linkplan.studies.render.scenes import Figure, all_points, body_colours, rod_radius, stand
+from linkplan.studies.render.scenes import Figure, all_points, body_colours, place_bodies, rod_radius
 from linkplan.studies.render.shapes import bones, ghostly
 
 
@@ -65,13 +65,13 @@ def shown(motion: Motion, words: Callable[[int], Rows]) -> Shown:
     def decorate(scene, k: int, ghost: bool) -> None:
         """Add the skeleton, the ghost and the efforts of instant k."""
         add_shapes(scene, bones({body: pins[k] for body, pins in own.items()}, radius, colours))
-        stand(model, data, mechanism.qpos_of(motion.pose[k]))
+        place_bodies(model, data, mechanism.qpos_of(motion.pose[k]))
         for actuator, share in zip(mechanism.actuators, motion.shares[k], strict=True):
             add_shapes(scene, effort_shapes(model, data, actuator, float(share), size, towards))
         if ghost:
             qpos = mechanism.qpos_of(motion.reference[k])
             rods = ghostly(bones({body: pins[k] for body, pins in planned.items()}, radius, colours))
-            stand(model, data, qpos)
+            place_bodies(model, data, qpos)
             add_figure(scene, model, data, option, Figure(qpos=qpos, shapes=rods, ghost=True))
 
     return Shown(time_s=motion.time_s, pose=motion.pose, decorate=decorate, words=words, stable=motion.stable)

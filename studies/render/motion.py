@@ -53,7 +53,7 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
     run = track(plan, tracker, None, reference)
     kept = int(np.sum(np.cumprod(np.isfinite(run.pose).all(axis=1))))
     if kept < 2:
-        raise ProblemError(f"the run with {tracker} blows up at once: there is no motion to draw")
+        raise ProblemError(f"the run with {tracker} diverges at once: there is no motion to draw")
     effort, limit = run.applied[:kept], np.array(run.effort_limit)
     return Motion(
         mechanism=plan.problem.mechanism,

@@ -11,7 +11,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.studies.render.framing import Eye
 from linkplan.studies.render.gl import context_class
-from linkplan.studies.render.scenes import Figure, Scene, has_end, seen, stand
+from linkplan.studies.render.scenes import Figure, Scene, bounded_geoms, place_bodies, visible_geoms
 from linkplan.studies.render.shapes import GHOST, Shape
 
 _MOVING = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
@@ -34,12 +34,12 @@ class MujocoPainter:
         """Return a scene as an image (height, width, 3) of bytes."""
         width, height = self.size
         main, others = picture.figures[-1], picture.figures[:-1]
-        stand(self.model, self.data, main.qpos)
+        place_bodies(self.model, self.data, main.qpos)
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(self.model, self.data, self.option, None, self.camera, everything, self.scene)
         add_shapes(self.scene, main.shapes if self.ground_is_seen else (*main.ground, *main.shapes))
         for figure in others:
-            stand(self.model, self.data, figure.qpos)
+            place_bodies(self.model, self.data, figure.qpos)
             add_figure(self.scene, self.model, self.data, self.option, figure)
         add_shapes(self.scene, picture.efforts)
         self._add_wall()
@@ -113,7 +113,9 @@ def mujoco_painter(
                 camera=camera,
                 option=mujoco.MjvOption(),
                 size=size,
-                ground_is_seen=bool((seen(model) & has_end(model) & (model.body_weldid[model.geom_bodyid] == 0)).any()),
+                ground_is_seen=bool(
+                    (visible_geoms(model) & bounded_geoms(model) & (model.body_weldid[model.geom_bodyid] == 0)).any()
+                ),
             )
         finally:
             drawn.free()

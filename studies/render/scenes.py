@@ -33,7 +33,7 @@ class Scene:
     efforts: tuple[Shape, ...]
 
 
-def seen(model: mujoco.MjModel) -> np.ndarray:
+def visible_geoms(model: mujoco.MjModel) -> np.ndarray:
     """Return the mask (n_geom,) of visible geoms: neither transparent nor in groups that MuJoCo's viewer hides."""
     matte = np.where(model.geom_matid >= 0, 1.0, model.geom_rgba[:, 3])
     return (matte > 0) & (model.geom_group < 3)
@@ -48,7 +48,7 @@ def plain_geoms(model: mujoco.MjModel) -> np.ndarray:
 def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
     """Return the rgba of each body: that of its first visible coloured geom, else of a series; the ground is grey."""
     model = mechanism.model
-    coloured = seen(model) & ~plain_geoms(model) & (model.geom_matid < 0)
+    coloured = visible_geoms(model) & ~plain_geoms(model) & (model.geom_matid < 0)
     colours: dict[int, tuple[float, ...]] = {0: (0.35, 0.35, 0.35, 1.0)}
     for body in range(1, model.nbody):
         own = np.flatnonzero((model.body_weldid[model.geom_bodyid] == body) & coloured)
@@ -123,7 +123,7 @@ def _all_efforts(motion: Motion, instants: np.ndarray, direction: tuple[float, f
     towards = -axes_of(*direction)[2]
     found = []
     for k in instants:
-        stand(mechanism.model, data, mechanism.qpos_of(motion.pose[k]))
+        place_bodies(mechanism.model, data, mechanism.qpos_of(motion.pose[k]))
         found.append(
             tuple(
                 shape
@@ -134,7 +134,7 @@ def _all_efforts(motion: Motion, instants: np.ndarray, direction: tuple[float, f
     return found
 
 
-def stand(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
+def place_bodies(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
     """Compute the positions of bodies, cameras, lights and tendons at a pose."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -155,13 +155,13 @@ def all_points(motion: Motion, direction: tuple[float, float]) -> np.ndarray:
     poses = np.vstack([motion.pose[instants], motion.reference[instants]])
     points = [points.reshape(-1, 3) for points in pins_in_space(mechanism, poses).values()]
     moves = model.body_weldid[model.geom_bodyid] != 0
-    shown = seen(model) & has_end(model)
+    shown = visible_geoms(model) & bounded_geoms(model)
     data, size, towards = mujoco.MjData(model), mechanism.extent_m, -axes_of(*direction)[2]
     right, up, _ = axes_of(*direction)
     about = np.stack([right, -right, up, -up])
     largest = np.abs(motion.shares).max(axis=0, initial=0.0)
     for pose in poses:
-        stand(model, data, mechanism.qpos_of(pose))
+        place_bodies(model, data, mechanism.qpos_of(pose))
         points.append(corners(model, data, np.flatnonzero(shown & moves)))
         points.append(_tendon_points(data))
         for actuator, share in zip(mechanism.actuators, largest, strict=True):
@@ -179,7 +179,7 @@ def all_points(motion: Motion, direction: tuple[float, float]) -> np.ndarray:
     return found
 
 
-def has_end(model: mujoco.MjModel) -> np.ndarray:
+def bounded_geoms(model: mujoco.MjModel) -> np.ndarray:
     """Return the mask (n_geom,) of bounded geoms: not planes and height fields."""
     return ~np.isin(model.geom_type, (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)))
 

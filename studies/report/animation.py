@@ -10,7 +10,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.joint_frames import joint_frames
 from linkplan.models.poses.skeleton import Stick, sticks, view
 from linkplan.models.tree.coordinates import joint_label
-from linkplan.studies.output.directions import direction_said
+from linkplan.studies.output.directions import direction_name
 from linkplan.studies.report.document import Animation, Body, Ghost
 from linkplan.studies.report.drives import drives_of
 from linkplan.studies.report.numbers import rounded, times
@@ -78,7 +78,7 @@ def animation(
         title=title,
         group=group,
         dimension=2 if flat else 3,
-        axes=(direction_said(right), direction_said(up)),
+        axes=(direction_name(right), direction_name(up)),
         times=times(time_s),
         bodies=_bodies(drawn, frame),
         ghosts=[

@@ -25,7 +25,7 @@ from linkplan.studies.report.document import (
     Text,
 )
 from linkplan.studies.report.lines import Line, line_style, plots
-from linkplan.studies.report.numbers import kept, rounded, significant
+from linkplan.studies.report.numbers import drawn_rows, rounded, significant
 
 # Half the width of the Nyquist plane in units of |L|; the critical point is at -1.
 _NYQUIST_HALF_WIDTH = 2.5
@@ -141,7 +141,7 @@ def _curve(entry: BodePoint, quantity: str) -> tuple[np.ndarray, np.ndarray, np.
     shown = curve.frequency_hz >= lowest_hz(entry)
     frequency, db = curve.frequency_hz[shown], curve.db[shown]
     phase = turned(curve.phase_deg[shown], curve.gain[shown], quantity)
-    rows = kept(np.column_stack([db, phase]), most=220)
+    rows = drawn_rows(np.column_stack([db, phase]), most=220)
     return frequency[rows], db[rows], phase[rows]
 
 

@@ -30,7 +30,7 @@ def decomposition_charts(record: Mapping) -> list[Bars]:
             whole = Span(name="rms error", start=0.0, end=shares["rms_error"], colour=None)
             rows.append(Bar(label="rms error", spans=[whole], note=whole_note))
             axis = Axis(label="part of the rms error", unit=unit)
-            title = f"{tracker}: what the rms error is made of"
+            title = f"{tracker}: parts of the rms error"
             found.append(Bars(title=title, axis=axis, rows=rows, note_name=f"[{unit}]"))
     return found
 
@@ -49,7 +49,7 @@ def sensitivity_section(record: Mapping, *, depth: int = 2) -> Section:
         for tracker, by_metric in record["trackers"].items():
             draw = _CHARTS[record["design"]]
             axis, rows, line = draw(record, metric, by_metric[metric], shown)
-            title = f"{tracker}: what the {record['metrics'][metric]['text']} owes to each imperfection"
+            title = f"{tracker}: what the {record['metrics'][metric]['text']} due to each imperfection"
             name = "" if line == 0 else f"all in the middle, {_said(line)}"
             beside = "total" if record["design"] == "sobol" else f"change [{axis.unit}]"
             chart = Bars(title=title, axis=axis, rows=rows, line=line, line_name=name, note_name=beside)

@@ -35,7 +35,7 @@ def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
         *_numerics(plan, certificate),
         *_contacts(plan, certificate),
     ]
-    return Checklist(title="What holds between the nodes", group=group, items=items)
+    return Checklist(title="Checks between the nodes", group=group, items=items)
 
 
 def _efforts(plan: Plan, motion: Motion) -> list[Item]:
@@ -97,7 +97,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
             when.get("velocity_residual"),
         ),
         _item(
-            "ends of the motion, off what is asked, of its range or largest speed",
+            "error at start and goal, relative to the range or the largest speed",
             certificate.boundary_error <= BOUNDARY_SHARE,
             certificate.boundary_error,
             BOUNDARY_SHARE,
@@ -109,7 +109,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
         allowed = ENDS_SHARE * mechanism.extent_m
         error = certificate.site_error_m
-        items.append(_item("sites, off where they are asked to be", error <= allowed, error, allowed, "m", None))
+        items.append(_item("error of sites at start, waypoints and goal", error <= allowed, error, allowed, "m", None))
     items += [*_closure_gaps(plan, certificate), *_integration_errors(plan, certificate)]
     items = [replace(item, worst=significant(item.worst, 2), limit=significant(item.limit, 2)) for item in items]
     if mechanism.closures:
@@ -148,7 +148,9 @@ def _closure_gaps(plan: Plan, certificate: Certificate) -> list[Item]:
 def _integration_errors(plan: Plan, certificate: Certificate) -> list[Item]:
     kinds = {joint.kind for joint in plan.problem.mechanism.independent_joints}
     return [
-        _item("state integrated under the planned effort, off the planned one", error <= allowed, error, allowed, unit, None)
+        _item(
+            "state integrated under the planned effort, less the planned state", error <= allowed, error, allowed, unit, None
+        )
         for kind, error, allowed, unit in (
             ("hinge", certificate.integration_error_deg, INTEGRATION_DEG, "deg"),
             ("slide", certificate.integration_error_m, INTEGRATION_M, "m"),

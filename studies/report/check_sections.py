@@ -234,5 +234,5 @@ def inner_ends(lines: Sequence[Line]) -> tuple[float, float] | None:
 def refused_section(found: RefusedModel) -> Section:
     """Return the section of a model that is not a valid mechanism."""
     blocks: list[Block] = [Text(text=problem, tone="bad") for problem in found.problems]
-    blocks.append(Code(title="What there is to know", text=found.text()))
+    blocks.append(Code(title="Further information", text=found.text()))
     return Section(title=f"Model: {found.name}", blocks=blocks)

@@ -218,7 +218,7 @@ def _worst(outcome: Outcome, again: Again | None) -> list[Block]:
     found: list[Block] = [Table(title=title, columns=[*heads, ("failed", "")], rows=rows)]
     if commands:
         text = "\n".join(commands)
-        found.append(Code(title="To run them again, to the same bits, each with its whole log", text=text))
+        found.append(Code(title="Commands that repeat these runs exactly, with their whole logs", text=text))
     return found
 
 
@@ -229,13 +229,13 @@ def machine_section(sample: Mapping) -> Section:
         [name, float(f"{value:.6g}"), None if unit == "1" else unit]
         for (name, value), unit in zip(sample["imperfections"].items(), units, strict=True)
     ]
-    table = Table(title="What is wrong with it", columns=[("imperfection", ""), ("value", ""), ("unit", "")], rows=rows)
+    table = Table(title="Imperfections", columns=[("imperfection", ""), ("value", ""), ("unit", "")], rows=rows)
     return Section(title=f"Machine {sample['sample']}", blocks=[table])
 
 
 def _imperfections(experiment: Experiment) -> Table:
     return Table(
-        title="What is drawn from where; the rest is as modelled",
+        title="Distributions of the imperfections; all else is as modelled",
         columns=[("imperfection", ""), ("distribution", ""), ("unit", "")],
         rows=[
             [factor.label, _spread(factor), factor.quantity.unit if factor.quantity.unit != "1" else None]

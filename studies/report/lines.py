@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.studies.report.document import Axis, Limit, Plot, Series
-from linkplan.studies.report.numbers import kept, rounded, times
+from linkplan.studies.report.numbers import drawn_rows, rounded, times
 
 # More lines of one unit are divided among several plots.
 _MAX_LINES_PER_PLOT = 9
@@ -53,7 +53,7 @@ def plots(
     found, units = [], list(dict.fromkeys(line.unit for line in lines))
     for unit, of_it in _readable(units, lines):
         columns = np.column_stack([line.values for line in of_it])
-        rows = kept(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
+        rows = drawn_rows(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
         values = np.column_stack([line.values[rows] for line in of_it])
         shown = [rounded(row, log=log) for row in values.T]
         series = []

@@ -140,7 +140,7 @@ def along_section(found: AlongMotion, *, depth: int = 2) -> Section:
                 look="dash",
             ),
         ]
-        blocks += plots("What is left of the worst disturbance", "share", TIME, cycle.time_s[clear], decay, log=True)
+        blocks += plots("Remaining share of the worst disturbance", "share", TIME, cycle.time_s[clear], decay, log=True)
     return Section(title=f"Along the motion {found.plan.problem.name}", blocks=blocks, depth=depth)
 
 

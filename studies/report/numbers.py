@@ -49,7 +49,7 @@ def times(values: np.ndarray) -> list:
     return rounded(values, digits=7)
 
 
-def kept(columns: np.ndarray, most: int = MAX_SAMPLES) -> np.ndarray:
+def drawn_rows(columns: np.ndarray, most: int = MAX_SAMPLES) -> np.ndarray:
     """Return the indices of the drawn rows of columns (n, k): all up to `most`, else `most / 2` even ones and the peaks.
 
     Between two even rows, each column keeps the row furthest from the straight line between them if the distance is more

@@ -8,7 +8,7 @@ from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Axis, Curve, Plane
 from linkplan.studies.report.motion import Motion
-from linkplan.studies.report.numbers import kept, rounded, times
+from linkplan.studies.report.numbers import drawn_rows, rounded, times
 
 
 def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) -> Plane | None:
@@ -19,7 +19,7 @@ def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) ->
     joint = mechanism.independent_joints[0]
     unit = joint.shown(1.0)
     s, v = motion.position[:, 0], motion.velocity[:, 0]
-    rows = kept(np.column_stack([s, v]))
+    rows = drawn_rows(np.column_stack([s, v]))
     path = Curve(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
     most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded next to singular poses
     limits = [] if not np.all(np.isfinite(plan.problem.limits.effort)) else _limit_curves(plan, motion, most)

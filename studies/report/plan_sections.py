@@ -175,9 +175,7 @@ def _passed(plan: Plan) -> Block:
 
 def _solves(plan: Plan) -> list[Block]:
     if not plan.history:
-        return [
-            Text(text="No solves are known: the motion was worked out without any, or not saved with them.", tone="note")
-        ]
+        return [Text(text="There is no history of solves: the motion needed none, or was saved without it.", tone="note")]
     heads = columns("what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]")
     heads += columns("integration error [deg]", "time to build [s]", "time to solve [s]")
     rows = [

@@ -31,7 +31,7 @@ def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = 
         PlanFileError: if the folder is not a result, or is damaged.
     """
     if not folder.is_dir():
-        raise PlanFileError(f"'{folder}' is no folder; a report is made of a folder that linkplan wrote")
+        raise PlanFileError(f"'{folder}' is not a folder; a report needs a folder that linkplan wrote")
     complete(folder)
     if (folder / DOCUMENT).is_file():
         return read_document(folder / DOCUMENT)

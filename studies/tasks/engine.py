@@ -73,7 +73,7 @@ def processes(workers: int) -> Engine:
                 max_workers=min(workers, n), mp_context=multiprocessing.get_context("spawn"), initializer=_begin
             )
         except (OSError, ImportError, NotImplementedError) as error:  # some containers have no /dev/shm for locks
-            say(f"no processes beside this one can be begun ({one_line(error)}): this one does it all")
+            say(f"no further process can be started ({one_line(error)}): this process runs all tasks")
             with here(n, say) as pool:
                 yield pool
             return

@@ -43,7 +43,7 @@ def streamed(
                 deaths += 1
                 if deaths > _MOST_DEATHS:
                     raise LinkplanError(
-                        f"workers were lost {deaths} times; what is done is kept, and the same command goes on from it"
+                        f"workers were lost {deaths} times; finished parts are kept, and the command continues from them"
                     ) from error
                 say("a worker was lost; what it was at is run again")
 
