@@ -1,4 +1,4 @@
-"""What `linkplan check` says of contacts: those that make a plan false are problems, the others are notes."""
+"""The findings of `linkplan check` on contacts: contacts that make a plan false are problems, the others are notes."""
 
 import numpy as np
 
@@ -22,10 +22,10 @@ def contact_findings(
     """Return the problems and notes on contacts, each a sentence.
 
     Args:
-        mechanism: whose geoms they are.
-        pairs: that collide at some of the poses within reach.
-        n_poses: how many poses within reach were checked.
-        path: a problem's motion; None where a mechanism alone is checked, every contact of which is a problem.
+        mechanism: with the geoms.
+        pairs: geoms that collide at some of the poses within reach.
+        n_poses: the number of checked poses within reach.
+        path: a problem's motion; if None, the mechanism alone is checked and every contact is a problem.
         treatment: the problem's `contacts`, "refuse" or "note".
     """
     if path is None:

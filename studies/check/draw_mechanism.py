@@ -1,4 +1,4 @@
-"""Figures of a mechanism: the drawing at several poses, and what changes along its reach."""
+"""Figures of a mechanism: the drawing at several poses, and the quantities that change along its reach."""
 
 from pathlib import Path
 
@@ -11,23 +11,20 @@ from linkplan.models.poses.reach import Reach
 from linkplan.models.poses.skeleton import sticks, view
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.output.directions import direction_said
+from linkplan.studies.output.directions import direction_name
 from linkplan.studies.output.drawing import BLACK, BLUE, GREY, RED, SERIES, STYLES, outside_legend, page
 
-# An inertia that changes by more than this factor over the reach is drawn on a logarithmic axis.
-_LOGARITHMIC = 5.0
-# Coordinates of which the sweep is drawn: more would make a page that nobody looks at. Each has loop-N.png of its own.
-_DRAWN = 3
-# Springs that take less than this share of the weight are not drawn beside it: rounding.
-_NOTHING = 1e-9
+# An inertia that changes by more than this factor is drawn on a logarithmic axis.
+LOG_AXIS_FACTOR = 5.0
 
 
 def inspection_figure(found: Inspection, path: Path | None = None) -> Figure:
-    """Return the figure of a mechanism over each coordinate's reach, saved at `path` where one is given.
+    """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
 
-    Drawn are the mechanism, its dependent joints, the reduced inertia, and the effort that holds it.
+    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each coordinate also has
+    a figure loop-N.png.
     """
-    reaches, mechanism = found.reaches[:_DRAWN], found.mechanism
+    reaches, mechanism = found.reaches[:3], found.mechanism
     with page(path, rows=2 * len(reaches), columns=2, size=(10.5, 7.5 * len(reaches))) as axes:
         for row, can in zip(range(0, 2 * len(reaches), 2), reaches, strict=True):
             draw_mechanism(axes[row, 0], mechanism, can)
@@ -41,14 +38,14 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> Figure:
 
 
 def _x(mechanism: Mechanism, can: Reach) -> tuple[np.ndarray, Joint]:
-    """Return the swept coordinate at a reach's poses in its shown unit, and its joint."""
+    """Return the swept coordinate at the poses of a reach in its display unit, and its joint."""
     index = mechanism.independent[can.coordinate]
     joint = mechanism.joints[index]
     return np.array([joint.shown(x) for x in can.poses[:, index]]), joint
 
 
 def _drawn_reach(mechanism: Mechanism, can: Reach) -> np.ndarray:
-    """Return the poses of a reach; of one that turns fully, those of most of one turn from home."""
+    """Return the poses of a reach or, for a joint that turns fully, those of 0.8 turns from home."""
     if not can.turns_fully:
         return can.poses
     index = mechanism.independent[can.coordinate]
@@ -57,7 +54,7 @@ def _drawn_reach(mechanism: Mechanism, can: Reach) -> np.ndarray:
 
 
 def draw_mechanism(axes, mechanism: Mechanism, can: Reach) -> None:
-    """Draw the bodies as sticks at poses spread over a reach, the home pose strong."""
+    """Draw the bodies as sticks at poses spread over a reach; the home pose is opaque."""
     poses = _drawn_reach(mechanism, can)
     chosen = poses[np.linspace(0, len(poses) - 1, 5).astype(int)]
     draw_poses(axes, mechanism, np.vstack([chosen, mechanism.home]))
@@ -65,11 +62,11 @@ def draw_mechanism(axes, mechanism: Mechanism, can: Reach) -> None:
 
 
 def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
-    """Draw the bodies as sticks at poses (n, n_q), the last one strong."""
+    """Draw the bodies as sticks at poses (n, n_q); the last one is opaque."""
     colours = iter(SERIES * 10)
     for depth, stick in enumerate(sticks(mechanism, poses)):
         colour = GREY if stick.fixed else next(colours)
-        for k, pins in enumerate(stick.pins):  # a body lies over those that it carries
+        for k, pins in enumerate(stick.pins):  # a body is drawn above its children
             last = k == len(poses) - 1
             loop = np.vstack([pins, pins[:1]]) if len(pins) > 2 and not stick.fixed else pins
             axes.plot(
@@ -86,29 +83,29 @@ def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
             )
     axes.set_aspect("equal", adjustable="datalim")
     axes.locator_params(axis="x", nbins=6)
-    right, up = (direction_said(direction) for direction in view(mechanism.model))
+    right, up = (direction_name(direction) for direction in view(mechanism.model))
     axes.set_xlabel(f"{right} [m]")
     axes.set_ylabel(f"{up} [m]")
 
 
 def mark_turning(axes, mechanism: Mechanism, can: Reach, *, named: bool = False) -> None:
-    """Draw where a reach is singular, dotted red, and where a dependent joint turns back, dotted grey."""
+    """Draw the singular poses of a reach as red dotted lines and the turning points of dependent joints as grey ones."""
     joint = mechanism.joints[mechanism.independent[can.coordinate]]
     left, right = axes.get_xlim()
-    told = set()
+    labelled = set()
     for words, colour, positions in (
         ("singular pose", RED, can.singular),
         ("a joint turns back", GREY, [position for _, position in can.toggles]),
     ):
         for position in positions:
-            if left <= joint.shown(position) <= right:  # one turn is drawn of a joint that turns twice
-                label = words if named and words not in told else None
+            if left <= joint.shown(position) <= right:  # only one turn of a joint is drawn
+                label = words if named and words not in labelled else None
                 axes.axvline(joint.shown(position), color=colour, linestyle=":", linewidth=1.2, label=label)
-                told.add(words)
+                labelled.add(words)
 
 
 def draw_dependent(axes, mechanism: Mechanism, can: Reach) -> None:
-    """Draw the dependent joints over the swept one, slides on the right; singular poses dotted red, toggles grey."""
+    """Draw the dependent joints over the swept joint, slides on the right axis, with `mark_turning`."""
     x, joint = _x(mechanism, can)
     dependent = [(int(index), mechanism.joints[index]) for index in mechanism.dependent]
     kinds = list(dict.fromkeys(other.kind for _, other in dependent))
@@ -135,11 +132,11 @@ def draw_dependent(axes, mechanism: Mechanism, can: Reach) -> None:
 
 
 def draw_inertia(axes, mechanism: Mechanism, can: Reach) -> None:
-    """Draw the reduced inertia along the swept coordinate, logarithmic where it rises without end."""
+    """Draw the reduced inertia along the swept coordinate, on a logarithmic axis if it changes much."""
     (x, joint), column = _x(mechanism, can), can.coordinate
     inertia = sampled(mechanism.dynamics.reduced_inertia, can.poses)[:, column, column]
     axes.plot(x, inertia, color=BLACK)
-    if inertia.max() > _LOGARITHMIC * inertia.min() > 0:
+    if inertia.max() > LOG_AXIS_FACTOR * inertia.min() > 0:
         axes.set_yscale("log")
     else:
         axes.set_ylim(0.0, 1.2 * inertia.max())
@@ -148,18 +145,23 @@ def draw_inertia(axes, mechanism: Mechanism, can: Reach) -> None:
     axes.set_ylabel(f"reduced inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]")
 
 
+def visible_springs(holding: np.ndarray, weight: np.ndarray) -> bool:
+    """Tell if the effort that holds weight and springs differs from that for the weight by more than rounding errors."""
+    return bool(np.abs(holding - weight).max() > 1e-9 * max(np.abs(holding).max(), np.finfo(float).tiny))
+
+
 def draw_holding(axes, mechanism: Mechanism, can: Reach) -> None:
-    """Draw the effort on the swept coordinate that holds weight and springs, and the weight's own where they differ."""
+    """Draw the effort on the swept coordinate that holds weight and springs, and that for the weight alone if it differs."""
     (x, joint), column = _x(mechanism, can), can.coordinate
     weight = sampled(mechanism.dynamics.gravity_effort, can.poses)[:, column, 0]
     still = np.zeros((len(can.poses), mechanism.dof))
     holding = sampled(mechanism.dynamics.inverse_dynamics, can.poses, still, still)[:, column, 0]
     axes.plot(x, holding, color=BLACK, label="weight and springs")
-    sprung = np.abs(holding - weight).max() > _NOTHING * max(np.abs(weight).max(), np.finfo(float).tiny)
+    sprung = visible_springs(holding, weight)
     if sprung:
         axes.plot(x, weight, color=BLUE, linestyle="--", label="the weight alone")
         outside_legend(axes, narrow=True)
-    # Next to a singular pose the effort grows without bound and would hide all else.
+    # The effort grows without bound next to a singular pose: the axis shows the inner 90 % of the samples.
     cut = max(1, len(x) // 20)
     inner = np.concatenate([line[cut:-cut] for line in ((holding, weight) if sprung else (holding,))])
     if len(inner):

@@ -1,4 +1,4 @@
-"""What `linkplan check` says of doubtful drives: those that act one way only, and those much weaker than others."""
+"""The findings of `linkplan check` on drives: actuators that act in one direction only, or are much weaker than others."""
 
 import numpy as np
 
@@ -6,19 +6,17 @@ from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.studies.check.check_report import effort_unit
+from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE
 
-# An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
-NO_ARM = 1e-9
-# A joint stands at the end of its range within this [rad or m]: what assembly leaves.
-AT_THE_END = 1e-8
-# A weight below this share of what pushes a joint does not bring it back.
-_LIGHT = 0.01
-# An actuator that has less than this share of what the others give every coordinate it acts on does next to nothing.
-_FEEBLE = 1e-3
+# A joint is at the end of its range within this distance [rad or m], the accuracy of assembly.
+RANGE_END_TOLERANCE = 1e-8
 
 
 def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
-    """Return the sentence on an independent joint that actuators only push to one side, with nothing to bring it back."""
+    """Return the sentence on an independent joint that actuators push to one side only and that nothing returns, or None.
+
+    A weight returns the joint if its effort is more than 1 % of the largest actuator effort.
+    """
     index = int(mechanism.independent[column])
     joint, model = mechanism.joints[index], mechanism.model
     acting = [(a, ends) for a, ends in _efforts(mechanism, column) if ends.any()]
@@ -26,7 +24,7 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     if not len(ends) or (np.any(ends[:, 0] < 0) and np.any(ends[:, 1] > 0)):
         return None
     weight = np.abs(np.array(mechanism.dynamics.gravity_effort(mechanism.home))[column]).item()
-    if np.any(model.jnt_stiffness) or weight > _LIGHT * np.abs(ends).max():
+    if np.any(model.jnt_stiffness) or weight > 0.01 * np.abs(ends).max():
         return None
     unit, damped = effort_unit(joint), float(model.dof_damping[index]) > 0
     pushes = " and ".join(
@@ -44,7 +42,7 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
 
 
 def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str, bool]:
-    """Return the sentence on an independent joint that no actuator drives, and whether it is a fault: nothing moves it."""
+    """Return the sentence on an independent joint without an actuator, and True if it is a fault."""
     joint = mechanism.independent_joints[column]
     if steerable:
         return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)", False
@@ -60,22 +58,22 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
 def pressed_stops(mechanism: Mechanism) -> str | None:
     """Return the sentence on joints that weight and springs press onto their stops at home, or None.
 
-    As the fingers of an adaptive gripper lie on theirs. The actuators hold the coordinates that they drive, as far as their
-    limits allow.
+    An example is the fingers of an adaptive gripper. Actuators hold the coordinates that they drive, within their limits.
     """
     dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
     limit, arms = mechanism.effort_limit, np.array(dynamics.effort_map(home))
     mobility = np.linalg.solve(np.array(dynamics.reduced_inertia(home)), arms)
     falling = np.array(dynamics.acceleration(home, still, np.zeros(mechanism.n_u))).ravel()
-    driven = np.abs(arms).max(axis=1, initial=0.0) > NO_ARM * np.abs(arms).max(initial=0.0)
+    driven = np.abs(arms).max(axis=1, initial=0.0) > ACTING_SHARE * np.abs(arms).max(initial=0.0)
     hold = np.clip(np.linalg.pinv(mobility[driven]) @ -falling[driven], limit[:, 0], limit[:, 1])
     gained = falling + mobility @ hold
     rates = np.array(dynamics.velocity_map(home)) @ gained
-    least = NO_ARM * np.abs(falling).max(initial=0.0)
+    least = ACTING_SHARE * np.abs(falling).max(initial=0.0)
     pressed = [
         (joint, x)
         for joint, x, rate in zip(mechanism.joints, home, rates, strict=True)
-        if (abs(x - joint.upper) <= AT_THE_END and rate > least) or (abs(x - joint.lower) <= AT_THE_END and rate < -least)
+        if (abs(x - joint.upper) <= RANGE_END_TOLERANCE and rate > least)
+        or (abs(x - joint.lower) <= RANGE_END_TOLERANCE and rate < -least)
     ]
     if not pressed:
         return None
@@ -88,13 +86,13 @@ def pressed_stops(mechanism: Mechanism) -> str | None:
 
 
 def feeble_drives(mechanism: Mechanism) -> list[str]:
-    """Return a sentence on each actuator that, at its limit, adds next to nothing to what others give its coordinates."""
+    """Return a sentence on each actuator whose largest effort on a coordinate is below 0.1 % of another's."""
     said = []
     for column, joint in enumerate(mechanism.independent_joints):
         largest = [(a, float(np.abs(ends).max())) for a, ends in _efforts(mechanism, column)]
         strongest, most = max(largest, key=lambda item: item[1], default=(None, 0.0))
         for actuator, own in largest:
-            if strongest is not None and np.isfinite(most) and 0 < own < _FEEBLE * most:
+            if strongest is not None and np.isfinite(most) and 0 < own < 1e-3 * most:
                 said.append(
                     f"actuator {actuator.name} adds almost nothing on joint {joint.name}: {own:.3g} {effort_unit(joint)}"
                     f" at its limit at home, against {most:.3g} of {strongest.name}"
@@ -103,11 +101,11 @@ def feeble_drives(mechanism: Mechanism) -> list[str]:
 
 
 def _efforts(mechanism: Mechanism, column: int) -> list[tuple[Actuator, np.ndarray]]:
-    """Return each actuator with the least and most effort (2,) that it gives an independent joint at home."""
+    """Return each actuator with its least and largest effort (2,) on an independent joint at home."""
     arms = np.array(mechanism.dynamics.effort_map(mechanism.home))[column]
     found = []
     for actuator, arm in zip(mechanism.actuators, arms, strict=True):
-        acts = abs(arm) > NO_ARM * np.abs(arms).max()
+        acts = abs(arm) > ACTING_SHARE * np.abs(arms).max()
         found.append((actuator, np.sort(arm * np.array([actuator.lower, actuator.upper])) if acts else np.zeros(2)))
     return found
 

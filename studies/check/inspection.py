@@ -1,4 +1,4 @@
-"""The study behind `linkplan check`: what a mechanism is, how far it reaches, and what is wrong with it."""
+"""The study behind `linkplan check`: a mechanism's properties, its reach, and its faults."""
 
 from dataclasses import dataclass
 
@@ -15,27 +15,18 @@ from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.reduction.reduced import linearised
 from linkplan.models.tree.sites import site_names
 from linkplan.studies.check.contact_findings import contact_findings
-from linkplan.studies.check.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
-from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
+from linkplan.studies.check.drives import RANGE_END_TOLERANCE, feeble_drives, pressed_stops, pushed_one_way, undriven
+from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE, KinematicLoopPath
 from linkplan.studies.check.softness import softness_note
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
-# A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
+# A larger gap of a loop at the model's reference pose [m] is a fault of the file; a smaller one is rounding.
 OPEN_M = 1e-6
-# A stop that takes less than this share of a joint's own range from it is meant: the two ranges say the same.
-_SHORT = 0.01
-# A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
-_UNREACHED = 1e-9
-# Toggle poses a turn apart are found to this [rad], and so many of a joint are listed; all are in the record.
-_SAME_POSE = 1e-6
-_TOGGLES = 4
-# A body with less than this share of the heaviest one's mass is drawn without mass.
-_MASSLESS = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PoseReport:
-    """The mechanism at one pose: inertia (n_s, n_s), the effort of gravity and of all that rests (n_s,), actuators' map."""
+    """The mechanism at one pose: inertia (n_s, n_s), efforts (n_s,) that hold the weight and everything, effort map."""
 
     pose: np.ndarray
     reduced_inertia: np.ndarray
@@ -46,9 +37,9 @@ class PoseReport:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Inspection:
-    """What `check` found; `problems` are sentences, empty for a mechanism that is fit to plan with.
+    """The findings of `check`; `problems` are sentences, empty for a mechanism without faults.
 
-    `closure_gaps` are the largest gaps at home by unit: "m" of points and slides, "rad" of angles, hinges and their tendons.
+    `closure_gaps` are the largest gaps at home by unit: "m" for points and slides, "rad" for angles, hinges and tendons.
     """
 
     mechanism: Mechanism
@@ -69,7 +60,7 @@ def inspect(
 ) -> Inspection:
     """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m]).
 
-    Contacts are judged along a problem's `motion` where there is one, by its `contacts`.
+    For a problem, contacts are judged along its `motion` by its setting `contacts`.
     """
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
     poses = np.vstack([can.poses for can in reaches])
@@ -88,10 +79,10 @@ def inspect(
 
 
 def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
-    """Return the report at the pose where the named joints stand at given positions, on the home branch.
+    """Return the report at the pose with the given positions of the named joints, on the home branch.
 
     Raises:
-        ProblemError: when the named joints do not fix the pose, or it is out of reach.
+        ProblemError: if a named joint is dependent, or the pose is out of reach.
     """
     indices = {mechanism.joint_index(name, ProblemError): value for name, value in asked.items()}
     s = mechanism.home[mechanism.independent].copy()
@@ -117,7 +108,7 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
 
 
 def _closure_gaps(mechanism: Mechanism) -> dict[str, float]:
-    """Return the largest gaps at home by unit; of what stands open at the model's reference pose, those there."""
+    """Return the largest gaps by unit at home and, if a loop is open there, at the model's reference pose."""
     open_there = mechanism.home_gap_m > OPEN_M
     gaps: dict[str, float] = {}
     for pose in (mechanism.home, *([mechanism.reference] if open_there else [])):
@@ -127,7 +118,7 @@ def _closure_gaps(mechanism: Mechanism) -> dict[str, float]:
 
 
 def _open_loops(mechanism: Mechanism) -> str:
-    """Return which closures stand open at the model's reference pose, and by how much: points in mm, angles in rad."""
+    """Return the names and gaps of the closures open at the model's reference pose: points in mm, angles in rad."""
     phi, names = np.array(mechanism.dynamics.closure(mechanism.reference)).ravel(), []
     widest: dict[str, float] = {}
     for closure in mechanism.closures:
@@ -139,8 +130,44 @@ def _open_loops(mechanism: Mechanism) -> str:
     return f"{', '.join(dict.fromkeys(names))} is open by {' and '.join(by)}"
 
 
-def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
-    """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
+def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[str], list[str]]:
+    """Return the problems, and the notes on facts that are no faults, each a sentence."""
+    problems, notes = _home_findings(mechanism)
+    reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
+    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > ACTING_SHARE * reached.max()}
+    steerable = bool(driven) and _steerable(mechanism)
+    for can in reaches:
+        idle = bool(driven) and int(mechanism.independent[can.coordinate]) not in driven and mechanism.n_u < mechanism.dof
+        faults, facts = _coordinate_findings(mechanism, can, idle=idle, steerable=steerable)
+        problems += faults
+        notes += facts
+    notes += feeble_drives(mechanism)
+    beyond, ends = tendon_findings(mechanism, reaches)
+    problems += [*beyond, *coincident_sites(mechanism)]
+    notes += ends
+    for item in audit(mechanism.model):
+        (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
+    return problems, notes
+
+
+def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steerable: bool) -> tuple[list[str], list[str]]:
+    """Return the problems and notes on an independent joint; `idle` if no actuator acts on it at home."""
+    problems, notes, column = [], [], can.coordinate
+    passive = int(mechanism.independent[column]) in mechanism.passive_dofs
+    if idle and not passive:
+        sentence, fault = undriven(mechanism, column, steerable=steerable)
+        (problems if fault else notes).append(sentence)
+    one_sided = pushed_one_way(mechanism, column)
+    problems += [] if one_sided is None else [one_sided]
+    stops = [_stop_finding(mechanism, can, upper=upper) for upper in (False, True)]
+    problems += [sentence for sentence, fault in stops if fault]
+    notes += [sentence for sentence, fault in stops if sentence and not fault]
+    notes += _singular_notes(mechanism, can)
+    return problems, notes if passive else [*notes, *_toggle_notes(mechanism, can)]
+
+
+def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
+    """Return the problems and notes on the home pose, closures, masses, actuators and keyframes."""
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
         problems.append(
@@ -149,7 +176,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
         )
         notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
-        if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
+        if not joint.lower - RANGE_END_TOLERANCE <= x <= joint.upper + RANGE_END_TOLERANCE:
             problems.append(
                 f"joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
             )
@@ -168,61 +195,40 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             f"home is the reference pose: of the model's keyframes, {', '.join(named)}, none is called home;"
             " mechanism.home_deg chooses another pose"
         )
-    notes += mechanism.notes
-    reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
-    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > NO_ARM * reached.max()}
-    steerable = bool(driven) and _steerable(mechanism)
-    for column, can in enumerate(reaches):
-        index = int(mechanism.independent[column])
-        joint = mechanism.joints[index]
-        if driven and index not in driven and index not in mechanism.passive_dofs and mechanism.n_u < mechanism.dof:
-            sentence, fault = undriven(mechanism, column, steerable=steerable)
-            (problems if fault else notes).append(sentence)
-        one_sided = pushed_one_way(mechanism, column)
-        if one_sided is not None:
-            problems.append(one_sided)
-        for end in (can.lower, can.upper):
-            if end.joint is not None and end.joint != index:
-                other = mechanism.joints[end.joint]
-                stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
-                stop += f" {joint.said(end.position, 4)} {joint.unit}"
-                own = joint.lower if end is can.lower else joint.upper
-                elsewhere = np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
-                    joint.upper - joint.lower
-                )
-                pose = can.poses[0] if end is can.lower else can.poses[-1]
-                if other.kind == "slide" and joint.kind == "hinge":
-                    notes.append(
-                        f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}" if elsewhere else stop
-                    )
-                elif elsewhere and _moves_with_others(mechanism, pose, end.joint, column):
-                    notes.append(
-                        f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})"
-                    )
-                elif elsewhere:
-                    problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
-                else:  # the coordinate has no range of its own that says otherwise: the stop is meant
-                    notes.append(stop)
-        notes += _singular_notes(mechanism, can)
-        notes += _toggle_notes(mechanism, can) if index not in mechanism.passive_dofs else []
-    notes += feeble_drives(mechanism)
-    beyond, ends = tendon_findings(mechanism, reaches)
-    problems += [*beyond, *coincident_sites(mechanism)]
-    notes += ends
-    for item in audit(mechanism.model):
-        (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
-    return problems, notes
+    return problems, [*notes, *mechanism.notes]
+
+
+def _stop_finding(mechanism: Mechanism, can: Reach, *, upper: bool) -> tuple[str, bool]:
+    """Return the sentence on another joint that ends a reach, and True if it is a fault; "" if no other joint does.
+
+    A stop is intended if the coordinate has no range, or if the stop is within 1 % of the end of that range.
+    """
+    end, pose = (can.upper, can.poses[-1]) if upper else (can.lower, can.poses[0])
+    index = int(mechanism.independent[can.coordinate])
+    if end.joint is None or end.joint == index:
+        return "", False
+    joint, other = mechanism.joints[index], mechanism.joints[end.joint]
+    stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
+    stop += f" {joint.said(end.position, 4)} {joint.unit}"
+    distance = abs(end.position - (joint.upper if upper else joint.lower))
+    if not np.isfinite([joint.lower, joint.upper]).any() or distance <= 0.01 * (joint.upper - joint.lower):
+        return stop, False
+    if other.kind == "slide" and joint.kind == "hinge":
+        return f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}", False
+    if _moves_with_others(mechanism, pose, end.joint, can.coordinate):
+        return f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})", False
+    return f"{stop} ({joint.name}'s own range: {_range(joint)})", True
 
 
 def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
-    """Return whether a joint moves with other coordinates too, spins apart: where it stops one of them, those may yield."""
+    """Tell if a joint also moves with other coordinates, except passive ones, so that they can move it off its stop."""
     rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
     free = np.isin(mechanism.independent, list(mechanism.passive_dofs))
-    return bool(np.any(np.delete(rates * ~free, column) > NO_ARM * rates.max()))
+    return bool(np.any(np.delete(rates * ~free, column) > ACTING_SHARE * rates.max()))
 
 
 def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
-    """Return a sentence on each singular pose of a reach: a dead centre of its coordinate, or a pose that branches."""
+    """Return a sentence on each singular pose of a reach: a dead centre of its coordinate, or a branching pose."""
     joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
     for position in can.singular:
         at = f"singular pose at {joint.name} = {joint.said(position, 5)} {joint.unit}"
@@ -245,9 +251,9 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
 
 
 def _massless(mechanism: Mechanism) -> list[str]:
-    """Return a sentence on every body tied by a loop's closure that has next to no mass: the simulator's loops gape there.
+    """Return a sentence on every body with less than a millionth of the heaviest mass, in a mechanism with closures.
 
-    MuJoCo's closures are springs scaled by the inertia that they act on; ten decades between two bodies leave none.
+    MuJoCo scales the stiffness of a closure by the inertia of its bodies. A body without mass makes the closure soft.
     """
     model, said = mechanism.model, []
     if not mechanism.closures:
@@ -255,7 +261,7 @@ def _massless(mechanism: Mechanism) -> list[str]:
     heaviest = float(model.body_mass[1:].max(initial=0.0))
     for body in range(1, model.nbody):
         with_children = float(model.body_subtreemass[body])
-        if model.body_weldid[body] == body and model.body_dofnum[body] and with_children < _MASSLESS * heaviest:
+        if model.body_weldid[body] == body and model.body_dofnum[body] and with_children < 1e-6 * heaviest:
             said.append(
                 f"body {model.body(body).name or body} has a mass of {with_children:.3g} kg where the heaviest has"
                 f" {heaviest:.3g} kg: the simulator cannot hold a loop by it; give it its mass"
@@ -264,28 +270,28 @@ def _massless(mechanism: Mechanism) -> list[str]:
 
 
 def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
-    """Return the sentence on a coordinate's toggle poses, if it has any: for each dependent joint, where it turns back."""
+    """Return the sentence on a coordinate's toggle poses, if any: the first four turning points of each dependent joint."""
     joint = mechanism.joints[mechanism.independent[can.coordinate]]
     turn = 2 * np.pi if can.turns_fully and joint.kind == "hinge" else np.inf
     by_joint: dict[int, list[float]] = {}
-    for other, position in can.toggles:  # of a joint that turns fully, those of one turn
+    for other, position in can.toggles:  # for a joint that turns fully: each pose once in a turn, to a microradian
         found = by_joint.setdefault(other, [])
         known = [abs((position - one + turn / 2) % turn - turn / 2) if np.isfinite(turn) else np.inf for one in found]
-        if min(known, default=np.inf) > _SAME_POSE:
+        if min(known, default=np.inf) > 1e-6:
             found.append(position)
     said = []
     for other, positions in by_joint.items():
-        first = ", ".join(f"{joint.said(x, 5)}" for x in positions[:_TOGGLES])
-        more = f" and {len(positions) - _TOGGLES} more" if len(positions) > _TOGGLES else ""
+        first = ", ".join(f"{joint.said(x, 5)}" for x in positions[:4])
+        more = f" and {len(positions) - 4} more" if len(positions) > 4 else ""
         said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {first}{more} {joint.unit}")
     again = ", and again every turn" if np.isfinite(turn) else ""
     return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
 
 
 def _steerable(mechanism: Mechanism) -> bool:
-    """Return whether the actuators together reach every degree of freedom next to home.
+    """Tell if the actuators together control every degree of freedom next to home.
 
-    Controllability of the linearised motion at home under the effort nearest to holding it: the rank of
+    This is the controllability of the motion linearised at home under the effort nearest to the holding effort: the rank of
     [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
     """
     n_s, still = mechanism.dof, np.zeros(mechanism.dof)
@@ -301,7 +307,7 @@ def _steerable(mechanism: Mechanism) -> bool:
     reached = [B]
     for _ in range(2 * n_s - 1):
         reached.append(A @ reached[-1])
-    return int(np.linalg.matrix_rank(np.hstack(reached), tol=_UNREACHED)) == 2 * n_s
+    return int(np.linalg.matrix_rank(np.hstack(reached), tol=1e-9)) == 2 * n_s
 
 
 def _range(joint: Joint) -> str:
@@ -309,20 +315,14 @@ def _range(joint: Joint) -> str:
 
 
 def branch(mechanism: Mechanism) -> list[float]:
-    """Return the determinants of J_z's blocks at home, whose signs no motion along the branch changes."""
+    """Return the determinants of J_z's blocks at home; their signs are constant along a branch."""
     return np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel().tolist() if mechanism.closures else []
 
 
 def inspection_record(found: Inspection) -> dict:
-    """Return what `linkplan check --json` says."""
+    """Return the record of `linkplan check --json`."""
     mechanism = found.mechanism
     independent = mechanism.independent_joints
-    hinges = [(joint, can) for joint, can in zip(independent, found.reaches, strict=True) if joint.kind == "hinge"]
-    slides = [(joint, can) for joint, can in zip(independent, found.reaches, strict=True) if joint.kind == "slide"]
-
-    def interval(joint, can: Reach) -> list[float]:
-        return [joint.shown(can.lower.position), joint.shown(can.upper.position)]
-
     return {
         "model": mechanism.name,
         "dof": mechanism.dof,
@@ -335,14 +335,7 @@ def inspection_record(found: Inspection) -> dict:
         "branch": branch(mechanism),
         "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
         "home_m": {j.name: float(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "slide"},
-        "reach_deg": {joint.name: interval(joint, can) for joint, can in hinges},
-        "reach_m": {joint.name: interval(joint, can) for joint, can in slides},
-        "reach_ends": {
-            joint.name: [can.lower.reason, can.upper.reason] for joint, can in zip(independent, found.reaches, strict=True)
-        },
-        "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
-        "branching_deg": [joint.shown(position) for joint, can in hinges for position, _ in can.branching],
-        "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
+        **_reach_record(found),
         "actuators": {
             a.name: {
                 "joint": None if a.joint is None else mechanism.joints[a.joint].name,
@@ -363,8 +356,23 @@ def inspection_record(found: Inspection) -> dict:
     }
 
 
+def _reach_record(found: Inspection) -> dict:
+    """Return the reach of each independent joint, and its singular, branching and toggle poses."""
+    reaches = list(zip(found.mechanism.independent_joints, found.reaches, strict=True))
+    hinges = [(joint, can) for joint, can in reaches if joint.kind == "hinge"]
+    ends = {joint.name: [joint.shown(can.lower.position), joint.shown(can.upper.position)] for joint, can in reaches}
+    return {
+        "reach_deg": {joint.name: ends[joint.name] for joint, _ in hinges},
+        "reach_m": {joint.name: ends[joint.name] for joint, _ in reaches if joint.kind == "slide"},
+        "reach_ends": {joint.name: [can.lower.reason, can.upper.reason] for joint, can in reaches},
+        "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
+        "branching_deg": [joint.shown(position) for joint, can in hinges for position, _ in can.branching],
+        "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
+    }
+
+
 def sites_at_home(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """Return where a model's named sites are at home (3,) [m], in the world's frame."""
+    """Return the positions (3,) [m] of a model's named sites at home, in the world's frame."""
     index = {name: mechanism.model.site(name).id for name in site_names(mechanism.model)}
     return {name: places_of(mechanism, int(site), mechanism.home)[0] for name, site in index.items()}
 

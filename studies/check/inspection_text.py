@@ -1,15 +1,11 @@
-"""What `linkplan check` prints of a mechanism as it was assembled."""
+"""The text of `linkplan check` on an assembled mechanism."""
 
 import numpy as np
 
+from linkplan.models.mechanism import Mechanism
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
 from linkplan.studies.output.digits import error_figure
 from linkplan.studies.output.tables import table
-
-# Digits that leave a number as it is.
-_EXACT = 17
-# A coordinate below this share of the mechanism's extent is shown as none.
-_ROUNDING = 1e-12
 
 
 def inspection_text(found: Inspection) -> str:
@@ -33,17 +29,21 @@ def inspection_text(found: Inspection) -> str:
             f" to {joint.said(can.upper.position, 5)} {joint.unit} ({can.upper.reason})"
         )
     lines += [f"actuator: {a.name} on {a.target}, {a.lower:g} to {a.upper:g} {a.unit}" for a in mechanism.actuators]
-    places = {
-        name: np.where(np.abs(place) < _ROUNDING * mechanism.extent_m, 0.0, place)
-        for name, place in sites_at_home(mechanism).items()
-    }
-    shown = [f"{name} [{', '.join(f'{x:.6g}' for x in place)}]" for name, place in places.items()]
-    lines += [f"sites at home [m]: {', '.join(shown)}"] if shown else []
+    lines += _site_lines(mechanism)
     lines += [f"note: {note}" for note in found.notes]
     if found.points:
         lines += ["", _points_table(found)]
     lines += ["", *(f"PROBLEM: {problem}" for problem in found.problems)] if found.problems else ["no problems found"]
     return "\n".join(lines)
+
+
+def _site_lines(mechanism: Mechanism) -> list[str]:
+    """Return the line with the sites at home, with rounding errors as zero; an empty list without sites."""
+    shown = []
+    for name, place in sites_at_home(mechanism).items():
+        rounded = np.where(np.abs(place) < 1e-12 * mechanism.extent_m, 0.0, place)
+        shown.append(f"{name} [{', '.join(f'{x:.6g}' for x in rounded)}]")
+    return [f"sites at home [m]: {', '.join(shown)}"] if shown else []
 
 
 def gaps_text(found: Inspection) -> str:
@@ -62,7 +62,7 @@ def _points_table(found: Inspection) -> str:
     rows = []
     for point in found.points:
         upper = point.reduced_inertia[np.triu_indices(mechanism.dof)]
-        positions = [float(j.said(x, _EXACT)) for j, x in zip(mechanism.joints, point.pose, strict=True)]
+        positions = [float(j.said(x, 17)) for j, x in zip(mechanism.joints, point.pose, strict=True)]
         efforts = [*point.gravity_effort, *point.holding_effort, *point.effort_map.T.ravel()]
         rows.append([float(x) for x in [*positions, *upper, *efforts]])
     return table(head, rows)

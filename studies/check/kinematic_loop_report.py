@@ -2,9 +2,9 @@
 
     r = Gamma^T B,   M_r = Gamma^T M Gamma,   1 / m_j = r_j^T M_r^-1 r_j
 
-r (n_s, n_u) is both the effort on a coordinate per unit of an actuator's effort and the actuator's speed per unit of the
-coordinate's speed (virtual work). m_j is the inertia that actuator j feels, the other coordinates free (Khatib, IEEE J.
-Robotics and Automation 3, 1987, for a point; here for an actuator's length). Efforts and forces are those at rest.
+r (n_s, n_u) is the effort on a coordinate per effort of an actuator and, by virtual work, the actuator's speed per speed of
+the coordinate. m_j is the reflected inertia at actuator j with the other coordinates free (Khatib, IEEE J. Robotics and
+Automation 3, 1987, for a point; here for an actuator's length). Efforts and forces are at rest.
 """
 
 import functools
@@ -26,24 +26,19 @@ from linkplan.planner.closed_chain.guess import first_guess, poses_along
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
 
-# Instants at which a problem's motion is sampled: a path of a few radians is then sampled to about a degree.
-_SAMPLES = 121
-# Poses of a whole turn: one a degree.
-_TURN_SAMPLES = 361
-# Matrices of n coordinates at the poses of n paths: no more numbers than this of a quantity (in JSON, some fifty
-# megabytes), which thins the paths of more than seventeen coordinates; but so many poses of each in any case.
-_MOST_NUMBERS, _FEWEST = 2_000_000, 3
-# An actuator whose effort on a coordinate is below this share of the largest does not act on it: rounding.
-_NO_ARM = 1e-9
+# Samples of a path: a path of a few radians is sampled about every degree.
+_PATH_SAMPLES = 121
+# An actuator acts on a coordinate if its effort there is more than this share of the largest; less is rounding.
+ACTING_SHARE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class KinematicLoopPath:
     """A mechanism along a path of n poses (n, n_q), at rest at each.
 
-    `coordinate` is the independent joint that is swept over its reach while the others stay at home, None along a problem's
-    motion, which has times `time_s` (n,). Efforts are in [N.m] on a hinge or [N] on a slide, those of actuators in their own
-    unit.
+    `coordinate` is the independent joint that is swept over its reach while the others stay at home. It is None along a
+    problem's motion, which has times `time_s` (n,). Efforts on hinges are in [N.m], on slides in [N]; efforts of actuators
+    are in the actuator's unit.
     """
 
     mechanism: Mechanism
@@ -56,16 +51,14 @@ class KinematicLoopPath:
     reduced_inertia: np.ndarray  # (n, n_s, n_s)
     reflected_inertia: (
         np.ndarray
-    )  # (n, n_u) felt by an actuator, the other coordinates free; infinite where it moves nothing, nan where M_r is singular
+    )  # (n, n_u) with the other coordinates free; infinite if the actuator moves nothing, nan if M_r is singular
     gravity_effort: np.ndarray  # (n, n_s) that holds the weight
-    holding_effort: np.ndarray  # (n, n_u) of the actuators, the least that holds weight and springs
-    unheld_effort: np.ndarray  # (n, n_s) what the actuators cannot hold, in whichever strength
-    available_effort: (
-        np.ndarray
-    )  # (n, n_s, 2) least and most effort that the actuators' limits allow on each coordinate alone
+    holding_effort: np.ndarray  # (n, n_u) least effort of the actuators that holds weight and springs
+    unheld_effort: np.ndarray  # (n, n_s) effort that no effort of the actuators provides
+    available_effort: np.ndarray  # (n, n_s, 2) least and largest effort on each coordinate alone, by the actuators' limits
     limit: np.ndarray  # (n_u, 2) of the actuators' efforts
-    singularity: np.ndarray  # (n,) least determinant of J_z's blocks as a share of that at home; 0 at a singular pose
-    closure_force: np.ndarray  # (n, n_closures) [N] size of each closure's force while weight and springs are held
+    singularity: np.ndarray  # (n,) least determinant of J_z's blocks relative to home; 0 at a singular pose
+    closure_force: np.ndarray  # (n, n_closures) [N] norm of each closure's force while weight and springs are held
 
     @property
     def positions(self) -> np.ndarray:
@@ -114,7 +107,7 @@ def measure(
 
 @functools.lru_cache(maxsize=16)
 def _at_rest(dynamics: ReducedDynamics) -> ca.Function:
-    """Return q -> the generalised effort (n_s,) that holds a pose: an eighth of the inverse dynamics of a moving one."""
+    """Return q -> the generalised effort (n_s,) that holds a pose, eight times faster than the inverse dynamics."""
     inverse = dynamics.inverse_dynamics
     q, still = ca.SX.sym("q", inverse.size1_in(0)), ca.SX.zeros(inverse.size1_in(1))
     return ca.Function("at_rest", [q], [ca.densify(inverse(q, still, still))])
@@ -125,7 +118,7 @@ def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[Kinem
     found = []
     for column, can in enumerate(reaches):
         if int(mechanism.independent[column]) in mechanism.passive_dofs:
-            continue  # a rod that spins about its line changes nothing
+            continue  # a rod that spins about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
         poses = thinned(swept(mechanism, can), mechanism.dof)
@@ -134,27 +127,31 @@ def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[Kinem
 
 
 def thinned(poses: np.ndarray, dof: int) -> np.ndarray:
-    """Return poses of one of `dof` paths, fewer where matrices of so many coordinates at all of them take too much room."""
-    most = max(_FEWEST, _MOST_NUMBERS // dof**3)
+    """Return the poses of one of `dof` paths, thinned so that a matrix has at most two million numbers in all.
+
+    Such a record has about fifty megabytes in JSON. The limit matters for more than 17 coordinates. Three poses remain.
+    """
+    most = max(3, 2_000_000 // dof**3)
     return poses if len(poses) <= most else poses[np.linspace(0, len(poses) - 1, most).round().astype(int)]
 
 
 def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
-    """Return the poses of a reach; of a joint that nothing stops, one turn, or the model's extent to either side of home."""
+    """Return the poses of a reach; without stops, one turn of a hinge, or a slide's travel by the extent to both sides."""
     if not can.turns_fully:
         return _finer(mechanism, can.poses)
     index = mechanism.independent[can.coordinate]
     travel = can.poses[:, index] - mechanism.home[index]
     if mechanism.joints[index].kind == "hinge":
-        s = np.tile(mechanism.home[mechanism.independent], (_TURN_SAMPLES, 1))
-        s[:, can.coordinate] += np.linspace(0.0, 2 * np.pi, _TURN_SAMPLES)
+        degrees = np.arange(361.0)
+        s = np.tile(mechanism.home[mechanism.independent], (len(degrees), 1))
+        s[:, can.coordinate] += np.linspace(0.0, 2 * np.pi, len(degrees))
         return follow(mechanism, s)
     return _finer(mechanism, can.poses[np.abs(travel) <= (1 + 1e-9) * mechanism.extent_m])
 
 
 def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return poses with others put in between, equally many in each gap, where they are fewer than a path's samples."""
-    parts = int(np.ceil((_SAMPLES - 1) / max(1, len(poses) - 1)))
+    """Return poses with equally many poses inserted between each two, to have at least `_PATH_SAMPLES` poses."""
+    parts = int(np.ceil((_PATH_SAMPLES - 1) / max(1, len(poses) - 1)))
     if parts == 1:
         return poses
     places = poses[:, mechanism.independent]
@@ -162,29 +159,29 @@ def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     gaps = [one + shares * (other - one) for one, other in pairwise(places)]
     try:
         between = follow(mechanism, np.concatenate(gaps), poses[0]).reshape(len(gaps), parts - 1, -1)
-    except (AssemblyError, ValueError):  # next to a singular pose; or a reach that is a point
+    except (AssemblyError, ValueError):  # next to a singular pose, or the reach is a point
         between = [_followed(mechanism, gap, one) for gap, one in zip(gaps, poses, strict=False)]
     rows = [row for one, inside in zip(poses, between, strict=False) for row in (one, *inside)]
     return np.array([*rows, poses[-1]])
 
 
 def _followed(mechanism: Mechanism, gap: np.ndarray, one: np.ndarray) -> np.ndarray:
-    """Return the poses in a gap (n, n_s); none where it cannot be followed: the reach's own poses will do."""
+    """Return the poses for positions (n, n_s); none if the loops cannot be followed there."""
     with suppress(AssemblyError):
         return follow(mechanism, gap, one)
     return np.empty((0, mechanism.n_q))
 
 
 def motion_path(problem: PlanningProblem) -> KinematicLoopPath:
-    """Return the report along a problem's motion before any solving: its reference, or its smooth path.
+    """Return the report along a problem's motion before any solve: its reference, or its smooth path.
 
     Raises:
-        ProblemError: when start, goal or reference lie outside what the mechanism reaches.
-        AssemblyError: when the loops do not close along the path.
+        ProblemError: if start, goal or reference are out of reach.
+        AssemblyError: if the loops do not close along the path.
     """
     mechanism, motion = problem.mechanism, problem.motion
     guess = first_guess(problem, start_pose_of(problem))
-    time = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    time = np.linspace(0.0, guess.duration_s, _PATH_SAMPLES)
     follows = motion.kind != "reach" and problem.reference is not None and not motion.waypoints
     title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"
     poses = poses_along(mechanism, guess, time)
@@ -206,13 +203,13 @@ def inertia_notes(path: KinematicLoopPath) -> list[str]:
 
 
 def acts(path: KinematicLoopPath) -> np.ndarray:
-    """Return whether an actuator acts on a coordinate anywhere along a path (n_s, n_u), rounding apart."""
+    """Return the mask (n_s, n_u) of the coordinates on which each actuator acts somewhere along a path."""
     most = np.abs(path.ratio).max(axis=0)
-    return most > _NO_ARM * most.max(axis=0, initial=0.0)
+    return most > ACTING_SHARE * most.max(axis=0, initial=0.0)
 
 
 def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Return 1 / (r_j^T M^-1 r_j) (n, n_u), infinite where r_j vanishes, not a number where M is singular."""
+    """Return 1 / (r_j^T M^-1 r_j) (n, n_u): infinite if r_j is zero, nan if M is singular."""
     regular = is_regular(inertia)
     found = np.full((len(ratio), ratio.shape[2]), np.nan)
     mobility = np.einsum("ksu,ksu->ku", ratio[regular], np.linalg.solve(inertia[regular], ratio[regular]))
@@ -221,11 +218,11 @@ def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return the least and the most effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
-    pushes = np.abs(ratio) > _NO_ARM * np.abs(ratio).max(axis=(0, 1), initial=0.0)
+    """Return the least and the largest effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
+    pushes = np.abs(ratio) > ACTING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
     found = np.zeros((*ratio.shape[:2], 2))
     for j in np.flatnonzero(pushes.any(axis=(0, 1))):
-        columns = pushes[:, :, j].any(axis=0)  # the coordinates that an actuator pushes at all: few
+        columns = pushes[:, :, j].any(axis=0)  # an actuator acts on few coordinates
         ends = np.multiply(ratio[:, columns, j, None], limit[j], out=np.zeros((len(ratio), columns.sum(), 2)),
                            where=pushes[:, columns, j, None])  # fmt: skip
         found[:, columns] += np.sort(ends, axis=-1)
@@ -233,7 +230,7 @@ def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
 
 
 def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return the least of J_z's blocks' determinants (n,) as shares of those at home; 1 without loops."""
+    """Return the least determinant (n,) of J_z's blocks, each relative to home; 1 without loops."""
     if len(mechanism.dependent) == 0:
         return np.ones(len(poses))
     block = mechanism.dynamics.block_singularity
@@ -241,7 +238,7 @@ def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
 
 
 def path_record(path: KinematicLoopPath) -> dict:
-    """Return what `linkplan check --json` says of a path: lists over its samples; what is infinite or no number is null."""
+    """Return a path's record of `linkplan check --json`: lists over its samples, null for infinite values and nan."""
     mechanism = path.mechanism
     joints = list(enumerate(mechanism.joints))
     independent = [joint.name for joint in mechanism.independent_joints]

@@ -1,29 +1,29 @@
-"""What `linkplan check` says of a model that is no mechanism as it stands: locked, not assembled, or without inertia."""
+"""The report of `linkplan check` on a model that cannot be loaded: locked, not assembled, or without inertia."""
 
 from dataclasses import dataclass
 
 from linkplan.models.closure.closed_pose import home_text
 from linkplan.models.errors import InertiaError, LockedError, UnassembledError
 
-# What a model is refused for that `check` reports on as a problem found, and not as bad input.
+# The errors of a model that `check` reports as problems instead of bad input.
 REFUSED = (InertiaError, LockedError, UnassembledError)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class RefusedModel:
-    """A report on a model that cannot be loaded, with what there is to write into it."""
+    """A report on a model that cannot be loaded, with the text that repairs it, if it is known."""
 
     name: str
     error: InertiaError | LockedError | UnassembledError
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong, in a sentence."""
+        """The error as a sentence."""
         return (str(self.error),)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """None: what there is to know is said beside the problem."""
+        """There are no notes: the text explains the problem."""
         return ()
 
     def record(self) -> dict:

@@ -1,12 +1,12 @@
-"""The closure gap that MuJoCo's soft constraints leave: what `linkplan check` says of a closure with a soft `solref`.
+"""The closure gap of MuJoCo's soft constraints: the note of `linkplan check` on closures with a soft `solref`.
 
-A constraint of MuJoCo gives way in proportion to its force. At rest a = 0 in the row's direction, and its own law
-a + R f = -K d r (MuJoCo, "Constraint model") leaves it open by
+A constraint of MuJoCo opens in proportion to its force. At rest a = 0 in the row's direction, and the constraint law
+a + R f = -K d r (MuJoCo, "Constraint model") gives the gap
 
     r = R f / (K d),
 
-with R = A (1 - d) / d, A the inertia of the row, K from `solref` and the impedance d(r) from `solimp`. Plans are of closed
-loops: a gap is what a tracked plan differs by.
+with R = A (1 - d) / d, A the inertia of the row, K from `solref` and the impedance d(r) from `solimp`. Plans have closed
+loops; therefore a tracked plan differs by the gap.
 """
 
 from dataclasses import dataclass
@@ -21,27 +21,17 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.stiffness import STIFF_IMPEDANCE, STIFF_SOLIMP, stiff_time_constant_s
 from linkplan.models.tree.ties import tied_points
 
-# A gap of more than this share of the model's extent is worth a note: of half a metre, 0.05 mm.
-WORTH_SAYING = 1e-4
-# The key of a problem file, and the argument of `load_mechanism`, that makes every closure as stiff.
+# A gap of more than this share of the model's extent gets a note: 0.05 mm for a model of half a metre.
+NOTED_GAP_SHARE = 1e-4
+# The key of a problem file, and the argument of `load_mechanism`, that makes every closure as stiff as possible.
 STIFF_KEY = 'mechanism.solref = "stiff"'
-# A gap beyond this share of the extent is no longer the small one of the law: it is said to be more than that.
-_LARGEST = 0.01
-# A stiffer constraint is worth naming where it leaves no more than this share of the gap.
-_HELPS = 0.5
-# Simulated poses that are compared with closed ones, of a run.
-_POSES = 101
-# From here on figures are shown whole: three digits of them would be written as powers of ten.
-_HUNDRED = 100.0
-# Rounds of the gap's own law, whose impedance depends on it; each at least halves the error.
-_ROUNDS = 60
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SoftClosure:
-    """The closure gap of a connect or weld at home [m]: holding the weight, and under one actuator at its limit.
+    """The closure gap of a connect or weld at home [m]: while the weight is held, and with one actuator at its limit.
 
-    `stiff_gap_m` is the larger of the two with `stiff_solref` and `STIFF_IMPEDANCE`, the stiffest that the timestep admits.
+    `stiff_gap_m` is the larger gap with `stiff_solref` and `STIFF_IMPEDANCE`, the stiffest setting for the timestep.
     """
 
     name: str
@@ -58,8 +48,8 @@ class SoftClosure:
         return max(self.weight_gap_m, self.rated_gap_m)
 
 
-def soft_closures(mechanism: Mechanism, share: float = WORTH_SAYING) -> tuple[SoftClosure, ...]:
-    """Return the connects and welds whose closure gap exceeds a share of the model's extent, worst first."""
+def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple[SoftClosure, ...]:
+    """Return the connects and welds whose closure gap exceeds a share of the model's extent, in descending order."""
     model = mechanism.model
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(mechanism.home)
@@ -94,7 +84,7 @@ def soft_closures(mechanism: Mechanism, share: float = WORTH_SAYING) -> tuple[So
 
 
 def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
-    """Return the largest gap [m] that MuJoCo's softness leaves at a pose (n_q,) held at rest by efforts (n_u,)."""
+    """Return the largest closure gap [m] in MuJoCo at a pose (n_q,) held at rest by efforts (n_u,)."""
     model, gaps = mechanism.model, [0.0]
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(pose)
@@ -113,7 +103,7 @@ def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
 
 
 def _loads(mechanism: Mechanism) -> list[tuple[str | None, np.ndarray]]:
-    """Return the closure forces (n_rows,) at home while the weight is held, then of each actuator alone at each limit."""
+    """Return the closure forces (n_rows,) at home: while the weight is held, then for each actuator alone at each limit."""
     dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
     hold, _ = needed_effort(mechanism, home[None], still[None], still[None])
     loads: list[tuple[str | None, np.ndarray]] = [
@@ -138,7 +128,7 @@ def steady_gap(push: float, stiffness: float, solimp: np.ndarray) -> float:
         solimp: MuJoCo's d_0, d_width, width, midpoint and power.
     """
     low, high = 0.0, push * (1 - impedance_at(0.0, solimp)) / (stiffness * impedance_at(0.0, solimp) ** 2)
-    for _ in range(_ROUNDS):  # the gap that the law gives falls as the one that it is taken at grows
+    for _ in range(60):  # bisection: the right-hand side decreases with r
         middle = (low + high) / 2
         d = impedance_at(middle, solimp)
         low, high = (middle, high) if push * (1 - d) / (stiffness * d**2) > middle else (low, middle)
@@ -156,19 +146,18 @@ def impedance_at(gap: float, solimp: np.ndarray) -> float:
 
 
 def gap_sentence(mechanism: Mechanism, gap_m: float, gap_rad: float = 0.0, error: str = "") -> str | None:
-    """Return what a closure gap in simulation [m], or one of angles [rad], means where it is worth saying, else None.
+    """Return the sentence on closure gaps of lengths [m] and angles [rad] in simulation; None if both are small.
 
-    That is more than a ten-thousandth of the extent, or of a radian. `error` says by how much poses then differ from those
-    of closed loops.
+    Small is below `NOTED_GAP_SHARE` of the extent, or of a radian. `error` is the text of `softness_error`.
     """
-    angles = f"angles that closures tie are off by up to {gap_rad:.3g} rad" if gap_rad > WORTH_SAYING else ""
+    angles = f"angles that closures tie are off by up to {gap_rad:.3g} rad" if gap_rad > NOTED_GAP_SHARE else ""
     means = f"{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as stiff as the timestep admits"
-    if not gap_m > WORTH_SAYING * mechanism.extent_m:
+    if not gap_m > NOTED_GAP_SHARE * mechanism.extent_m:
         return f"soft closures: in MuJoCo {angles}{means}" if angles else None
     share = 100 * gap_m / mechanism.extent_m
-    percent = f"{share:.2g}" if share < _HUNDRED else f"{share:.0f}"
+    percent = f"{share:.2g}" if share < 100 else f"{share:.0f}"  # without an exponent
     extent = 1e3 * mechanism.extent_m
-    size = f"{extent:.3g}" if extent < _HUNDRED else f"{extent:.0f}"
+    size = f"{extent:.3g}" if extent < 100 else f"{extent:.0f}"
     return (
         f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {percent} % of the mechanism's"
         f" {size} mm{f', and {angles}' if angles else ''}{means}"
@@ -176,12 +165,12 @@ def gap_sentence(mechanism: Mechanism, gap_m: float, gap_rad: float = 0.0, error
 
 
 def softness_error(mechanism: Mechanism, pose: np.ndarray) -> str:
-    """Return the largest difference of a dependent joint, in simulated poses (n, n_q), from where closed loops have it."""
+    """Return the largest difference of a dependent joint in simulated poses (n, n_q) from its value with closed loops."""
     worst, closed = {"deg": (0.0, ""), "m": (0.0, "")}, mechanism.home
-    for q in pose[np.unique(np.linspace(0, len(pose) - 1, _POSES).astype(int))]:
-        try:  # from the closed pose before it: a pose whose loops gape wide is no start
+    for q in pose[np.unique(np.linspace(0, len(pose) - 1, num=101).astype(int))]:
+        try:  # starts at the last closed pose: a pose with wide gaps is no good start
             closed = follow(mechanism, q[mechanism.independent][None], closed)[0]
-        except AssemblyError:  # gaping loops may stand where closed ones cannot
+        except AssemblyError:  # loops with gaps can reach positions that closed loops cannot
             continue
         for index in mechanism.dependent:
             joint = mechanism.joints[int(index)]
@@ -191,12 +180,16 @@ def softness_error(mechanism: Mechanism, pose: np.ndarray) -> str:
 
 
 def softness_note(mechanism: Mechanism) -> str | None:
-    """Return the sentence on a mechanism's soft closures, or None where every closure gap is small."""
+    """Return the sentence on a mechanism's soft closures; None if every closure gap is small.
+
+    The law holds for small gaps: gaps above 1 % of the extent are reported as "more than" that. A stiffer setting is
+    proposed if it at least halves the gap.
+    """
     soft = soft_closures(mechanism)
     if not soft:
         return None
     worst, others = soft[0], soft[1:]
-    largest = _LARGEST * mechanism.extent_m
+    largest = 0.01 * mechanism.extent_m
 
     def said(gap: float) -> str:
         return f"{1e3 * gap:.2g} mm" if gap <= largest else f"more than {1e3 * largest:.2g} mm"
@@ -207,7 +200,7 @@ def softness_note(mechanism: Mechanism) -> str | None:
         gaps += f", {said(worst.rated_gap_m)} under {worst.rated_by} at its limit"
     solref = " ".join(f"{number:g}" for number in worst.solref)
     text = f"closure {worst.name}{also} is soft (solref {solref}): the simulator's closure gap is {gaps}"
-    if worst.stiff_gap_m > _HELPS * worst.gap_m:
+    if worst.stiff_gap_m > 0.5 * worst.gap_m:
         return f"{text}; a shorter timestep would admit a stiffer one"
     return (
         f'{text}; solref="{worst.stiff_solref}" solimp="{STIFF_IMPEDANCE}", the stiffest that its timestep admits, leaves'

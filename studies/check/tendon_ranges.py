@@ -1,4 +1,4 @@
-"""Where tendons reach the ends of their ranges, and where one has no length: its force has no direction there."""
+"""Poses at which tendons reach the ends of their ranges, and tendons of zero length, whose force has no direction."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -11,14 +11,12 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.tendons import SITE, is_fixed, path_of, tendon_label, wraps
 
-# Sites nearer to each other than this share of the mechanism's size coincide: ten digits of a file.
-_COINCIDENT = 1e-10
-# What makes a tendon pull: fields of MuJoCo's model.
+# The fields of MuJoCo's model that make a tendon exert a force.
 _PULLS = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss", "limited")
 
 
 def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[list[str], list[str]]:
-    """Return the sentences on tendons that are beyond their ranges at home, and on where in a reach they stop the mechanism.
+    """Return the sentences on tendons outside their ranges at home, and on positions within reach at the end of a range.
 
     Args:
         mechanism: with its tendons' limits.
@@ -42,7 +40,7 @@ def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[lis
 
 
 def coincident_sites(mechanism: Mechanism) -> list[str]:
-    """Return a sentence on each tendon that pulls between two sites which coincide at home."""
+    """Return a sentence on each tendon with a force between two sites that coincide at home, to 1e-10 of the extent."""
     model, said = mechanism.model, []
     places = np.array(mechanism.dynamics.site_places(mechanism.home))
     for tendon in filter(lambda tendon: _pulls(model, tendon), range(model.ntendon)):
@@ -50,7 +48,7 @@ def coincident_sites(mechanism: Mechanism) -> list[str]:
         for one, other in pairwise(path):
             if one is None or other is None or model.site_bodyid[one] == model.site_bodyid[other]:
                 continue
-            if np.linalg.norm(places[:, one] - places[:, other]) <= _COINCIDENT * mechanism.extent_m:
+            if np.linalg.norm(places[:, one] - places[:, other]) <= 1e-10 * mechanism.extent_m:
                 names = " and ".join(model.site(site).name or f"site {site}" for site in (one, other))
                 said.append(
                     f"tendon {tendon_label(model, tendon)} has no length between {names}, which coincide at home: its force"
@@ -61,7 +59,7 @@ def coincident_sites(mechanism: Mechanism) -> list[str]:
 
 
 def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
-    """Return whether a tendon through sites exerts a force."""
+    """Tell if a tendon through sites exerts a force."""
     kinds, on = model.actuator_trntype, model.actuator_trnid[:, 0]
     driven = np.any((kinds == int(mujoco.mjtTrn.mjTRN_TENDON)) & (on == tendon))
     pulls = driven or any(np.any(getattr(model, f"tendon_{field}")[tendon]) for field in _PULLS)
@@ -69,6 +67,6 @@ def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
 
 
 def _crossings(x: np.ndarray, values: np.ndarray) -> list[float]:
-    """Return where values (n,) over x (n,) change sign, on straight lines between samples."""
+    """Return the zeros of values (n,) over x (n,), by linear interpolation."""
     at = np.flatnonzero(values[:-1] * values[1:] < 0)
     return [float(x[k] - values[k] * (x[k + 1] - x[k]) / (values[k + 1] - values[k])) for k in at]

@@ -1,4 +1,4 @@
-"""All that `linkplan check` finds: the inspection of a mechanism, and the loop report along its motion or its reach."""
+"""The whole result of `linkplan check`: the inspection of a mechanism, and the loop report along its motion or reach."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,9 +21,6 @@ from linkplan.studies.check.kinematic_loop_report import (
 )
 from linkplan.studies.check.refused_model import REFUSED
 
-# Tables of more coordinates than this, each with the quantities of all of them, are read by nobody: half a megabyte of 42.
-_MANY = 6
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class WholeCheck:
@@ -34,17 +31,17 @@ class WholeCheck:
 
     @property
     def name(self) -> str:
-        """The mechanism's."""
+        """The mechanism's name."""
         return self.found.mechanism.name
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong, each in a sentence."""
+        """The faults, each a sentence."""
         return self.found.problems
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is worth knowing but no fault, each in a sentence."""
+        """Further facts that are no faults, each a sentence."""
         return self.found.notes
 
     def record(self) -> dict:
@@ -52,8 +49,8 @@ class WholeCheck:
         return inspection_record(self.found) | {"along": [path_record(path) for path in self.paths]}
 
     def text(self) -> str:
-        """Return the findings for people."""
-        brief = len(self.paths) > _MANY
+        """Return the findings as text, with brief tables for more than six coordinates."""
+        brief = len(self.paths) > 6
         paths = [text for path in self.paths if (text := path_text(path, brief=brief))]
         left_out = [
             f"of {len(self.paths)} coordinates each has its own quantities above, at rest, where they change along its"
@@ -65,10 +62,10 @@ class WholeCheck:
 def mechanism_and_problem(
     name: str, tables: Tables, folder: Path | None
 ) -> tuple[Mechanism, PlanningProblem | None, tuple[str, ...]]:
-    """Return a problem file's mechanism, its problem where there is one, and why a problem that there is cannot be planned.
+    """Return the mechanism of a problem file, its problem if it has one, and the reasons why it cannot be planned.
 
     Raises:
-        LinkplanError: when the mechanism itself cannot be, or is one of REFUSED.
+        LinkplanError: if the mechanism itself is invalid; one of REFUSED if its model is refused.
     """
     if "motion" not in tables:
         return mechanism_from_tables(tables, folder), None, ()
@@ -87,16 +84,16 @@ def check_whole(
     poses: Sequence[dict[str, float]] = (),
     notes: Sequence[str] = (),
 ) -> WholeCheck:
-    """Return what is found about a mechanism, along its problem's motion where there is one.
+    """Return the check of a mechanism, along its problem's motion if there is a problem.
 
     Args:
-        mechanism: the problem's, where there is one.
-        problem: whose motion is looked along, and whose contacts are judged.
-        poses: joint positions [rad or m] by name, each reported on.
+        mechanism: that of the problem, if there is one.
+        problem: with the motion and the contact setting.
+        poses: joint positions [rad or m] by name, each with a report.
         notes: further sentences for the report.
 
     Raises:
-        ProblemError: for a pose that is beyond reach, or that names a joint that follows from others.
+        ProblemError: if a pose is out of reach or names a dependent joint.
     """
     motion, off_path = _motion(problem)
     found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.contacts)
@@ -107,7 +104,7 @@ def check_whole(
 
 
 def _motion(problem: PlanningProblem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:
-    """Return the path of a problem's motion, or None, and why there is none, if there is a problem."""
+    """Return the path of a problem's motion, or None with the reason."""
     if problem is None:
         return None, ()
     try:

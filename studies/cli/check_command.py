@@ -11,7 +11,7 @@ from linkplan.studies.cli.printing import show
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Report on a mechanism and what it does along its way; 1 where problems are found."""
+    """Report on a mechanism and its quantities along a path; 1 if problems are found."""
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
     target = output_folder(arguments)
@@ -42,7 +42,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _refused(arguments: argparse.Namespace, target: Path | None, found: RefusedModel) -> int:
-    """Report on a model that is no mechanism; a problem found, and no bad input."""
+    """Report on a model that cannot be loaded; the exit code is that of a problem, not of bad input."""
     said = found.record()
     if target is not None:
         from linkplan.studies.report.reports import check_report

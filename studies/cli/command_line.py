@@ -1,4 +1,4 @@
-"""What the command line takes: each command, its words and its options. Loads nothing heavy."""
+"""The parser of the command line: commands, arguments and options. This file has no heavy imports."""
 
 import argparse
 
@@ -9,9 +9,9 @@ from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.output.tables import folded
 
 EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found),
-said in a sentence; 2 bad input, or a file that cannot be read or written (a
-full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 the
-reader of stdout left before the result, which no -o has saved"""
+with a sentence; 2 bad input, or a file that cannot be read or written (a full
+disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 stdout was
+closed before the result was written (use -o)"""
 
 
 def build_parser() -> Parser:
@@ -35,7 +35,7 @@ def build_parser() -> Parser:
         if output:
             sub.add_argument("-o", "--output", metavar="DIR", help="write results and figures into this folder, whole")
         if report:
-            sub.add_argument("--report", action="store_true", help="write report.html, a page that moves, into -o too")
+            sub.add_argument("--report", action="store_true", help="write report.html, an animated page, into -o too")
         if settings:
             sub.add_argument(
                 "--set",
@@ -150,7 +150,7 @@ def build_parser() -> Parser:
     )
     report.add_argument("-o", "--output", metavar="FILE", default="report.html", help="default: %(default)s")
 
-    text = "begin a problem file for a mechanism: a motion that it can make, every option in comments"
+    text = "write a first problem file for a mechanism: a motion that it can make, every option in comments"
     new = command("new", text, output=False, settings=False)
     new.add_argument("model", metavar="MODEL", help="a built-in model or an MJCF file")
     _file(new, "the problem file to write; it must not be there (default: print it)")
@@ -164,7 +164,7 @@ def build_parser() -> Parser:
     export.add_argument("--every-s", type=float, metavar="T", help=text)
     _anyway(export)
 
-    text = "print the JSON Schema of problem files, by which editors complete them"
+    text = "print the JSON Schema of problem files, for completion in editors"
     schema = command("schema", text, output=False, settings=False)
     schema.add_argument("file", nargs="?", default="problem", metavar="KIND", help="problem or batch (default: %(default)s)")
     schema.add_argument("-o", "--output", metavar="FILE", help="write it into this file")
@@ -195,7 +195,7 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     text = "names with commas between them, your own as module:object; or all (default: %(default)s)"
     parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
-    text = "how samples lie: latin-hypercube or grid; which imperfection matters: one-at-a-time, morris or sobol"
+    text = "distribution of samples: latin-hypercube or grid; sensitivity: one-at-a-time, morris or sobol"
     text += " (default: %(default)s)"
     parser.add_argument("--design", default="latin-hypercube", metavar="DESIGN", help=text)
     parser.add_argument("--levels", type=int, default=3, metavar="N", help="of a grid (default: %(default)s)")
@@ -235,16 +235,16 @@ def _render(render: argparse.ArgumentParser) -> None:
     render.add_argument("--size", default="800x600", metavar="WxH", help="of the picture in pixels (default: %(default)s)")
     text = "a camera of the model by its name, or AZIMUTH/ELEVATION in degrees (default: the mechanism's own side)"
     render.add_argument("--camera", metavar="VIEW", help=text)
-    text = "play a film backwards after it, so that it goes on without a jump"
+    text = "play a film forwards and backwards, so that it repeats without a jump"
     render.add_argument("--there-and-back", action="store_true", help=text)
     text = "a picture of one instant, with the plan's ghost (default: several instants in one picture)"
     render.add_argument("--at-s", type=float, metavar="T", help=text)
-    text = "how many instants a picture has in one (default: %(default)s)"
+    text = "number of instants in one picture (default: %(default)s)"
     render.add_argument("--instants", type=int, default=7, metavar="N", help=text)
 
 
 def _anyway(parser: argparse.ArgumentParser) -> None:
-    text = "run a saved plan that does not pass its certificate, with a word and exit code 1"
+    text = "run a saved plan that does not pass its certificate, with a note and exit code 1"
     parser.add_argument("--anyway", action="store_true", help=text)
 
 

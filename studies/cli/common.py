@@ -1,4 +1,4 @@
-"""What the commands share: reading arguments, and refusing them under the names that they have on the command line."""
+"""Functions shared by the commands: they read arguments, and refuse them by their names on the command line."""
 
 import argparse
 import shlex
@@ -24,16 +24,16 @@ from linkplan.studies.cli.progress import Progress
 if TYPE_CHECKING:
     from linkplan.studies.tasks.engine import Engine
 
-# Options that say what else is in a result's folder.
+# Options for further files in a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
 
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
-    """Return the output folder, refused now and not after long work where it cannot be used."""
+    """Return the output folder; an unusable folder is refused before the work starts."""
     if arguments.output is None:
         for option, what in _WITH_OUTPUT.items():
             if getattr(arguments, option, False):
-                raise ProblemError(f"--{option} writes {what} into the folder of -o, and there is none; say -o DIR too")
+                raise ProblemError(f"--{option} writes {what} into the folder of -o, which is not given; add -o DIR")
         return None
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
@@ -50,7 +50,7 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
 
 
 def new_file(arguments: argparse.Namespace) -> Path | None:
-    """Return the file that -o names, refused now and not after long work where it is there or cannot be written."""
+    """Return the file of -o; an existing or unwritable file is refused before the work starts."""
     if arguments.output is None:
         return None
     if not arguments.output:
@@ -66,7 +66,7 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
 
 
 def engine_asked(arguments: argparse.Namespace) -> "Engine":
-    """Return what --workers or --cluster asks to run tasks on."""
+    """Return the engine for tasks that --workers or --cluster selects."""
     from linkplan.studies.tasks.cluster import cluster
     from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 
@@ -96,7 +96,7 @@ def set_all(tables: Tables, settings: Sequence[str]) -> None:
 
 
 def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dict[str, float]]:
-    """Return the poses of --at-deg: JOINT=ANGLE, several joints joined by commas; a bare angle for a single freedom."""
+    """Return the poses of --at-deg: JOINT=ANGLE, separated by commas, or an angle alone for one degree of freedom."""
     poses = []
     for text in arguments.at_deg:
         pose = {}
@@ -108,7 +108,7 @@ def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dic
                 number = float(value)
             except ValueError:
                 number = np.nan
-            again = bool(pose) and not equals  # 'O=1,5': a comma is between poses of joints, and no decimal point
+            again = bool(pose) and not equals  # 'O=1,5': a comma separates joints and is no decimal point
             if not name or again or not np.isfinite(number):
                 raise ProblemError(f"--at-deg takes JOINT=ANGLE, an angle in degrees (metres for a slide), got '{text}'")
             joint = mechanism.joints[mechanism.joint_index(name.strip(), ProblemError)]
@@ -120,7 +120,7 @@ def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dic
 
 
 def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None, bool]:
-    """Return the tables of a model or a problem with overrides, and whether it is a whole problem."""
+    """Return name, tables and folder of a model or a problem with overrides, and True for a problem."""
     path = Path(source)
     is_problem = source in PROBLEMS or (path.suffix == ".toml" and source not in MODELS)
     if is_problem:
@@ -133,7 +133,7 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
 
 
 def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
-    """Refuse what is neither one of the built-in names nor a file, and what is a saved plan."""
+    """Refuse a source that is neither a built-in name nor a file, and a saved plan."""
     if source in names:
         return
     refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
@@ -145,7 +145,7 @@ def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
 
 
 def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
-    """Return the plan that an argument means: a saved one, or one made of a problem now."""
+    """Return the plan of an argument: a saved plan, or the plan of a problem, made now."""
     source, overrides = arguments.plan, arguments.set
     path = Path(source)
     if path.is_file():
@@ -175,7 +175,7 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
 
 
 def no_plan(arguments: argparse.Namespace, plan: Plan) -> int:
-    """Say why there is no motion and return the exit code."""
+    """Show the reason why there is no motion and return the exit code."""
     from linkplan.planner.files.plan_folder import record
 
     show(arguments, record(plan), f"{plan.problem.name}: {plan.message}")

@@ -1,6 +1,6 @@
-"""The command `completion`: shtab writes what each shell needs from the parser itself.
+"""The command `completion`: shtab writes the script of each shell from the parser.
 
-The script is static: a Tab starts no Python and loads nothing, where argcomplete would run linkplan for each.
+The script is static: a completion starts no Python. With argcomplete, every completion would run linkplan.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.frequency.method_names import METHODS
 
-# What an argument takes, by the name that its help has for it: words, and files by the ends of their names or folders.
+# The words and the file name patterns that an argument accepts, by its name in the help.
 _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "MODEL": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),
     "MODEL-or-PROBLEM": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),
@@ -37,7 +37,7 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "SHELL": (SHELLS, ()),
 }
 _WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "HOW", "FORMAT", "SHELL")
-# A setting goes on after its "=": no blank is put there.
+# A value follows the "=" of a setting without a space.
 _SETTINGS = tuple(f"{section}.{key}=" for section, keys in KEYS.items() for key in keys)
 _BASH_WITHOUT_BLANK = """
 _linkplan_without_blank() {
@@ -74,7 +74,7 @@ def completion_script(shell: str) -> str:
 
 
 def _completed(metavar: str) -> dict | None:
-    """Return how an argument is completed in each shell, as shtab wants it; None where nothing is known of it."""
+    """Return the completion of an argument in each shell, in the form of shtab; None for an unknown argument."""
     if metavar == "KEY=VALUE":
         return _function("settings", _SETTINGS, (), folders=False)
     if metavar not in _TAKES:
@@ -83,7 +83,7 @@ def _completed(metavar: str) -> dict | None:
 
 
 def _function(name: str, words: tuple[str, ...], patterns: tuple[str, ...], *, folders: bool) -> dict:
-    """Return a completion by words, files that match patterns, and folders: a function of each shell, in its preamble."""
+    """Return a completion by words, files that match patterns, and folders, as a function in the preamble of each shell."""
     function, said = f"_linkplan_{name}", " ".join(words)
     bash = [f"{function}() {{", f'  compgen -W "{said}" -- "$1"' if words else ""]
     bash += [f"  compgen -f -X '!{pattern}' -- \"$1\"" for pattern in patterns if pattern != "*"]

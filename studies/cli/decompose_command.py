@@ -10,7 +10,7 @@ from linkplan.studies.cli.printing import progress, show
 
 
 def run_decompose(arguments: argparse.Namespace) -> int:
-    """Split trackers' errors among their causes; 1 where the plan has no motion, or a tracker's error cannot be split."""
+    """Split trackers' errors among their causes; 1 if the plan has no motion or a tracker's error cannot be split."""
     from linkplan.studies.compare.user_tracker import trackers_named
     from linkplan.studies.decompose.decompose import decompose, decomposition_record
     from linkplan.studies.decompose.decomposition_text import decomposition_text

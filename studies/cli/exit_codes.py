@@ -1,8 +1,17 @@
 """Exit codes of the command line."""
 
-# Done; the answer is no (infeasible, unstable, problems found), said in a sentence; bad input, one line.
-DONE, NO, BAD_INPUT = 0, 1, 2
-# The reader of stdout left before the result: what the shell says of programs that a broken pipe ends.
-NOBODY_READS = 141
-# Ended by a signal: this and its number, 130 for Ctrl-C and 143 for SIGTERM.
-BY_SIGNAL = 128
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """The exit codes of commands that no signal ended."""
+
+    DONE = 0
+    ANSWER_IS_NO = 1  # infeasible, unstable, problems found: with a sentence
+    BAD_INPUT = 2
+    BROKEN_PIPE = 141  # stdout was closed before the result was written: the code that a shell shows for SIGPIPE
+
+
+DONE, NO, BAD_INPUT = ExitCode.DONE, ExitCode.ANSWER_IS_NO, ExitCode.BAD_INPUT
+# A command that a signal ended has the sum of this and the signal's number: 130 for Ctrl-C, 143 for SIGTERM.
+SIGNAL_BASE = 128

@@ -1,4 +1,4 @@
-"""The command `experiment`: trackers on many imperfect machines; and a sample of one run again by `track`."""
+"""The command `experiment`: trackers on many imperfect machines; and the repetition of a sample by `track`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def run_experiment(arguments: argparse.Namespace) -> int:
-    """Run an experiment, or go on with one; 1 where the plan has no motion."""
+    """Run or continue an experiment; 1 if the plan has no motion."""
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
@@ -76,7 +76,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
 
 
 def _write_page(outcome: Outcome, target: Path) -> None:
-    """Write the page into a folder with results: it changes none of them."""
+    """Write the page into a folder with results, which stay unchanged."""
     from linkplan.studies.report.render import write_report
     from linkplan.studies.report.reports import experiment_report
     from linkplan.studies.report.saving import PAGE
@@ -85,7 +85,7 @@ def _write_page(outcome: Outcome, target: Path) -> None:
 
 
 class _NoPlanError(Exception):
-    """There is no motion to track; the plan says why."""
+    """There is no motion to track; the plan has the reason."""
 
     def __init__(self, plan: Plan) -> None:
         super().__init__(plan.message)
@@ -93,7 +93,7 @@ class _NoPlanError(Exception):
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Run one sample of an experiment again; 1 where it fails or is unstable."""
+    """Run one sample of an experiment again; 1 if it fails or is unstable."""
     from linkplan.studies.compare.compare import Comparison, comparison_record
     from linkplan.studies.compare.comparison_text import comparison_text
     from linkplan.studies.compare.draw_tracking import comparison_figure
@@ -129,7 +129,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
 
 
 def _refuse_beside_sample(arguments: argparse.Namespace) -> None:
-    """Refuse what would make a sample's machine, or its plan, another than they were."""
+    """Refuse options that would change a sample's machine or its plan."""
     given = {
         "--set": bool(arguments.set),
         "--anyway": arguments.anyway,

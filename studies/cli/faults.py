@@ -1,23 +1,23 @@
-"""What ends a command for no fault of its input: too little memory, and errors that nobody foresaw. Loads nothing heavy."""
+"""Errors of a command that its input did not cause: too little memory, and unexpected errors. No heavy imports."""
 
 import errno
 import sys
 
 from linkplan.models.errors import one_line
 
-# What libraries say of memory that there is not, each in its own words and of its own kind of error.
+# The words of libraries for too little memory; each library has another kind of error.
 _WORDS = ("failed to map segment", "bad_alloc", "cannot allocate memory", "could not allocate", "unable to allocate")
 
 
 def is_of_memory(error: BaseException) -> bool:
-    """Return whether an error says that there is not enough memory, whatever kind it is."""
+    """Tell if an error of any kind means that there is not enough memory."""
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
         return True
     return any(word in str(error).lower() for word in _WORDS)
 
 
-def told_to_the_makers(error: BaseException) -> str:
-    """Return one line on an error that nobody foresaw, all that is known of it written into a file that it names."""
+def saved_fault_report(error: BaseException) -> str:
+    """Write a report on an unexpected error into a file, and return one line with the name of the file."""
     import tempfile
     import traceback
     from importlib.metadata import version
@@ -28,10 +28,10 @@ def told_to_the_makers(error: BaseException) -> str:
         what = f"a fault of linkplan's own ({type(error).__name__}: {one_line(error)[:200]})"
     said = "".join(traceback.format_exception(error)).encode("utf-8", "backslashreplace")
     about = f"linkplan {version('linkplan')}, Python {sys.version}\narguments: {sys.argv[1:]!r}\n\n"
-    told = about.encode("utf-8", "backslashreplace")
+    head = about.encode("utf-8", "backslashreplace")
     try:
         with tempfile.NamedTemporaryFile(prefix="linkplan-fault-", suffix=".txt", delete=False) as file:
-            file.write(told + said)
+            file.write(head + said)
     except OSError:
         return what
     return f"{what}; please send '{file.name}' to linkplan's makers"

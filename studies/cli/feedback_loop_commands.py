@@ -22,7 +22,7 @@ from linkplan.studies.frequency.method_names import METHODS
 
 
 def run_bode(arguments: argparse.Namespace) -> int:
-    """Report on a loop's frequency response, predicted and measured; 1 where it is unstable at a pose."""
+    """Report on a loop's frequency response, predicted and measured; 1 if it is unstable at a pose."""
     from linkplan.studies.bode.bode import bode_study
     from linkplan.studies.bode.bode_report import bode_record, bode_text
     from linkplan.studies.bode.poses import loop_poses
@@ -35,13 +35,8 @@ def run_bode(arguments: argparse.Namespace) -> int:
     problem, mechanism, settings, limit = _loop_of(arguments)
     if arguments.along and problem is None:
         raise ProblemError("--along needs a problem, for its motion; a model has none")
-    setup = None
-    if arguments.measure != "none":
-        amplitude = arguments.amplitude_deg
-        if amplitude is not None and not (np.isfinite(amplitude) and amplitude > 0):
-            raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
-        joint = mechanism.independent_joints[0]
-        setup = Setup(method=arguments.measure, amplitude=None if amplitude is None else joint.read(amplitude))
+    amplitude = _amplitude(arguments, mechanism)
+    setup = None if arguments.measure == "none" else Setup(method=arguments.measure, amplitude=amplitude)
     for name, what in (("map", "--map"), ("large", "--large")):
         if getattr(arguments, name):
             refuse_several_freedoms(mechanism, what)
@@ -86,8 +81,18 @@ def run_bode(arguments: argparse.Namespace) -> int:
     return DONE if study.stable else NO
 
 
+def _amplitude(arguments: argparse.Namespace, mechanism: Mechanism) -> float | None:
+    """Return the amplitude [rad or m] of --amplitude-deg, None without it or without a measurement."""
+    amplitude = arguments.amplitude_deg
+    if amplitude is None or arguments.measure == "none":
+        return None
+    if not (np.isfinite(amplitude) and amplitude > 0):
+        raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
+    return mechanism.independent_joints[0].read(amplitude)
+
+
 def run_tune(arguments: argparse.Namespace) -> int:
-    """Find gains for what is wanted; 1 where there are none."""
+    """Find gains for requirements; 1 if there are none."""
     from linkplan.controllers.sampling import sampling
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.feedback_loops import operating_point
@@ -128,7 +133,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
 
 
 def _loop_of(arguments: argparse.Namespace) -> tuple[PlanningProblem | None, Mechanism, Tracking, np.ndarray]:
-    """Return the problem if it is one, the mechanism, the gains asked for and the effort limits."""
+    """Return the problem or None, the mechanism, the tracking settings and the effort limits."""
     name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
     if is_problem:
         problem: PlanningProblem | None = problem_from_tables(name, tables, folder)
@@ -140,7 +145,7 @@ def _loop_of(arguments: argparse.Namespace) -> tuple[PlanningProblem | None, Mec
 
 
 def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
-    """Return the tracking settings with what the command line asks for in place."""
+    """Return the tracking settings with the values of the command line."""
     from dataclasses import replace
 
     asked = {name: getattr(arguments, name, None) for name in ("kp", "kd", "period_s", "delay_periods")}
@@ -159,7 +164,7 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
 
 
 def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarray | None:
-    """Return the frequencies asked for [Hz], or None."""
+    """Return the frequencies of the options [Hz], or None without them."""
     low, high, count = arguments.from_hz, arguments.to_hz, arguments.frequencies
     if low is None and high is None and count is None:
         return None

@@ -1,8 +1,7 @@
 """The command line: `linkplan list | check | plan | track | compare | decompose | experiment | bode | tune | view | ...`.
 
-Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
-problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
-read the result. Heavy imports wait for the command that needs them.
+Results go to stdout, progress and errors to stderr; `exit_codes.py` lists the exit codes. Heavy imports wait for the command
+that needs them.
 """
 
 import argparse
@@ -18,12 +17,12 @@ from pathlib import Path
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.command_line import build_parser
-from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
-from linkplan.studies.cli.faults import is_of_memory, told_to_the_makers
-from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
+from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE
+from linkplan.studies.cli.faults import is_of_memory, saved_fault_report
+from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, quiet, refuse
 from linkplan.studies.cli.streams import put
 
-# The module of each command, loaded when the command is given.
+# The module of each command, loaded when the command runs.
 _MODULES = {
     "list": "list_command",
     "check": "check_command",
@@ -47,8 +46,8 @@ _MODULES = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Before:
-    """A command, its -o, and the identity of the result that stood there before it began."""
+class _CommandState:
+    """A command, its -o, and the identity of the result at that path before the command started."""
 
     command: str = ""
     target: str | None = None
@@ -59,12 +58,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
     Args:
-        argv: its words; by default those of the process, which ends afterwards.
+        argv: the arguments; by default those of the process, which ends afterwards.
     """
     if argv is None:
         keep_closed_streams_closed()
         warnings.showwarning = _warned
-    before = _Before()
+    before = _CommandState()
     try:
         with listening(to_the_end=argv is None):
             arguments = _arguments(argv)
@@ -72,11 +71,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = arguments
             else:
                 target = getattr(arguments, "output", None)
-                before = _Before(command=arguments.command, target=target, result=_result_at(target))
+                before = _CommandState(command=arguments.command, target=target, result=_result_at(target))
                 arguments.mujoco_gl = os.environ.get("MUJOCO_GL")
                 if argv is None and before.command != "view":
-                    # MuJoCo would look for a window library, in a process that signals reach too. What is rendered goes
-                    # by MuJoCo's contexts themselves.
+                    # Otherwise MuJoCo starts a process that looks for a window library and also receives signals.
+                    # `render` uses MuJoCo's contexts directly.
                     os.environ["MUJOCO_GL"] = "disable"
                     _with_own_figures()
                 code = _run(arguments)
@@ -84,21 +83,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         code = _interrupted(before)
         if argv is None:
-            let_go()
-            # Python ends itself by SIGINT where an interrupt went through its exec, as of a dataclass that is being made.
+            flush_streams()
+            # After an interrupt in `exec`, for example while a dataclass is made, Python would end itself by SIGINT.
             os._exit(code)
     if argv is None:
-        let_go()
+        flush_streams()
     return code
 
 
 def _warned(message: Warning | str, category: type[Warning], *_: object) -> None:
-    """Say a warning in a line of its own, without the place in the program that it comes from."""
+    """Print a warning in one line, without its source location."""
     put(sys.stderr, f"{'warning' if issubclass(category, RuntimeWarning | UserWarning) else category.__name__}: {message}\n")
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
-    """Return a command's arguments, or the exit code where there is nothing to run."""
+    """Return a command's arguments, or the exit code if there is no command to run."""
     parser = build_parser()
     try:
         arguments = parser.parse_args(argv)
@@ -115,7 +114,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
 
 
 def _with_own_figures() -> None:
-    """Let this process draw as linkplan does, whatever settings of matplotlib's the working folder or the shell has."""
+    """Make this process ignore the matplotlib settings of the working folder and the shell."""
     os.environ.pop("MPLBACKEND", None)
     os.environ["MATPLOTLIBRC"] = os.devnull
 
@@ -128,7 +127,7 @@ def _run(arguments: argparse.Namespace) -> int:
             code, lost = run(arguments), getattr(arguments, "lost", None)
         finally:
             quiet(arguments)
-        # With -o the folder is the result, and what is printed is about it.
+        # With -o the folder is the result: a failure to print does not matter.
         saved = getattr(arguments, "output", None) is not None and not arguments.json
         return code if saved else delivered(arguments.command, lost, code)
     except LinkplanError as error:
@@ -142,13 +141,13 @@ def _run(arguments: argparse.Namespace) -> int:
         what = "the result cannot be written" if error.filename is None else f"'{error.filename}' cannot be read or written"
         refuse(arguments.command, one_line(f"{what}: {error.strerror or error}"))
         return BAD_INPUT
-    except (Exception, SystemExit) as error:  # a library that ends the process would leave neither result nor word
-        check()  # libraries make other errors of an interrupt that comes while they are loaded
+    except (Exception, SystemExit) as error:  # SystemExit: a library tried to end the process
+        check()  # some libraries turn an interrupt during their import into another error
         return unforeseen(arguments.command, error)
 
 
-def _interrupted(before: _Before) -> int:
-    """Say what an interrupted command leaves, and return its exit code."""
+def _interrupted(before: _CommandState) -> int:
+    """Print the state of an interrupted command's result, and return the exit code."""
     what, result = "nothing was written", _result_at(before.target)
     if result not in (None, before.result):
         what = f"the result is in '{before.target}', whole"
@@ -159,11 +158,11 @@ def _interrupted(before: _Before) -> int:
     ):
         what = f"what is done is in '{before.target.rstrip('/')}.unfinished', and the same command goes on from it"
     refuse(before.command, f"interrupted; {what}")
-    return BY_SIGNAL + (ended_by() or signal.SIGINT)
+    return SIGNAL_BASE + (ended_by() or signal.SIGINT)
 
 
 def _result_at(target: str | None) -> str | None:
-    """Return the identity of the result that stands at a place; None where there is none."""
+    """Return the identity of the result at a path; None if there is none."""
     if not target or not os.path.isdir(target):
         return None
     from linkplan.planner.files.manifest import identity_at
@@ -172,12 +171,12 @@ def _result_at(target: str | None) -> str | None:
 
 
 def unforeseen(command: str, error: BaseException) -> int:
-    """Say in one line that linkplan itself failed, and where to find what its makers need to know; return the exit code."""
+    """Print one line on an error of linkplan itself, with the file of the fault report; return the exit code."""
     try:
-        told = told_to_the_makers(error)
+        text = saved_fault_report(error)
     except Exception:  # without memory nothing can be loaded or written
-        told = "there is not enough memory for it"
-    refuse(command, told)
+        text = "there is not enough memory for it"
+    refuse(command, text)
     return BAD_INPUT
 
 

@@ -9,12 +9,9 @@ from linkplan.studies.cli.common import new_file, refuse_no_model
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
-# Where comments begin beside a command.
-_COLUMN = 42
-
 
 def run_new(arguments: argparse.Namespace) -> int:
-    """Write a problem file for a mechanism; 1 where no motion was found for it."""
+    """Write a problem file for a mechanism; 1 if no motion was found for it."""
     from linkplan.planner.files.new_file import write_new
     from linkplan.studies.check.softness import soft_closures
     from linkplan.studies.new.first_motion import first_motion, model_beside
@@ -22,7 +19,7 @@ def run_new(arguments: argparse.Namespace) -> int:
 
     target, say = new_file(arguments), progress(arguments)
     if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
-        raise ProblemError(f"'{arguments.model}' is a problem already, and new begins one; name its mechanism's model")
+        raise ProblemError(f"'{arguments.model}' is already a problem; new takes the model of a mechanism")
     refuse_no_model(arguments.model)
     found = first_motion(arguments.model, say)
     tables = found.tables
@@ -32,8 +29,8 @@ def run_new(arguments: argparse.Namespace) -> int:
         tables = tables | {"mechanism": tables["mechanism"] | {"model": model_beside(arguments.model, target)}}
     file = "problem.toml" if target is None else target.name
     begin = [
-        f"linkplan plan {file} -o planned".ljust(_COLUMN) + "plans it, certifies it between the nodes and saves it",
-        "linkplan compare planned -o compared".ljust(_COLUMN) + "tracks it in MuJoCo by PD, PD + feedforward and LQR",
+        f"linkplan plan {file} -o planned".ljust(42) + "plans it, certifies it between the nodes and saves it",
+        "linkplan compare planned -o compared".ljust(42) + "tracks it in MuJoCo by PD, PD + feedforward and LQR",
         "",
     ]
     text = problem_text(found.mechanism, tables, found.description, begin)

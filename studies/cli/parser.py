@@ -1,4 +1,4 @@
-"""The command line's parser: argparse, with refusals in one line."""
+"""The command line's parser: argparse, with errors in one line."""
 
 import argparse
 import sys
@@ -10,9 +10,9 @@ from linkplan.studies.cli.streams import put
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse's parser; a refusal is one line on stderr."""
+    """argparse's parser; an error is one line on stderr."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the refusal and leave with exit code 2."""
+        """Print the error and end with exit code 2."""
         put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
         raise SystemExit(BAD_INPUT)

@@ -14,7 +14,7 @@ from linkplan.studies.cli.printing import progress, show
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
-    """Plan a motion; 1 where there is none."""
+    """Plan a motion; 1 if there is none."""
     from linkplan.studies.output.plan_text import plan_text
 
     target, say = output_folder(arguments), progress(arguments)
@@ -52,7 +52,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 
 def run_batch(arguments: argparse.Namespace) -> int:
-    """Plan the cases of a batch file, or go on with that; 1 where one of them has no plan."""
+    """Plan the cases of a batch file, or continue to; 1 if one of them has no plan."""
     from linkplan.planner.files.batch_file import read_batch
     from linkplan.studies.batch import study
     from linkplan.studies.output.batch_table import batch_text

@@ -1,7 +1,6 @@
-"""Printing: a result on stdout, progress on stderr. Loads nothing heavy.
+"""Printing: a result on stdout, progress on stderr. This file has no heavy imports.
 
-Neither may cost a result: what cannot be printed is left out, and where that was the result itself, `arguments.lost` is the
-reason.
+A failure to print never ends a command. If the result itself could not be printed, `arguments.lost` is the reason.
 """
 
 import argparse
@@ -12,24 +11,24 @@ import os
 import sys
 from collections.abc import Callable
 
-from linkplan.studies.cli.exit_codes import BAD_INPUT, NOBODY_READS
+from linkplan.studies.cli.exit_codes import BAD_INPUT, ExitCode
 from linkplan.studies.cli.progress import Progress
 from linkplan.studies.cli.streams import put
 from linkplan.studies.cli.terminal import coloured, has_colours, is_terminal, painted, width_of, wrapped
 
 
 def refuse(command: str, text: str) -> None:
-    """Print why a command has no result, in a line on stderr, where there is one."""
+    """Print the reason why a command has no result in one line on stderr."""
     who = " ".join(["linkplan", *command.split()])
     put(sys.stderr, f"{coloured(who, 'red') if has_colours(sys.stderr) else who}: {text}\n")
 
 
 def delivered(command: str, lost: OSError | None, code: int) -> int:
-    """Return the exit code of a command whose result could be printed, or could not."""
+    """Return the exit code of a command; `lost` is the error that kept its result from being printed, if any."""
     if lost is None:
         return code
     if isinstance(lost, BrokenPipeError):
-        return NOBODY_READS
+        return ExitCode.BROKEN_PIPE
     closed = lost.errno == errno.EBADF
     why = "stdout is closed" if closed else f"the result cannot be written: {lost.strerror or lost}"
     refuse(command, why)
@@ -37,19 +36,16 @@ def delivered(command: str, lost: OSError | None, code: int) -> int:
 
 
 def progress(arguments: argparse.Namespace) -> Progress:
-    """Return what a command tells its progress to, on stderr; the result, when it is shown, ends it."""
+    """Return the display of a command's progress on stderr; `show` ends it."""
     arguments.progress = Progress(arguments.command)
     return arguments.progress
 
 
 def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], text: str) -> None:
-    """Print a result: one JSON object, made where it is wanted, or the text for people.
-
-    In a terminal that is wrapped to its width and coloured.
-    """
+    """Print a result: one JSON object with --json, else the text; on a terminal, it is wrapped and coloured."""
     quiet(arguments)
     if arguments.json:
-        from linkplan.planner.files.folders import plain  # loads numpy, which a list of names does without
+        from linkplan.planner.files.folders import plain  # loads numpy, which the text does not need
 
         text = json.dumps(plain(said() if callable(said) else said), allow_nan=False)
     else:
@@ -59,16 +55,16 @@ def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], text: s
 
 
 def quiet(arguments: argparse.Namespace) -> None:
-    """End the display of a command's progress, where it has one."""
+    """End the display of a command's progress, if it has one."""
     display = getattr(arguments, "progress", None)
     if display is not None:
         display.close()
 
 
 def keep_closed_streams_closed() -> None:
-    """Give stdin, stdout and stderr that were closed when the process began to nobody else.
+    """Open the null device for each of stdin, stdout and stderr that was closed when the process started.
 
-    The next file that is opened would have their numbers, and what libraries print would land in it.
+    Otherwise the next opened file would get its number, and the output of libraries would go into that file.
     """
     for number in range(3):
         try:
@@ -77,8 +73,8 @@ def keep_closed_streams_closed() -> None:
             os.open(os.devnull, os.O_RDWR)
 
 
-def let_go() -> None:
-    """Flush stdout and stderr for the last time; what cannot be written goes nowhere, and Python says nothing of it."""
+def flush_streams() -> None:
+    """Flush stdout and stderr for the last time; a stream that fails is redirected to the null device, without an error."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and put(stream, "") is not None:
             with contextlib.suppress(OSError, ValueError):

@@ -1,4 +1,4 @@
-"""A command's progress on stderr: plain lines, or on a terminal one line that is rewritten, its seconds going on."""
+"""A command's progress on stderr: plain lines, or on a terminal one line that is updated with the seconds."""
 
 import sys
 import threading
@@ -9,18 +9,14 @@ from linkplan.models.reading import shown
 from linkplan.studies.cli.streams import put
 from linkplan.studies.cli.terminal import coloured, has_colours, moves, width_of
 
-# How often the seconds are written again [s].
-_TICK_S = 0.2
-# ECMA-48: to the line's beginning, and erase it.
+# ECMA-48: go to the start of the line, and erase it.
 _AGAIN = "\r\x1b[2K"
-# Lines longer than this name something that is no name.
-_LONGEST = 5000
 
 
 class Progress:
-    """Where a command says what it is doing, a line of text at a time, with the seconds since it was made.
+    """Displays the progress of a command, one line at a time, with the seconds since its construction.
 
-    Mutable: it keeps the line that stands on the terminal. `close` ends it; what is said after it are plain lines.
+    Mutable: it keeps the current line of the terminal. After `close`, further text is printed as plain lines.
     """
 
     def __init__(self, command: str) -> None:
@@ -34,7 +30,7 @@ class Progress:
         self._ticker: threading.Thread | None = None
 
     def __call__(self, text: str) -> None:
-        """Say what is being done now; on a terminal it takes the place of what was said before."""
+        """Show the current work; on a terminal it replaces the last text."""
         if self._moves:
             with self._lock:
                 self._text = text
@@ -47,14 +43,14 @@ class Progress:
         check()
 
     def keep(self, text: str) -> None:
-        """Say what is to stay on the terminal."""
+        """Print a line that stays on the terminal."""
         with self._lock:
             put(sys.stderr, f"{_AGAIN if self._moves else ''}{self._line(text)}\n")
             self._text = ""
         check()
 
     def close(self) -> None:
-        """Erase the line that is rewritten, and write no more."""
+        """Erase the updated line and stop the updates."""
         self._done.set()
         if self._ticker is not None:
             self._ticker.join()
@@ -64,16 +60,16 @@ class Progress:
         self._text, self._moves = "", False
 
     def _line(self, text: str) -> str:
-        return f"  {self._command} {time.monotonic() - self._begin:5.1f} s: {shown(text, _LONGEST)}"
+        return f"  {self._command} {time.monotonic() - self._begin:5.1f} s: {shown(text, 5000)}"
 
     def _draw(self) -> None:
         if self._text:
             line = self._line(self._text)
-            room = width_of(sys.stderr) - 1
-            line = line if len(line) <= room else f"{line[: room - 3]}..."
+            width = width_of(sys.stderr) - 1
+            line = line if len(line) <= width else f"{line[: width - 3]}..."
             put(sys.stderr, _AGAIN + (coloured(line, "dim") if self._colours else line))
 
     def _tick(self) -> None:
-        while not self._done.wait(_TICK_S):
+        while not self._done.wait(timeout=0.2):
             with self._lock:
                 self._draw()

@@ -16,7 +16,7 @@ from linkplan.studies.render.settings import SUFFIXES, RenderSettings, size_from
 
 
 def run_render(arguments: argparse.Namespace) -> int:
-    """Draw a tracked plan into a film or a picture; 1 where the plan has no motion."""
+    """Draw a tracked plan as a film or a picture; 1 if the plan has no motion."""
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     target, say = Path(arguments.output), progress(arguments)
     try:

@@ -32,13 +32,13 @@ def run_schema(arguments: argparse.Namespace) -> int:
 
 
 def _is_a_schema(place: Path) -> bool:
-    """Return whether a file is a schema that linkplan wrote, which a newer one replaces, or empty."""
+    """Tell if a file is empty or a schema that linkplan wrote, which may be replaced."""
     from linkplan.models.errors import LinkplanError
     from linkplan.models.reading import MOST_TOML_BYTES, read_file
     from linkplan.planner.keys.json_schema import DIALECT, FILES
 
     try:
-        text = read_file(place, f"'{place}'", MOST_TOML_BYTES).decode("utf-8")  # no device, which would never end
+        text = read_file(place, f"'{place}'", MOST_TOML_BYTES).decode("utf-8")  # refuses devices, whose content never ends
         said = json.loads(text) if text else {"$schema": DIALECT, "title": "linkplan problem file"}
     except (LinkplanError, ValueError, RecursionError):
         return False

@@ -1,3 +1,3 @@
-"""The shells that completion is written for."""
+"""The shells with completion."""
 
 SHELLS = ("bash", "zsh", "fish")

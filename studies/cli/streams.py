@@ -1,4 +1,4 @@
-"""Writing to stdout and stderr, which may be closed, full, or of another encoding."""
+"""Writing to stdout and stderr, which may be closed, on a full disk, or in another encoding."""
 
 import errno
 import os
@@ -6,9 +6,9 @@ from typing import TextIO
 
 
 def put(stream: TextIO | None, text: str) -> OSError | None:
-    """Write a text and return why it cannot be: the stream is closed, its reader has left, the disk is full.
+    """Write a text and return the error, if any: a closed stream, a broken pipe, a full disk.
 
-    What the stream's encoding has no characters for is escaped.
+    Characters that the stream's encoding lacks are escaped.
     """
     if stream is None or stream.closed:
         return OSError(errno.EBADF, os.strerror(errno.EBADF))

@@ -1,15 +1,15 @@
-"""What a terminal is given that a pipe or a file is not: colours and lines of its own width."""
+"""Output for terminals, unlike pipes and files: colours, and lines of the terminal's width."""
 
 import os
 import re
 import textwrap
 from typing import TextIO
 
+from linkplan.studies.output.tables import TABLE_WIDTH
+
 # ECMA-48, "Select graphic rendition".
 _CODES = {"red": "31", "green": "32", "yellow": "33", "bold": "1", "dim": "2"}
-# A terminal that does not say how wide it is.
-_COLUMNS = 80
-# Where a result says how it stands, and the colours of what it says there; all other words are red.
+# The patterns of verdicts in a result, and the colours of the words; all other words are red.
 _VERDICTS = (
     r"^(PROBLEM|note)(?=:)",
     r"(?<=^certificate: )(passed|NOT passed)$",
@@ -22,7 +22,7 @@ _RULE = re.compile(r"-+(  -+)*")
 
 
 def is_terminal(stream: TextIO | None) -> bool:
-    """Return whether a stream is a terminal."""
+    """Tell if a stream is a terminal."""
     try:
         return stream is not None and stream.isatty()
     except (OSError, ValueError):  # closed
@@ -30,21 +30,21 @@ def is_terminal(stream: TextIO | None) -> bool:
 
 
 def moves(stream: TextIO | None) -> bool:
-    """Return whether a stream is a terminal on which a line can be written again."""
+    """Tell if a stream is a terminal on which a line can be overwritten."""
     return is_terminal(stream) and os.environ.get("TERM", "dumb") not in ("", "dumb")
 
 
 def has_colours(stream: TextIO | None) -> bool:
-    """Return whether a stream is a terminal that is to have colours: not where NO_COLOR is set (no-color.org)."""
+    """Tell if a stream is a terminal with colours, unless NO_COLOR is set (no-color.org)."""
     return moves(stream) and not os.environ.get("NO_COLOR")
 
 
 def width_of(stream: TextIO | None) -> int:
-    """Return how many columns a terminal has."""
+    """Return the number of columns of a terminal; the standard width if it is unknown."""
     try:
-        return os.get_terminal_size(stream.fileno()).columns or _COLUMNS
+        return os.get_terminal_size(stream.fileno()).columns or TABLE_WIDTH
     except (AttributeError, OSError, ValueError):
-        return _COLUMNS
+        return TABLE_WIDTH
 
 
 def coloured(text: str, colour: str) -> str:
@@ -53,7 +53,7 @@ def coloured(text: str, colour: str) -> str:
 
 
 def wrapped(text: str, width: int) -> str:
-    """Return a text whose sentences go on in a new line at a width; the lines of tables stay as they are."""
+    """Return a text with sentences wrapped at a width; the lines of tables stay unchanged."""
     lines = []
     for line in text.split("\n"):
         begin = line[: len(line) - len(line.lstrip())]
@@ -66,7 +66,7 @@ def wrapped(text: str, width: int) -> str:
 
 
 def painted(text: str) -> str:
-    """Return a text with its verdicts in colours, and the heads of its tables bold."""
+    """Return a text with coloured verdicts and bold heads of tables."""
     lines = text.split("\n")
     heads = set()
     for rule in [k for k, line in enumerate(lines) if _RULE.fullmatch(line)]:

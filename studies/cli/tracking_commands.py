@@ -14,7 +14,7 @@ from linkplan.studies.cli.printing import progress, show
 
 
 def run_track(arguments: argparse.Namespace) -> int:
-    """Run one tracker; 1 where the plan has no motion or the loop is unstable."""
+    """Run one tracker; 1 if the plan has no motion or the loop is unstable."""
     from linkplan.studies.compare.compare import comparison_record
     from linkplan.studies.compare.comparison_text import comparison_text
     from linkplan.studies.compare.user_tracker import tracker_named
@@ -38,7 +38,7 @@ def run_track(arguments: argparse.Namespace) -> int:
 
 
 def _single(plan: Plan, asked, arguments: argparse.Namespace, mismatch_given: bool):
-    """Return one tracker's run as a comparison with itself alone, under the mismatch if one was given."""
+    """Return one tracker's run as a comparison of a single tracker, with the mismatch if one was given."""
     from linkplan.studies.compare.compare import Comparison, default_mismatch, track
 
     mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
@@ -49,7 +49,7 @@ def _single(plan: Plan, asked, arguments: argparse.Namespace, mismatch_given: bo
 
 
 def _check_mismatch(arguments: argparse.Namespace) -> bool:
-    """Return whether a mismatch is asked for, its numbers checked."""
+    """Check the numbers of the mismatch and tell if there is one."""
     factor, delay = arguments.mass_factor, arguments.delay_periods
     if not (np.isfinite(factor) and factor > 0):
         raise ProblemError(f"--mass-factor is a positive number, got {factor:g}")
@@ -59,7 +59,7 @@ def _check_mismatch(arguments: argparse.Namespace) -> bool:
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
-    """Run all trackers; 1 where the plan has no motion or no tracker is stable as modelled."""
+    """Run all trackers; 1 if the plan has no motion or no tracker is stable on the nominal model."""
     from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
     from linkplan.studies.compare.comparison_text import comparison_text
     from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs

@@ -14,11 +14,11 @@ from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.render.gl import find_gl
 
-_INSTEAD = "render writes the same motion as a film or a picture, report as a page"
+_ALTERNATIVES = "render writes the same motion as a film or a picture, report as a page"
 
 
 def run_view(arguments: argparse.Namespace) -> int:
-    """Play a tracked plan in the viewer; 1 where the plan has no motion."""
+    """Play a tracked plan in the viewer; 1 if the plan has no motion."""
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     for name in ("slow", "seconds"):
         value = getattr(arguments, name)
@@ -45,9 +45,9 @@ def run_view(arguments: argparse.Namespace) -> int:
 
 
 def _refuse_without_screen() -> None:
-    """Refuse at once, before a plan that may take minutes, where no window can be opened."""
+    """Refuse if no window can be opened, before a plan that may take minutes."""
     if not has_screen():
-        raise ProblemError(f"view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set; {_INSTEAD}")
+        raise ProblemError(f"view needs a screen: neither DISPLAY nor WAYLAND_DISPLAY is set; {_ALTERNATIVES}")
     gl = find_gl("glfw", os.environ)
     if gl.name is None:
-        raise ProblemError(f"view needs a screen, and none can be opened ({gl.why_not}); {_INSTEAD}")
+        raise ProblemError(f"view needs a screen, and none can be opened ({gl.why_not}); {_ALTERNATIVES}")

@@ -1,1 +1,1 @@
-"""`linkplan demo`: the whole path on the Optimus knee in one folder; and the gallery of mechanisms."""
+"""`linkplan demo`: all studies of the Optimus knee in one folder; and the gallery of mechanisms."""

@@ -1,4 +1,4 @@
-"""The whole path on the Optimus knee, in one folder: check, plan, track, compare, bode, and the source document redone."""
+"""All studies of the Optimus knee in one folder: check, plan, track, compare, bode, and the source document's experiment."""
 
 import time
 from collections.abc import Callable
@@ -48,7 +48,7 @@ Sections = list[Section]
 
 
 def demo(target: Path, say: Say) -> tuple[dict, str]:
-    """Write the demo's folder and return what it found, as a record and as text."""
+    """Write the demo's folder and return its results, as a record and as text."""
     begin = time.monotonic()
     outcome: dict = {}
 
@@ -106,7 +106,7 @@ def _rows(plans: dict[str, Plan]) -> list[list]:
 def _overview(said: dict, plans: dict[str, Plan]) -> Section:
     heads = columns("plan", "status", "duration [s]", "peak effort [N.m]", "certificate")
     rows = [[name, status, float(duration), round(peak, 4), passed] for name, status, duration, peak, passed in _rows(plans)]
-    infeasible = Text(text=f"And one that there is none of: {said['infeasible']['message']}.")
+    infeasible = Text(text=f"An infeasible problem: {said['infeasible']['message']}.")
     return Section(
         title="Overview", blocks=[Table(title="Plans within the effort limit", columns=heads, rows=rows), infeasible]
     )
@@ -125,7 +125,7 @@ def _checks(place: Path, said: dict, say: Say) -> Sections:
         if name == "optimus-knee":
             sections += check_sections(whole)
         else:
-            sections.append(Section(title=f"Mechanism as it was printed: {name}", blocks=inspection_blocks(whole.found)))
+            sections.append(Section(title=f"Mechanism as printed: {name}", blocks=inspection_blocks(whole.found)))
     return sections
 
 

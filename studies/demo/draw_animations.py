@@ -1,7 +1,7 @@
 """Small animations for the pages: `python -m linkplan.studies.demo.draw_animations` plans, tracks and draws each.
 
-Every one is a GIF that plays there and back without a jump: knee-reach.gif for the README, and one for each built-in
-mechanism, named as it is, for docs/mechanisms.md.
+Each is a GIF that plays forwards and backwards: knee-reach.gif for the README, and one with the name of each built-in
+mechanism for docs/mechanisms.md.
 """
 
 import sys
@@ -16,23 +16,21 @@ from linkplan.studies.render.gl import GL, find_gl
 from linkplan.studies.render.render import render
 from linkplan.studies.render.settings import RenderSettings
 
-# What a page may weigh: the first picture of the README, and each small one.
+# The largest files: the first picture of the README, and each small picture.
 LARGE_BYTES, SMALL_BYTES = 600_000, 300_000
 _LARGE, _SMALL = (480, 320), (320, 240)
-# The motion takes so long on the screen, one way [s], at so many frames a second.
-_SHOWN_S, _FPS = 2.4, 15.0
-# On a cart without a loop PD alone goes astray; elsewhere it is what lets the plan's ghost be seen.
+# PD alone diverges on the cart; elsewhere its error makes the plan's ghost visible.
 _TRACKER = {"cart-pole-swing-up": "lqr", "five-bar-swing-up": "lqr"}
 
 
 def draw(plan: Plan, path: Path, gl: GL, size: tuple[int, int]) -> None:
-    """Draw a plan there and back as a small GIF."""
-    slow = max(1.0, _SHOWN_S / plan.trajectory.duration_s)
+    """Draw a plan as a small GIF that plays forwards and backwards, 2.4 s each way."""
+    slow = max(1.0, 2.4 / plan.trajectory.duration_s)
     settings = RenderSettings(
         suffix=".gif",
         tracker=_TRACKER.get(plan.problem.name, "pd"),
         slow=float(f"{slow:.2g}"),
-        fps=_FPS,
+        fps=15.0,
         size=size,
         there_and_back=True,
     )

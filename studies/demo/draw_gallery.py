@@ -22,16 +22,14 @@ SHOWN = (
     "gripper-close",
     "cart-pole-swing-up",
 )
-# Instants at which a motion is drawn.
-_INSTANTS = 9
 FOLDER = Path(__file__).resolve().parent.parent / "gallery"  # studies/gallery: the package is reached by links
 
 
 def gallery_figure(plan: Plan, path: Path) -> None:
-    """Draw a plan's mechanism at instants spread evenly over its motion, the last one strong."""
+    """Draw a plan's mechanism at nine instants spread evenly over its motion, the last one opaque."""
     trajectory, mechanism = plan.trajectory, plan.problem.mechanism
-    # Followed in small steps; only a few of them are drawn.
-    time = np.linspace(0.0, trajectory.duration_s, 40 * (_INSTANTS - 1) + 1)
+    # The loops are followed in small steps; every fortieth pose is drawn.
+    time = np.linspace(0.0, trajectory.duration_s, 8 * 40 + 1)
     poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
     with page(path, size=(4.6, 4.2)) as axes:
         draw_poses(axes[0, 0], mechanism, poses[::40])

@@ -23,7 +23,7 @@ def exported(plan: Plan, to: str, every_s: float | None = None) -> bytes:
         every_s: the time between samples [s]; by default there are ten in each interval of the plan's mesh.
 
     Raises:
-        LinkplanError: when the plan has no motion, the format is none, or the time between samples is none.
+        LinkplanError: if the plan has no motion, the format is unknown, or the time between samples is invalid.
     """
     choose("format", to, FORMATS, ProblemError)
     if plan.trajectory is None:
@@ -32,7 +32,7 @@ def exported(plan: Plan, to: str, every_s: float | None = None) -> bytes:
 
 
 def about(plan: Plan) -> dict[str, str]:
-    """Return what a file's metadata says of a plan."""
+    """Return the metadata on a plan for a file."""
     return {"linkplan": version("linkplan"), "plan": plan.problem.name, "mechanism": plan.problem.mechanism.name}
 
 

@@ -1,4 +1,4 @@
-"""What a plan is exported to, by name: known without loading what writes it."""
+"""The names and descriptions of export formats. This file does not load the code that writes them."""
 
 FORMATS = {
     "keyframes": "an MJCF file of <keyframe>s to include",

@@ -12,7 +12,7 @@ from linkplan.studies.export.samples import Samples
 def keyframes_text(samples: Samples) -> str:
     """Return an MJCF file of one <keyframe>: time, qpos, qvel and ctrl at each sample, exact to the last digit.
 
-    In the model, or in a file that includes it first: <include file="..."/>.
+    Include it in the model, or in a file that includes the model first: <include file="..."/>.
     """
     problem = samples.plan.problem
     about = f"{len(samples.time_s)} samples of the plan '{problem.name}' of mechanism '{problem.mechanism.name}'"
@@ -20,14 +20,14 @@ def keyframes_text(samples: Samples) -> str:
 
 
 def whole_model_text(samples: Samples) -> str:
-    """Return the model's MJCF, payload and softness as planned with, with the keyframes in it."""
+    """Return the model's MJCF with the plan's payload and softness, and with the keyframes."""
     mechanism = samples.plan.problem.mechanism
     source = str(mechanism.source["model"])
     spec = model_spec(source, mechanism.payload)
     soft = zip(spec.equalities, mechanism.model.eq_solref, mechanism.model.eq_solimp, strict=True)
     for equality, solref, solimp in soft:
         equality.solref, equality.solimp = solref, solimp
-    if Path(source).is_file():  # what the model names beside itself is found from anywhere
+    if Path(source).is_file():  # absolute folders, so that the file can be moved
         folder = Path(source).resolve().parent
         spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
     head, end, _ = spec.to_xml().rpartition("</mujoco>")

@@ -8,14 +8,11 @@ import scipy.io
 
 from linkplan.studies.export.samples import Samples
 
-# The longest field name that MATLAB's format keeps.
-_LONGEST = 63
-
 
 def mat_bytes(samples: Samples) -> bytes:
     """Return a MATLAB 5 file: time_s (n, 1), and structs position, speed, acceleration, effort, site by name.
 
-    `units` has the same structs with a unit for each name, `names` the names as the model has them.
+    `units` has the same structs with a unit for each name, `names` has the names of the model.
     """
     table = samples.table
     groups = {
@@ -40,11 +37,14 @@ def mat_bytes(samples: Samples) -> bytes:
 
 
 def _fields(names: Iterable[str]) -> dict[str, str]:
-    """Return a MATLAB field name for each name: letters, digits and _, beginning with a letter, none twice."""
+    """Return a unique MATLAB field name for each name: letters, digits and _, starting with a letter.
+
+    MATLAB's format keeps 63 characters of a field name; four of them are for a number.
+    """
     found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
-        plain = (plain if plain[:1].isalpha() else f"x{plain}")[: _LONGEST - 4]
+        plain = (plain if plain[:1].isalpha() else f"x{plain}")[:59]
         field, number = plain, 1
         while field in found.values():
             number += 1

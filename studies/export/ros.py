@@ -6,13 +6,11 @@ import numpy as np
 
 from linkplan.studies.export.samples import Samples
 
-_NANO = 1_000_000_000
-
 
 def joint_trajectory_text(samples: Samples) -> str:
     """Return the YAML of a trajectory_msgs/msg/JointTrajectory: the independent joints, in radians or metres.
 
-    `effort` of a joint is what the actuators do on that coordinate, Gamma^T B u [N.m or N]: for a motor on the joint itself
+    `effort` of a joint is the actuators' effort on that coordinate, Gamma^T B u [N.m or N]. For a motor on the joint it is
     its torque times its gear.
     """
     mechanism = samples.plan.problem.mechanism
@@ -36,13 +34,13 @@ def joint_trajectory_text(samples: Samples) -> str:
     }
     for k, time in enumerate(samples.time_s - samples.time_s[0]):
         begins = [f"{name}: [{_numbers(values[k])}]" for name, values in quantities.items()]
-        seconds, rest = divmod(round(float(time) * _NANO), _NANO)
+        seconds, rest = divmod(round(float(time) * 10**9), 10**9)
         begins.append(f"time_from_start: {{sec: {seconds}, nanosec: {rest}}}")
         lines += [f"  {'-' if first else ' '} {text}" for first, text in zip([True, *[False] * 4], begins, strict=True)]
     return "\n".join(lines) + "\n"
 
 
 def _numbers(values: np.ndarray) -> str:
-    """Return numbers that YAML 1.1 reads as such: it wants a point before an exponent."""
+    """Return numbers that YAML 1.1 reads as numbers: it requires a point before an exponent."""
     said = [repr(float(value)) for value in values]
     return ", ".join(text.replace("e", ".0e") if "e" in text and "." not in text else text for text in said)

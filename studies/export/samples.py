@@ -1,4 +1,4 @@
-"""A plan at instants, as MuJoCo and the reduced coordinates have it."""
+"""A plan at instants, in the coordinates of MuJoCo and in reduced coordinates."""
 
 from dataclasses import dataclass
 
@@ -10,17 +10,17 @@ from linkplan.models.poses.controls import needed_controls
 from linkplan.planner.files.motion_table import MotionTable, motion_table
 from linkplan.planner.plan import Plan
 
-# More samples than this are a slip of the keyboard: a gigabyte of keyframes.
-_MOST = 1_000_000
+# So many keyframes have about a gigabyte.
+_MAX_SAMPLES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Samples:
     """A plan's motion at instants (n,) [s] from its start.
 
-    `q` and `rates` (n, n_q) are every coordinate's position and speed [rad or m, and per second], `velocity` and
-    `acceleration` (n, n_s) the independent ones', `effort` (n, n_u) the actuators' [N.m or N]. `table` is the same for
-    people.
+    `q` and `rates` (n, n_q) are the positions and speeds of all coordinates [rad or m, and per second], `velocity` and
+    `acceleration` (n, n_s) those of the independent ones, `effort` (n, n_u) [N.m or N] that of the actuators. `table` has
+    the same values in display units.
     """
 
     plan: Plan
@@ -46,7 +46,7 @@ class Samples:
         return self.plan.problem.mechanism.qvel_of(self.q, self.rates)
 
     def ctrl(self) -> np.ndarray:
-        """Return MuJoCo's ctrl (n, nu) that gives the efforts, 0 for actuators that the plan does not use."""
+        """Return MuJoCo's ctrl (n, nu) for the efforts, 0 for actuators that the plan does not use."""
         mechanism = self.plan.problem.mechanism
         controls = np.zeros((len(self.time_s), mechanism.model.nu))
         needed = needed_controls(mechanism, self.q, self.velocity, self.effort)
@@ -61,20 +61,20 @@ class Samples:
 
 
 def samples_of(plan: Plan, every_s: float | None = None) -> Samples:
-    """Return a plan's samples: from its start, `every_s` seconds apart and at its end, or ten in each interval of its mesh.
+    """Return a plan's samples: every `every_s` seconds from its start and at its end, or ten in each interval of its mesh.
 
     Raises:
-        ProblemError: when that is no time, or there would be too many.
+        ProblemError: if the time is invalid, or there would be too many samples.
     """
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     begin, duration = float(trajectory.breaks_s[0]), trajectory.duration_s
     if every_s is not None and not (np.isfinite(every_s) and 0 < every_s <= duration):
         raise ProblemError(f"the time between samples is above 0 and at most the motion's {duration:.6g} s, got {every_s:g}")
-    if every_s is not None and duration / every_s > _MOST:
-        raise ProblemError(f"at most {_MOST} samples are written, {duration:.6g} s every {every_s:g} s are more")
+    if every_s is not None and duration / every_s > _MAX_SAMPLES:
+        raise ProblemError(f"at most {_MAX_SAMPLES} samples are written, {duration:.6g} s every {every_s:g} s are more")
     time = None
     if every_s is not None:
-        # what is left at the end below a thousandth of a step is rounding
+        # a last step below a thousandth of the others is a rounding error
         time = begin + np.append(np.arange(0.0, duration - 1e-3 * every_s, every_s), duration)
     table = motion_table(plan, time)
     joints = mechanism.joints

@@ -1,8 +1,7 @@
-"""Where freedoms that nothing drives hang at rest: the poses between which a mechanism with fewer actuators can be moved.
+"""Gravity equilibria of undriven joints: start and goal poses for a mechanism with fewer actuators than coordinates.
 
-Drives hold what they are on; of the poses that are left the one of least potential energy is an equilibrium, and a stable
-one. From such a pose to another a motion that is slow beside the swings of what hangs needs little beyond the effort that
-holds it.
+The drives hold their coordinates. The pose of least potential energy of the others is a stable equilibrium. A motion between
+two such poses that is slow compared with the swings of the hanging joints needs little more than the holding effort.
 """
 
 from collections.abc import Mapping
@@ -17,52 +16,40 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.problem_file import mechanism_from_tables
 
-# What drives lack to hold a pose, as a share of the largest effort that holds one [of the weight at the extent]: below it
-# the pose is an equilibrium, up to where assembly and the minimisation end.
-_BALANCED = 1e-3
-_GRAVITY = 9.81
-# A coordinate that actuators move by less than this share of the one that they move best is not driven.
-_UNDRIVEN = 1e-9
-# A pose that differs from home by no more than this is home [rad or m]; where freedoms hang is written in so many decimals
-# [deg or m].
-_MOVED, _DECIMALS = 1e-6, 3
-# What stands balanced is pushed by this [rad or m], or it would stay.
-_NUDGE = 1e-3
-# The minimisation: its most steps, and the potential energy [of the weight at the extent] that ends it.
-_STEPS, _ENERGY = 500, 1e-13
-# Loops that stand open by more than this share of the extent after it were not closed by it.
-_CLOSED = 1e-5
+GRAVITY_M_S2 = 9.81
 
 
 def driven_columns(mechanism: Mechanism) -> np.ndarray:
-    """Return the columns of the independent coordinates that actuators act on, and nothing else decides."""
+    """Return the columns of the independent coordinates on which actuators act, without passive ones."""
     arms = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1)
     passive = {column for column, index in enumerate(mechanism.independent) if int(index) in mechanism.passive_dofs}
-    return np.array([k for k, arm in enumerate(arms) if arm > _UNDRIVEN * arms.max() and k not in passive], dtype=int)
+    return np.array([k for k, arm in enumerate(arms) if arm > 1e-9 * arms.max() and k not in passive], dtype=int)
 
 
 def rests_by_itself(mechanism: Mechanism, column: int) -> bool:
-    """Return whether a coordinate stands by itself where a motion does not name it."""
+    """Tell if a coordinate is passive or held by springs, so that a motion does not name it."""
     return int(mechanism.independent[column]) in mechanism.passive_dofs or column in sprung_freedoms(mechanism)
 
 
 def hanging_columns(mechanism: Mechanism) -> list[int]:
-    """Return the columns of the coordinates that neither an actuator nor a spring decides."""
+    """Return the columns of the coordinates that neither an actuator nor a spring holds."""
     driven = driven_columns(mechanism)
     return [k for k in range(mechanism.dof) if k not in driven and not rests_by_itself(mechanism, k)]
 
 
-def hung(mechanism: Mechanism) -> Mechanism | None:
-    """Return a mechanism whose home is where its undriven freedoms hang; None where none do, or hang so already."""
+def at_gravity_equilibrium(mechanism: Mechanism) -> Mechanism | None:
+    """Return a mechanism whose home is the gravity equilibrium of its undriven joints; None if home is."""
     if not hanging_columns(mechanism):
         return None
     held = mechanism.independent[driven_columns(mechanism)]
-    pose = hanging_pose(mechanism, mechanism.home + _NUDGE, {int(index): float(mechanism.home[index]) for index in held})
-    if pose is None or np.abs(pose - mechanism.home).max() < _MOVED:
+    moved = mechanism.home + 1e-3  # [rad or m], off an unstable equilibrium
+    pose = hanging_pose(mechanism, moved, {int(index): float(mechanism.home[index]) for index in held})
+    if pose is None or np.abs(pose - mechanism.home).max() < 1e-6:
         return None
-    pose = np.array([joint.read(round(joint.shown(x), _DECIMALS)) for joint, x in zip(mechanism.joints, pose, strict=True)])
+    pose = np.array([_rounded(joint, x) for joint, x in zip(mechanism.joints, pose, strict=True)])
     source = {key: value for key, value in mechanism.source.items() if key not in ("home_deg", "home_m")}
     try:
         return mechanism_from_tables({"mechanism": source | home_of(mechanism.joints, pose)})
@@ -70,16 +57,21 @@ def hung(mechanism: Mechanism) -> Mechanism | None:
         return None
 
 
+def _rounded(joint: Joint, position: float) -> float:
+    """Return a position rounded to three decimals of a degree or metre."""
+    return joint.read(round(joint.shown(position), 3))
+
+
 def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return positions (n_s,) with what hangs moved to where it is at rest; as given where it is, or where home is not.
+    """Return positions (n_s,) with the hanging joints moved to equilibrium; unchanged at rest, or if home is no equilibrium.
 
     Args:
-        mechanism: whose actuators hold what they are on.
+        mechanism: whose actuators hold the driven coordinates.
         s: positions (n_s,).
-        near: a pose (n_q,) to begin from, at rest.
+        near: an equilibrium pose (n_q,), the start of the search.
 
     Raises:
-        AssemblyError: when there is no rest on the branch of `near`.
+        AssemblyError: if there is no equilibrium on the branch of `near`.
     """
     hanging = hanging_columns(mechanism)
     if not hanging or not is_equilibrium(mechanism, mechanism.home):
@@ -90,35 +82,37 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
     pose = hanging_pose(mechanism, near, held)
     rest = s.copy()
     for column in hanging if pose is not None else ():
-        joint, x = mechanism.independent_joints[column], pose[mechanism.independent[column]]
-        rest[column] = joint.read(round(joint.shown(x), _DECIMALS))
+        rest[column] = _rounded(mechanism.independent_joints[column], pose[mechanism.independent[column]])
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
         raise AssemblyError(f"mechanism '{mechanism.name}' does not hang at rest with its drives at {s}")
     return rest
 
 
 def is_equilibrium(mechanism: Mechanism, pose: np.ndarray) -> bool:
-    """Return whether the actuators, whatever their limits, can hold a mechanism at rest in a pose (n_q,)."""
+    """Tell if the actuators, regardless of their limits, can hold a mechanism at rest in a pose (n_q,).
+
+    The missing effort may be a thousandth of the weight at the extent: the accuracy of assembly and minimisation.
+    """
     still = np.zeros((1, mechanism.dof))
     _, missing = needed_effort(mechanism, np.asarray(pose)[None], still, still)
     unit = np.array([1.0 if j.kind == "hinge" else mechanism.extent_m for j in mechanism.independent_joints])
-    return bool(np.abs(missing[0] * unit).max(initial=0.0) < _BALANCED * _energy_unit(mechanism))
+    return bool(np.abs(missing[0] * unit).max(initial=0.0) < 1e-3 * _energy_unit(mechanism))
 
 
 def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, float]) -> np.ndarray | None:
-    """Return the pose (n_q,) of least potential energy in which held joints stand at given positions; None where none is.
+    """Return the pose (n_q,) of least potential energy with held joints at given positions; None if none is found.
 
     Args:
-        mechanism: its springs and weights make the energy.
-        near: a pose (n_q,) to begin from; the minimum that is found is a local one.
-        held: positions [rad or m] by index into q; all other joints may move, as far as loops and ranges let them.
+        mechanism: with the springs and weights that store the energy.
+        near: a pose (n_q,), the start of the search for a local minimum.
+        held: positions [rad or m] by index into q; all other joints may move within loops and ranges.
     """
     dynamics, data = mechanism.dynamics, mujoco.MjData(mechanism.model)
     unit = _energy_unit(mechanism)
     start = np.array(near, dtype=float)
     bounds = [(joint.lower, joint.upper) for joint in mechanism.joints]
     for index, joint in enumerate(mechanism.joints):
-        if joint.kind == "hinge":  # what turns fully turns no further than it needs
+        if joint.kind == "hinge":  # at most half a turn to each side
             bounds[index] = (max(joint.lower, start[index] - np.pi), min(joint.upper, start[index] + np.pi))
     for index, value in held.items():
         bounds[index], start[index] = (value, value), value
@@ -134,9 +128,9 @@ def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, floa
 
     closed = [{"type": "eq", "fun": gaps}] if mechanism.closures else []
     found = scipy.optimize.minimize(
-        energy, start, method="SLSQP", bounds=bounds, constraints=closed, options={"maxiter": _STEPS, "ftol": _ENERGY}
+        energy, start, method="SLSQP", bounds=bounds, constraints=closed, options={"maxiter": 500, "ftol": 1e-13}
     )
-    if not np.all(np.isfinite(found.x)) or (closed and np.abs(gaps(found.x)).max(initial=0.0) > _CLOSED):
+    if not np.all(np.isfinite(found.x)) or (closed and np.abs(gaps(found.x)).max(initial=0.0) > 1e-5):
         return None
     try:
         pose = close_at(mechanism, found.x[mechanism.independent], found.x)
@@ -147,4 +141,4 @@ def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, floa
 
 def _energy_unit(mechanism: Mechanism) -> float:
     """Return the mechanism's weight times its extent [J]."""
-    return float(mechanism.model.body_mass.sum()) * _GRAVITY * mechanism.extent_m
+    return float(mechanism.model.body_mass.sum()) * GRAVITY_M_S2 * mechanism.extent_m

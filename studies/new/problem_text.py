@@ -1,4 +1,4 @@
-"""A problem file as text: what is set, and every other key in a comment with its default, what it means beside it."""
+"""A problem file as text: the keys that are set, and every other key as a comment with its default and meaning."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -15,10 +15,10 @@ from linkplan.planner.files.toml_text import inline, key_text
 from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES
 
-# What no line of comments exceeds, and the column where they begin beside a value.
-_WIDTH, _COLUMN = 100, 44
-# Decimals of a metre of a site's place, and how far [m] one has to move to be one that a motion can be asked for.
-_SITE_DIGITS, _MOVES_M = 4, 1e-3
+# The largest width of lines, and the column of the comments after values.
+_LINE_WIDTH, _COMMENT_COLUMN = 100, 44
+# A site that moves less within reach [m] is no example for a motion.
+_LEAST_SITE_TRAVEL_M = 1e-3
 _HEAD = """\
 # Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. To set a key
 # take the # from its line: behind it stands the default, or an example where another is named.
@@ -29,16 +29,16 @@ def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], descriptio
     """Return the text of a problem file.
 
     Args:
-        mechanism: whose names the examples have.
-        tables: what is set.
+        mechanism: with the names for the examples.
+        tables: the keys that are set.
         description: of the problem, in a sentence.
-        begin: lines of comment to begin with.
+        begin: lines of comment at the top.
     """
     facts = _facts(mechanism)
     lines = [*(f"# {line}" for line in begin), _HEAD, f"description = {inline(description)}"]
     rows = key_table()
     for section in (row for row in rows if not row.section and row.name != "description"):
-        lines += ["", f"[{section.name}]".ljust(_COLUMN) + f"# {section.doc}"]
+        lines += ["", f"[{section.name}]".ljust(_COMMENT_COLUMN) + f"# {section.doc}"]
         for key in (row for row in rows if row.section == section.name):
             lines += _lines(key, tables.get(section.name, {}), facts)
         if section.name == "motors":
@@ -49,7 +49,7 @@ def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], descriptio
 
 
 def _lines(key: Key, section: Mapping, facts: Mapping) -> list[str]:
-    """Return a key's line, its comment beside it where there is room, else above; none of what a mechanism cannot have."""
+    """Return the lines of a key with its comment; no lines if the mechanism cannot have the key."""
     path = f"{key.section}.{key.name}"
     example = EXAMPLES[path] if key.default is None else Example(text=inline(key.default))
     if key.name in section:
@@ -60,7 +60,7 @@ def _lines(key: Key, section: Mapping, facts: Mapping) -> list[str]:
 
 
 def _said(key: Key) -> str:
-    """Return what is said of a key: its meaning, unit and choices, and its default where no line of its own shows it."""
+    """Return the comment on a key: its meaning, unit and choices, and its default if the line does not show it."""
     unit = f" [{key.unit}]" if key.unit else ""
     choices = f"; {key.choices}" if key.choices else ""
     otherwise = "" if key.is_constant else "; required" if key.required else f"; default: {key.default_words}"
@@ -68,37 +68,26 @@ def _said(key: Key) -> str:
 
 
 def _laid_out(code: str, doc: str) -> list[str]:
-    """Return a line of TOML and its comment, which stands above it where there is no room beside it."""
-    if len(code) + 2 > _COLUMN:
-        return [*textwrap.wrap(doc, _WIDTH, break_on_hyphens=False, initial_indent="# ", subsequent_indent="# "), code]
-    first, *rest = textwrap.wrap(doc, _WIDTH - _COLUMN - 2, break_on_hyphens=False)
-    return [f"{code.ljust(_COLUMN)}# {first}", *(f"{'':{_COLUMN}}# {more}" for more in rest)]
+    """Return a line of TOML with its comment behind it or, if the line is long, above it."""
+    if len(code) + 2 > _COMMENT_COLUMN:
+        return [*textwrap.wrap(doc, _LINE_WIDTH, break_on_hyphens=False, initial_indent="# ", subsequent_indent="# "), code]
+    first, *rest = textwrap.wrap(doc, _LINE_WIDTH - _COMMENT_COLUMN - 2, break_on_hyphens=False)
+    return [f"{code.ljust(_COMMENT_COLUMN)}# {first}", *(f"{'':{_COMMENT_COLUMN}}# {more}" for more in rest)]
 
 
 def _filled(text: str, facts: Mapping) -> str:
-    """Return a text with what it names of a mechanism in braces, as {hinge}, filled in."""
+    """Return a text with its placeholders, such as {hinge}, replaced by names of the mechanism."""
     for name, value in facts.items():
         text = text.replace(f"{{{name}}}", value) if isinstance(value, str) else text
     return text
 
 
 def _facts(mechanism: Mechanism) -> dict:
-    """Return what examples name of a mechanism, as TOML, and which of `NEEDS` it has under "has"."""
+    """Return the values of the examples' placeholders as TOML and, under "has", the `NEEDS` that are met."""
     facts: dict = {"independent": ", ".join(inline(joint.name) for joint in mechanism.independent_joints)}
     facts["joint"] = key_text(mechanism.independent_joints[0].name)
     facts["joint_name"] = inline(mechanism.independent_joints[0].name)
-    free = mechanism.independent.tolist()
-    for kind in ("hinge", "slide"):
-        for name, order in ((f"free_{kind}", free), (kind, [*free, *mechanism.dependent.tolist()])):
-            index = next((i for i in order if mechanism.joints[i].kind == kind), None)
-            if index is not None:
-                joint = mechanism.joints[index]
-                facts[name] = key_text(joint.name)
-                facts[f"{name}_home"] = inline(_shown(joint, mechanism.home[index]))
-                facts[f"{name}_range"] = inline([_shown(joint, joint.lower), _shown(joint, joint.upper)])
-    for kind, key in (("slide", "at_m"), ("hinge", "at_deg")):
-        if f"free_{kind}" in facts:
-            facts["waypoint"] = f"{key} = {{ {facts[f'free_{kind}']} = {facts[f'free_{kind}_home']} }}"
+    facts |= _joint_facts(mechanism)
     if mechanism.actuators:
         first = mechanism.actuators[0]
         facts |= {"actuator": key_text(first.name), "effort_range": inline([first.lower, first.upper])}
@@ -117,22 +106,40 @@ def _facts(mechanism: Mechanism) -> dict:
     return facts
 
 
+def _joint_facts(mechanism: Mechanism) -> dict:
+    """Return name, home and range of the first hinge and slide, also among the independent joints, and a waypoint."""
+    facts: dict = {}
+    free = mechanism.independent.tolist()
+    for kind in ("hinge", "slide"):
+        for name, order in ((f"free_{kind}", free), (kind, [*free, *mechanism.dependent.tolist()])):
+            index = next((i for i in order if mechanism.joints[i].kind == kind), None)
+            if index is not None:
+                joint = mechanism.joints[index]
+                facts[name] = key_text(joint.name)
+                facts[f"{name}_home"] = inline(_shown(joint, mechanism.home[index]))
+                facts[f"{name}_range"] = inline([_shown(joint, joint.lower), _shown(joint, joint.upper)])
+    for kind, key in (("slide", "at_m"), ("hinge", "at_deg")):
+        if f"free_{kind}" in facts:
+            facts["waypoint"] = f"{key} = {{ {facts[f'free_{kind}']} = {facts[f'free_{kind}_home']} }}"
+    return facts
+
+
 def _place(mechanism: Mechanism) -> tuple[str, str] | None:
-    """Return the site that moves most and where it is at home, as TOML; as many coordinates as there are freedoms."""
+    """Return the site that moves most and its position at home, as TOML, with one axis for each degree of freedom."""
     poses = np.vstack([reach(mechanism, column).poses for column in range(mechanism.dof)])
     found = []
     for name in site_names(mechanism.model):
         index = int(mechanism.model.site(name).id)
         span = np.ptp(places_of(mechanism, index, poses), axis=0)
         found.append((float(span.max()), name, index, span))
-    if not found or max(found, key=lambda one: one[0])[0] < _MOVES_M:
+    if not found or max(found, key=lambda one: one[0])[0] < _LEAST_SITE_TRAVEL_M:
         return None
     _, name, index, span = max(found, key=lambda one: one[0])
     home = places_of(mechanism, index, mechanism.home)[0]
-    chosen = sorted(np.argsort(-span)[: min(mechanism.dof, int(np.sum(span > _MOVES_M)))])
-    return key_text(name), inline({AXES[k]: round(float(home[k]), _SITE_DIGITS) + 0.0 for k in chosen})
+    chosen = sorted(np.argsort(-span)[: min(mechanism.dof, int(np.sum(span > _LEAST_SITE_TRAVEL_M)))])
+    return key_text(name), inline({AXES[k]: round(float(home[k]), 4) + 0.0 for k in chosen})
 
 
 def _shown(joint: Joint, position: float) -> float:
-    """Return a position in the unit of files, in digits that read well."""
+    """Return a position in the unit of files, rounded to six digits."""
     return float(f"{joint.shown(position):.6g}") + 0.0

@@ -1,4 +1,4 @@
-"""What results look like: tables, figures and pages shared by the studies.
+"""The presentation of results: tables, figures and pages shared by the studies.
 
 In: plans, mechanisms, results. Out: text for a terminal, matplotlib figures, HTML.
 """

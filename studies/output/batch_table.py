@@ -1,4 +1,4 @@
-"""A batch of plans as a table: what was asked, what came of it."""
+"""A batch of plans as a table: the settings and the result of every case."""
 
 from collections.abc import Sequence
 
@@ -9,12 +9,9 @@ from linkplan.studies.output.digits import figure, known_digits
 from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.tables import table
 
-# Enough digits of an objective to compare cases by.
-_DIGITS = 6
-
 
 def case_record(case: Case, plan: Plan) -> dict:
-    """Return a case's result as `batch.json` has it."""
+    """Return a case's entry in `batch.json`."""
     return {"settings": list(case.settings), **record(plan)}
 
 
@@ -22,9 +19,7 @@ def case_row(case: Case, plan: Plan) -> list:
     """Return a case's row of the table."""
     problem, digits = plan.problem, known_digits(plan)
     duration = None if plan.trajectory is None else figure(plan.trajectory.duration_s, digits)
-    objective = (
-        None if plan.objective is None else f"{figure(plan.objective, min(digits, _DIGITS))}{objective_unit(problem)}"
-    )
+    objective = None if plan.objective is None else f"{figure(plan.objective, min(digits, 6))}{objective_unit(problem)}"
     peaks = () if plan.certificate is None else zip(plan.certificate.peak_effort, problem.mechanism.actuators, strict=True)
     peak = max(((float(effort), actuator.unit) for effort, actuator in peaks), default=None)
     seconds = f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"

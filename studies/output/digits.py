@@ -1,28 +1,21 @@
-"""How many digits of a figure are known, and figures in no more than those."""
+"""The number of known digits of a figure, and figures with these digits."""
 
 import numpy as np
 
 from linkplan.planner.plan import Plan
 
-# Solvers stop at a relative 1e-8; a plan that passes its certificate is known to a part in a thousand at the least.
-_MOST, _FEWEST = 8, 3
-# Errors are known by their size: two digits of them.
-_OF_AN_ERROR = 2
-# A pole nearer to the unit circle than this is said by its distance from it.
-_NEAR_THE_CIRCLE = 5e-4
-# A length or an effort below this [m, N.m or N] is what rounding leaves of zero.
-_ROUNDING = 1e-14
+# Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
+_MAX_DIGITS, _MIN_DIGITS = 8, 3
 
 
 def known_digits(plan: Plan) -> int:
-    """Return to how many digits a plan's duration and objective are known: those of its integration error in its motion.
+    """Return the number of known digits of a plan's duration and objective, from its integration error.
 
-    The integrated state differs from the planned one by a share of what the joints travel; figures of the motion are known
-    to about that share.
+    The error of the integrated state as a share of the joints' travel is about the relative error of the motion's figures.
     """
     trajectory, certificate = plan.trajectory, plan.certificate
     if trajectory is None or certificate is None:
-        return _FEWEST
+        return _MIN_DIGITS
     travelled = np.ptp(trajectory.position_at(trajectory.dense_times(4)), axis=0)
     shares, error_rad = [], np.radians(certificate.integration_error_deg)
     for kind, error in (("hinge", error_rad), ("slide", certificate.integration_error_m)):
@@ -30,20 +23,20 @@ def known_digits(plan: Plan) -> int:
         if of_kind and max(of_kind) > 0 and np.isfinite(error):
             shares.append(error / max(of_kind))
     share = max(shares, default=1.0)
-    return int(np.clip(np.floor(-np.log10(max(share, 10.0**-_MOST))), _FEWEST, _MOST))
+    return int(np.clip(np.floor(-np.log10(max(share, 10.0**-_MAX_DIGITS))), _MIN_DIGITS, _MAX_DIGITS))
 
 
 def figure(value: float, digits: int) -> str:
-    """Return a number in so many digits."""
+    """Return a number with `digits` significant digits."""
     return f"{value:.{digits}g}"
 
 
 def error_figure(value: float) -> str:
-    """Return an error in the digits that errors are known to; what rounding leaves of zero as that."""
-    return f"< {_ROUNDING:.0e}" if 0 < value < _ROUNDING else figure(value, _OF_AN_ERROR)
+    """Return an error [m, N.m or N] with two digits; smaller errors than 1e-14 are rounding errors."""
+    return "< 1e-14" if 0 < value < 1e-14 else figure(value, 2)
 
 
 def radius_figure(radius: float) -> str:
-    """Return the size of a sampled loop's pole: near the unit circle, where it decides, by its distance, as "1-2.3e-05"."""
+    """Return the radius of a sampled loop's pole; near the unit circle as the distance from it, such as "1-2.3e-05"."""
     beyond = radius - 1.0
-    return f"1{beyond:+.1e}" if 0 < abs(beyond) < _NEAR_THE_CIRCLE else figure(radius, 4)
+    return f"1{beyond:+.1e}" if 0 < abs(beyond) < 5e-4 else figure(radius, 4)

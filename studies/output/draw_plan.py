@@ -1,4 +1,4 @@
-"""Figures of a plan: motion and effort over time, limits where they bind, the paths of sites that its problem names."""
+"""Figures of a plan: motion and effort over time, active limits, the paths of the sites that its problem names."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from linkplan.studies.output.drawing import BLACK, GREY, SERIES, STYLES, level_z
 
 
 def plan_figure(plan: Plan, path: Path | None = None) -> Figure:
-    """Return the figure of a plan's positions, speeds and efforts, saved at `path` where one is given."""
+    """Return the figure of a plan's positions, speeds and efforts, saved at `path` if it is given."""
     sites = bool(plan.problem.sites)
     with page(path, rows=3, columns=1 + sites, size=(7.5 + 6.0 * sites, 7.5), sharex="col") as axes:
         draw_position(axes[0, 0], plan)
@@ -32,7 +32,7 @@ def _time_scale(plan: Plan) -> float:
 
 
 def _style(column: int) -> dict[str, str]:
-    """Return a line's colour, and its style where the colours begin again."""
+    """Return a line's colour and style; the style changes when the colours repeat."""
     return {"color": SERIES[column % len(SERIES)], "linestyle": STYLES[column // len(SERIES) % len(STYLES)]}
 
 
@@ -41,7 +41,7 @@ def _time_label(plan: Plan) -> str:
 
 
 def draw_position(axes, plan: Plan) -> None:
-    """Draw the independent positions, with the reference dashed where there is one."""
+    """Draw the independent positions, and the reference, if there is one, as dashed lines."""
     trajectory, reference = plan.trajectory, plan.problem.reference
     time, joints = trajectory.dense_times(10), plan.problem.mechanism.independent_joints
     shown, sides = _time_scale(plan) * time, sides_by_unit(axes, "position", [joint.unit for joint in joints])
@@ -72,7 +72,7 @@ def draw_velocity(axes, plan: Plan) -> None:
 
 
 def draw_effort(axes, plan: Plan) -> None:
-    """Draw the efforts, and those limits that they come within a factor of two of."""
+    """Draw the efforts, and the limits below twice the largest effort."""
     trajectory = plan.trajectory
     time = trajectory.dense_times(10)
     effort, actuators = trajectory.effort_at(time), plan.problem.mechanism.actuators

@@ -1,4 +1,4 @@
-"""Where sites go along a plan: their paths in the plane of the drawing, and what their limits forbid there."""
+"""The paths of sites along a plan in the plane of the drawing, and the regions that their limits forbid."""
 
 import numpy as np
 
@@ -8,19 +8,14 @@ from linkplan.models.poses.skeleton import body_name, sticks, view
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.studies.output.directions import direction_said
+from linkplan.studies.output.directions import direction_name
 from linkplan.studies.output.drawing import GREY, SERIES, outside_legend
-
-# Points of the raster on which limits are drawn, along each axis, and depths of the path at which they are looked at.
-_RASTER, _DEPTHS = 400, 5
-# What is drawn beside the paths and the mechanism, as a share of their larger side; less than the other, in metres, is none.
-_ROOM, _LEAST_M = 0.12, 1e-3
 
 
 def draw_sites(axes, plan: Plan) -> None:
-    """Draw the paths of the sites that a problem names, shaded where their limits forbid them to be.
+    """Draw the paths of the sites that a problem names, with the forbidden regions shaded.
 
-    The mechanism stands in grey at start and end. A place is shaded where it is forbidden at every depth of the path.
+    The mechanism is grey at start and end. A point is shaded if it is forbidden at every depth of the path.
     """
     mechanism, motion = plan.problem.mechanism, plan.trajectory
     q = follow(mechanism, motion.position_at(motion.dense_times(10)), motion.start_pose)
@@ -33,15 +28,15 @@ def draw_sites(axes, plan: Plan) -> None:
             look = {"marker": "^", "linestyle": ""} if stick.fixed else {"marker": "o", "linewidth": 2.0}
             axes.plot(pins[:, 0], pins[:, 1], color=GREY, alpha=0.35, markersize=4, **look)
     paths = {name: places_of(mechanism, index, q) for name, index in plan.problem.sites.items()}
-    for name, path in paths.items():  # from its body's first pin: a stick may end at the centre of mass
+    for name, path in paths.items():  # a line from the body's first pin, because a stick may end at the centre of mass
         body = body_name(mechanism.model, int(mechanism.model.site_bodyid[plan.problem.sites[name]]))
         for pins in (stick.pins for stick in drawn if stick.body == body and not stick.fixed):
             for k, end in enumerate((0, -1)):
                 axes.plot(*np.vstack([pins[k, :1], path[end] @ flat]).T, color=GREY, alpha=0.35, linewidth=2.0)
     seen = np.vstack([stick.pins.reshape(-1, 2) for stick in drawn] + [path @ flat for path in paths.values()])
     low, high = seen.min(axis=0), seen.max(axis=0)
-    room = _ROOM * max(float((high - low).max()), _LEAST_M)
-    low, high = low - room, high + room
+    margin = 0.12 * max(float((high - low).max()), 1e-3)
+    low, high = low - margin, high + margin
     for colour, (name, path) in zip(SERIES * (1 + len(paths) // len(SERIES)), paths.items(), strict=False):
         axes.plot(*(path @ flat).T, color=colour, label=f"path of {name}")
         axes.plot(*(path[:1] @ flat).T, color=colour, marker="o", linestyle="", label=f"{name} at the start")
@@ -54,32 +49,32 @@ def draw_sites(axes, plan: Plan) -> None:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal", adjustable="box")
-    axes.set_xlabel(f"{direction_said(right)} [m]")
-    axes.set_ylabel(f"{direction_said(up)} [m]")
+    axes.set_xlabel(f"{direction_name(right)} [m]")
+    axes.set_ylabel(f"{direction_name(up)} [m]")
     outside_legend(axes, narrow=True)
 
 
 def _passed(motion: Motion, name: str, path: np.ndarray) -> np.ndarray:
-    """Return a site's waypoints (n, 3) [m]: what they leave free is as at the nearest place of its path (m, 3)."""
+    """Return a site's waypoints (n, 3) [m]; free coordinates are those of the nearest point of its path (m, 3)."""
     points = [point for waypoint in motion.waypoints for point in waypoint.at if point.site == name]
     nearest = [path[int(np.argmin([point.off_m(p) for p in path]))] for point in points]
     return np.array([np.where(np.isnan(p.point), x, p.point) for p, x in zip(points, nearest, strict=True)]).reshape(-1, 3)
 
 
 def _shade(axes, limits: list[SiteLimit], frame, plane, depths: np.ndarray, colour: str, name: str) -> None:
-    """Shade where a site's limits forbid it to be, within a frame (low, high) of the plane (right, up)."""
+    """Shade the region that a site's limits forbid at five depths, in a frame (low, high) of the plane (right, up)."""
     if not limits:
         return
     (low, high), (right, up) = frame, plane
-    x, y = (np.linspace(a, b, _RASTER) for a, b in zip(low, high, strict=True))
+    x, y = (np.linspace(a, b, 400) for a, b in zip(low, high, strict=True))
     X, Y = np.meshgrid(x, y)
     at = X.ravel()[:, None] * right + Y.ravel()[:, None] * up
-    over = np.full(X.size, np.inf)
-    for depth in np.linspace(depths.min(), depths.max(), _DEPTHS):
+    excess = np.full(X.size, np.inf)
+    for depth in np.linspace(depths.min(), depths.max(), 5):
         p = at + depth * np.cross(right, up)
         beyond = np.max([np.maximum(limit.low - limit.value(p), limit.value(p) - limit.high) for limit in limits], axis=0)
-        over = np.minimum(over, beyond)
-    field = over.reshape(X.shape)
+        excess = np.minimum(excess, beyond)
+    field = excess.reshape(X.shape)
     axes.contourf(X, Y, field, levels=[0.0, np.inf], colors=[colour], alpha=0.15)
     if field.min() < 0.0 < field.max():
         axes.contour(X, Y, field, levels=[0.0], colors=[colour], linewidths=1.0, linestyles=":")

@@ -17,20 +17,11 @@ SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 BROWN = "#8C564B"
 TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE, "lqi": SKY, "gs-pd+ff": PURPLE, "ct": BROWN, "mpc": RED}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, BROWN)
-# Solid, dashed, dash-dotted; dotted lines are continuous-time ones: lines of one panel that lie on one another stay visible.
+# The styles of discrete-time lines; dotted lines are continuous-time. With them, coincident lines remain visible.
 STYLES = ("-", "--", "-.")
 
-# A legend's row holds about so many letters over half of a wide page's width, or over a narrow page; what is longer goes
-# on in a further row.
-_LETTERS_A_ROW, _LETTERS_A_PAGE = 56, 76
-_LETTERS_AN_INCH = 12
-# What a legend's line and gaps take beside its text, in letters.
-_LETTERS_BESIDE = 8
-
-# A logarithmic axis whose ends are apart by less than this factor has a label or two at powers of ten.
-_SHORT = 80.0
-# Letters by which a title's lines may differ.
-_WORD = 8
+# The width of a legend's line and gaps, in letters.
+_LEGEND_MARK_LETTERS = 8
 
 _STYLE = {
     "axes.grid": True,
@@ -46,17 +37,17 @@ _STYLE = {
 }
 
 
-# Beyond such values, those of a run that diverged, matplotlib places no ticks: its steps overflow.
+# The steps between matplotlib's ticks overflow at larger values, as in a diverged run.
 _LARGEST_DRAWN = 1e100
 
 
 @contextmanager
 def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
-    """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` where one is given."""
-    with matplotlib.rc_context(), np.errstate(over="ignore", invalid="ignore"):  # the ticks of a run that diverged
-        matplotlib.rcdefaults()  # not the reader's own settings: TeX that is not there, pictures of any size
+    """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` if it is given."""
+    with matplotlib.rc_context(), np.errstate(over="ignore", invalid="ignore"):  # the ticks of a diverged run
+        matplotlib.rcdefaults()  # without the user's settings, which may need TeX
         matplotlib.rcParams.update(_STYLE)
-        # A figure of its own, without pyplot: no screen is needed and nothing is left open.
+        # A figure without pyplot needs no screen and leaves nothing open.
         figure = Figure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
         for axes in figure.axes:
@@ -66,52 +57,55 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
             _few_ticks(axes)
         for text in figure.findobj(Text):
             if "$" in text.get_text() and "\\math" not in text.get_text():
-                text.set_parse_math(False)  # a name with dollars is a name, not a formula
+                text.set_parse_math(False)  # names may have dollar signs
         if path is not None:
             with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", "Glyph", UserWarning)  # the font's own box stands for what it has not
+                warnings.filterwarnings("ignore", "Glyph", UserWarning)  # missing glyphs are drawn as boxes
                 figure.savefig(path)
 
 
 def _few_ticks(axes) -> None:
-    """Label a logarithmic axis of less than two decades plainly, at 1, 2 and 5 alone: more would lie on one another."""
+    """Label a logarithmic axis of less than two decades at 1, 2 and 5 only: more labels would overlap."""
     for axis in (axes.xaxis, axes.yaxis):
         low, high = sorted(axis.get_view_interval())
-        if axis.get_scale() == "log" and high < _SHORT * low:
+        if axis.get_scale() == "log" and high < 80 * low:
             axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
             axis.set_minor_formatter(FuncFormatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else ""))
 
 
 def wrapped(text: str, most: int) -> str:
-    """Return a title in lines of about one length, of so many letters at the most."""
+    """Return a title in lines of about equal length, of at most `most` letters."""
     lines = -(-len(text) // most)
-    return textwrap.fill(text, min(most, len(text) // lines + _WORD))
+    return textwrap.fill(text, min(most, len(text) // lines + 8))
 
 
 def outside_legend(axes, *, narrow: bool = False, **options) -> None:
-    """Put a legend above the axes, where it hides no data: in as many rows as the page, or half of it, asks for."""
+    """Put a legend above the axes, where it hides no data, in as many rows as it needs.
+
+    A row has 76 letters over the width of a page, or 56 over half of a wide page if `narrow`.
+    """
     handles, labels = axes.get_legend_handles_labels()
     columns = max(1, len(labels))
-    room = _LETTERS_A_ROW if narrow else _LETTERS_A_PAGE
-    if sum(len(label) + _LETTERS_BESIDE for label in labels) > room:
-        columns = max(1, room // (max(map(len, labels)) + _LETTERS_BESIDE))
+    row_letters = 56 if narrow else 76
+    if sum(len(label) + _LEGEND_MARK_LETTERS for label in labels) > row_letters:
+        columns = max(1, row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
 
 
 def bottom_legend(axes) -> None:
-    """Put one panel's legend below the whole page, where it hides no data and makes no page wider."""
+    """Put one panel's legend below the whole page, where it hides no data and does not widen the page."""
     handles, labels = axes.get_legend_handles_labels()
     if not labels:
         return
-    room = _LETTERS_AN_INCH * axes.figure.get_figwidth()
-    most = max(1, int(room // (max(map(len, labels)) + _LETTERS_BESIDE)))
+    row_letters = 12 * axes.figure.get_figwidth()  # twelve letters an inch
+    most = max(1, int(row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS)))
     rows = -(-len(labels) // most)
     columns = -(-len(labels) // rows)
     axes.figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def sides_by_unit(axes, what: str, units: Sequence[str]) -> dict:
-    """Return the axes for each unit: of two units, as of a slide beside a hinge, the second has its own on the right."""
+    """Return the axes for each unit; of two units, as for a hinge and a slide, the second has an axis on the right."""
     names = list(dict.fromkeys(units))
     sides = dict.fromkeys(names, axes)
     if len(names) == 2:
@@ -125,7 +119,7 @@ def sides_by_unit(axes, what: str, units: Sequence[str]) -> dict:
 
 
 def level_zeros(sides: set) -> None:
-    """Bring the zeros of two vertical axes to one height, where both have one."""
+    """Bring the zeros of two linear vertical axes to one height."""
     if len(sides) < 2 or any(side.get_yscale() == "log" for side in sides):
         return
     one_sided = all(side.get_ylim()[0] == 0 for side in sides)

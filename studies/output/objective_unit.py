@@ -1,10 +1,10 @@
-"""The unit of a problem's objective: of efforts by what its actuators give, of distances by what its joints are."""
+"""The unit of a problem's objective, which depends on its actuators for efforts and on its joints for distances."""
 
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 
 def objective_unit(problem: PlanningProblem) -> str:
-    """Return the unit of a single term, with a blank in front; nothing for a sum."""
+    """Return the unit of a single term, after a space; an empty string for a sum of terms."""
     terms = list(problem.objective.weights)
     unit, mechanism = problem.objective.unit, problem.mechanism
     if not unit:

@@ -1,39 +1,37 @@
 """Tables on the terminal: plain text, right-aligned numbers, units in the head, never wider than 80 columns.
 
-A table that is too wide has its heads folded, then long words in its cells, and last its columns laid out in several blocks
-of which each begins with the first column again.
+If a table is too wide, first its heads are folded, then long cells, and last its columns are divided into several blocks.
+Each block repeats the first column.
 """
 
 import re
 import textwrap
 from collections.abc import Sequence
 
-# The columns that every terminal has.
-WIDTH = 80
+# The standard width of terminals in columns.
+TABLE_WIDTH = 80
 _GAP = "  "
-# Cells up to this length are never folded: "-100 to 100" stays in one line.
-_SHORT = 24
-# In a table of several blocks the first column, which all of them begin with, takes so much at the most.
-_FIRST = 40
-# A word without blanks that is longer than this is broken: two such columns fit.
+# Cells up to this length are never folded, for example "-100 to 100".
+_UNFOLDED_LENGTH = 24
+# Longer words are broken, so that two such columns fit.
 _LONGEST_WORD = 36
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]], width: int = WIDTH) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[object]], width: int = TABLE_WIDTH) -> str:
     """Return rows under a head in aligned columns; the first column to the left, the others to the right.
 
     Args:
         head: of each column.
-        rows: their cells.
-        width: what no line exceeds.
+        rows: of cells.
+        width: of the longest line.
     """
     texts = [[_text(cell) for cell in row] for row in rows]
     columns = [[title, *(row[i] for row in texts)] for i, title in enumerate(head)]
     return "\n\n".join(_block(block, width) for block in _blocks(columns, width))
 
 
-def described(names: dict[str, str], width: int = WIDTH) -> list[str]:
-    """Return a line for each name with what it is, in two columns; what is longer than a line goes on below itself."""
+def described(names: dict[str, str], width: int = TABLE_WIDTH) -> list[str]:
+    """Return a line for each name with its description, in two columns; long descriptions are wrapped."""
     longest = max(map(len, names), default=0)
     lines = []
     for name, text in names.items():
@@ -42,28 +40,28 @@ def described(names: dict[str, str], width: int = WIDTH) -> list[str]:
     return lines
 
 
-def folded(text: str, width: int = WIDTH, below: str = _GAP) -> str:
-    """Return a sentence in lines of a width at the most, those after the first with `below` in front."""
+def folded(text: str, width: int = TABLE_WIDTH, below: str = _GAP) -> str:
+    """Return a sentence in lines of at most `width`; those after the first start with `below`."""
     return textwrap.fill(text, width, subsequent_indent=below, break_on_hyphens=False)
 
 
 def _blocks(columns: list[list[str]], width: int) -> list[list[list[str]]]:
-    """Return the columns in as many blocks as they need at their least widths, the first column in front of each."""
+    """Return the columns in as many blocks as they need at their least widths; each block starts with the first column."""
     first, blocks = columns[0], [[columns[0]]]
-    room = width - max(_least(first), min(max(map(len, first[1:]), default=0), _FIRST))
-    left = room
+    available = width - max(_least(first), min(max(map(len, first[1:]), default=0), width // 2))
+    left = available
     for column in columns[1:]:
         need = len(_GAP) + _least(column)
         if need > left and len(blocks[-1]) > 1:
             blocks.append([first])
-            left = room
+            left = available
         blocks[-1].append(column)
         left -= need
     return blocks
 
 
 def _block(columns: list[list[str]], width: int) -> str:
-    """Return columns side by side: with as few lines of heads as they fit with, and long cells folded where they must."""
+    """Return columns side by side, with the fewest lines of heads that fit; if none fits, long cells are folded."""
     cells = [max(map(len, column[1:]), default=0) for column in columns]
     tallest = max(len(_words(column[0])) for column in columns)
     for lines in range(1, tallest + 1):
@@ -71,7 +69,7 @@ def _block(columns: list[list[str]], width: int) -> str:
         if _total(widths) <= width:
             return _aligned(columns, widths)
     widths = [max(cell, _head_width(column[0], tallest)) for cell, column in zip(cells, columns, strict=True)]
-    while _total(widths) > width:  # the widest that can be folded give way
+    while _total(widths) > width:  # the widest foldable column becomes narrower
         able = [(w, i) for i, w in enumerate(widths) if w > _least(columns[i])]
         if not able:
             break
@@ -89,7 +87,7 @@ def _aligned(columns: list[list[str]], widths: list[int]) -> str:
     found = []
     for number, cells in enumerate(zip(*folded, strict=True)):
         height = max(map(len, cells))
-        # heads stand on their rule, what is below them begins at the top
+        # heads are aligned at the bottom, cells at the top
         padded = [[""] * (height - len(c)) + c if number == 0 else c + [""] * (height - len(c)) for c in cells]
         for line in zip(*padded, strict=True):
             sides = zip(line, widths, left, strict=True)
@@ -104,20 +102,20 @@ def _total(widths: Sequence[int]) -> int:
 
 
 def _least(column: list[str]) -> int:
-    """Return the least width of a column: that of its short cells, and of the words of its head and its long cells."""
-    words = [word for text in column[1:] if len(text) > _SHORT for word in text.split(" ")] + _words(column[0])
+    """Return the least width of a column, for its unfolded cells and for the words of its head and its long cells."""
+    words = [word for text in column[1:] if len(text) > _UNFOLDED_LENGTH for word in text.split(" ")] + _words(column[0])
     longest = min(max(map(len, words), default=0), _LONGEST_WORD)
-    short = max((len(text) for text in column[1:] if len(text) <= _SHORT), default=0)
-    return max(longest, short, _SHORT if any(len(text) > _SHORT for text in column[1:]) else 0)
+    short = max((len(text) for text in column[1:] if len(text) <= _UNFOLDED_LENGTH), default=0)
+    return max(longest, short, _UNFOLDED_LENGTH if any(len(text) > _UNFOLDED_LENGTH for text in column[1:]) else 0)
 
 
 def _words(head: str) -> list[str]:
-    """Return a head's words, of which its unit is one."""
+    """Return a head's words; its unit is one word."""
     return re.findall(r"\[[^\]]*\]|\S+", head) or [""]
 
 
 def _head_width(head: str, lines: int) -> int:
-    """Return the least width at which a head takes so many lines, or fewer."""
+    """Return the least width at which a head takes at most `lines` lines."""
     words = _words(head)
     width = min(max(map(len, words)), _LONGEST_WORD)
     while width < len(head) and len(_fold(words, width)) > lines:
@@ -126,7 +124,7 @@ def _head_width(head: str, lines: int) -> int:
 
 
 def _fold(words: Sequence[str], width: int) -> list[str]:
-    """Return words in lines of a width at the most; longer words are broken."""
+    """Return words in lines of at most `width`; longer words are broken."""
     lines = [""]
     for word in words:
         if lines[-1] and len(lines[-1]) + 1 + len(word) <= width:

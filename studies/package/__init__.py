@@ -8,16 +8,16 @@
     plan.plot("plan.png")
     print(linkplan.compare(plan))
 
-Every name is loaded when it is first used: `import linkplan` itself loads no solver, no simulator and no plots. Angles are
-in degrees where a name says `_deg`, slides in metres (`_m`), all else is SI. Whatever is refused raises a `LinkplanError`
-with one sentence: what was asked, what is legal, what was got. Progress is logged under the name "linkplan" and told to
-`progress` where it is given.
+Every name is loaded when it is first used: `import linkplan` itself loads no solver, no simulator and no plots. Names with
+`_deg` are in degrees, everything else is in SI units. Invalid input raises a `LinkplanError` with one sentence: the
+argument, the legal values, and the given value. Progress is logged under the name "linkplan" and passed to `progress`, if
+it is given.
 """
 
 import importlib
 
-TYPE_CHECKING = False  # as typing's, which takes as long to load as all the rest here: a signal in that time is not heard
-if TYPE_CHECKING:  # what editors and type checkers read; `_HOMES` below says the same when the program runs
+TYPE_CHECKING = False  # like that of typing, which takes as long to load as everything else here
+if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same names at run time
     from linkplan.controllers.trackers.tracker import Tracker
     from linkplan.decompositions import decompose
     from linkplan.experiments import experiment
@@ -54,8 +54,8 @@ __all__ = [
     "tune",
 ]
 
-# The module of each public name, loaded when the name is first used (PEP 562). No module of this package bears a public
-# name: importing it would put the module in the name's place.
+# The module of each public name, loaded when the name is first used (PEP 562). No module of this package has a public name,
+# because its import would replace that name by the module.
 _HOMES = {
     "ExtraCost": "linkplan.planner.problem.extra",
     "ExtraLimit": "linkplan.planner.problem.extra",
@@ -80,7 +80,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    """Return a public name, its module loaded now."""
+    """Load the module of a public name and return the object."""
     if name == "__version__":
         from importlib.metadata import version
 

@@ -1,4 +1,4 @@
-"""`decompose`: where each tracker's error comes from."""
+"""`decompose`: the causes of each tracker's error."""
 
 from __future__ import annotations
 
@@ -22,9 +22,6 @@ from linkplan.studies.decompose.decomposition_text import decomposition_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# The largest seed.
-_MOST_SEED = 2**63 - 1
-
 
 def decompose(
     plan: Plan,
@@ -35,23 +32,23 @@ def decompose(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DecompositionResult:
-    """Return each tracker's rms error on a plan, split among its causes: signed parts that add up to it.
+    """Return each tracker's rms error on a plan, split among its causes: signed parts whose sum is the error.
 
-    From an ideal loop on, what a real one has is switched on one after another, and stays on: discretisation of the plan,
-    the feedforward that the tracker lacks, sampling and delay, the simulator, sensors and drives, model error, effort limits
+    Starting from an ideal loop, the effects of a real loop are switched on one by one: discretisation of the plan, the
+    feedforward that the tracker lacks, sampling and delay, the simulator, sensors and drives, model error, effort limits
     (docs/choose-a-tracker.md).
 
     Args:
         plan: with a motion.
         trackers: built-in names, or functions of the sampled reference that return a law.
-        imperfections: the table [imperfections] of a problem file, in place of the problem's; the default one where neither
-            has any (docs/experiments.md).
-        samples: machines that are drawn; a single one where nothing is random.
+        imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
+            default table (docs/experiments.md).
+        samples: number of random machines; there is a single one if nothing is random.
         seed: of all random numbers.
-        progress: called with a line of text now and then.
+        progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: when the plan has no motion, or something asked makes no sense.
+        LinkplanError: if the plan has no motion, or an argument is invalid.
     """
     if not isinstance(plan, Plan):
         raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
@@ -59,7 +56,7 @@ def decompose(
         raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise ProblemError(f"trackers are a list of names or functions, got {trackers!r}")
-    whole(seed, "seed", 0, _MOST_SEED)
+    whole(seed, "seed", 0, 2**63 - 1)
     answer, problem = plan.answer, plan.answer.problem
     if imperfections is not None:
         table = plain(imperfections)
@@ -70,16 +67,16 @@ def decompose(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class DecompositionResult:
-    """Where errors come from. `str(result)` is the table; `to_dict()` has every part, by cause and by joint."""
+    """The causes of errors. `str(result)` is the table; `to_dict()` has every part, by cause and by joint."""
 
     decomposition: study.Decomposition
 
     def to_dict(self) -> dict:
-        """Return all parts by name, in JSON's own types: "parts" add up to "rms_error", in deg or m."""
+        """Return all parts by name, in JSON types: the sum of "parts" is "rms_error", in deg or m."""
         return study.decomposition_record(self.decomposition)
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of every tracker's parts as bars; it is saved at `path` where one is given."""
+        """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""
         from linkplan.studies.decompose.draw_decomposition import decomposition_figure
 
         return drawn(path, lambda place: decomposition_figure(self.decomposition, place))

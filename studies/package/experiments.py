@@ -1,4 +1,4 @@
-"""`experiment`: trackers on many machines that are not as modelled, the same machines for each."""
+"""`experiment`: trackers on many imperfect machines, the same machines for each."""
 
 from __future__ import annotations
 
@@ -51,28 +51,28 @@ def experiment(
     threads: int = 0,
     progress: Progress | None = None,
 ) -> ExperimentResult:
-    """Return trackers' figures on many imperfect machines in MuJoCo, with 95 % confidence intervals.
+    """Return trackers' metrics on many imperfect machines in MuJoCo, with 95 % confidence intervals.
 
     Args:
         plan: with a motion.
-        trackers: built-in names, and your own as "module:object" or by an installed package's name for it.
-        samples: machines; a grid has as many as its levels make.
-        imperfections: the table [imperfections] of a problem file, in place of the problem's; the default one where neither
-            has any (docs/experiments.md).
+        trackers: built-in names, and your own as "module:object" or by the name that an installed package gives them.
+        samples: number of machines; for a grid, the levels determine it.
+        imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
+            default table (docs/experiments.md).
         seed: of all random numbers.
-        design: "latin-hypercube" or "grid"; "one-at-a-time", "morris" or "sobol" tell which imperfection matters most, with
-            as many whole groups of machines as fit into `samples`.
+        design: "latin-hypercube" or "grid"; or "one-at-a-time", "morris" or "sobol" for the sensitivity to imperfections,
+            with as many whole groups of machines as fit into `samples`.
         levels: of each random imperfection in a grid.
-        tube_deg: success is to stay so near to the path all the way, on every hinge.
-        tube_m: the same on every slide.
-        folder: where the results go, whole; what is done stands beside it until then, and the same call goes on from there.
-        workers: processes; more than one needs the caller's `if __name__ == "__main__":`.
+        tube_deg: a run succeeds if every hinge stays within this angle of the path.
+        tube_m: likewise, for slides.
+        folder: for the results, written whole. Finished parts are kept next to it, and the same call continues from them.
+        workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
         cluster: the address of a Dask scheduler, whose workers share the work.
         threads: of the simulator for each worker; 0 for an equal share of the cores.
-        progress: called with a line of text now and then.
+        progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: when the plan has no motion, something asked makes no sense, or the folder holds something else.
+        LinkplanError: if the plan has no motion, an argument is invalid, or the folder has other files.
     """
     if not isinstance(plan, Plan):
         raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
@@ -121,20 +121,20 @@ class ExperimentResult:
 
     @property
     def sensitivity(self) -> SensitivityResult | None:
-        """Which imperfection matters most for which tracker; None where the design does not tell."""
+        """The sensitivity of each tracker to each imperfection; None if the design is not one of sensitivity analysis."""
         found = self.outcome.sensitivity
         return None if found is None else SensitivityResult(outcome=self.outcome, found=found)
 
     def replay(self, tracker: str, sample: int) -> Rollout:
-        """Return one sample's run again, with its log in SI units."""
+        """Run one sample again and return the run, with its log in SI units."""
         return replay(self.outcome.experiment, tracker, sample)[0]
 
     def to_dict(self) -> dict:
-        """Return what was asked and what was found, in JSON's own types."""
+        """Return the settings and the results, in JSON types."""
         return json.loads(json.dumps(self.outcome.record))
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of how each tracker's figures are distributed; it is saved at `path` where one is given."""
+        """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
         from linkplan.studies.experiment.draw_experiment import experiment_figure
 
         one, summary = self.outcome.experiment, self.outcome.summary
@@ -152,29 +152,29 @@ class ExperimentResult:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class SensitivityResult:
-    """Which imperfection matters most for which tracker and metric. `str(result)` is the table.
+    """The sensitivity of each tracker and metric to each imperfection. `str(result)` is the table.
 
-    A metric is a name of `ExperimentResult.results`; the rms error where none is given.
+    A metric is a name of `ExperimentResult.results`, by default the rms error.
     """
 
     outcome: Outcome
     found: Sensitivity
 
     def ranking(self, tracker: str, metric: str | None = None) -> tuple[str, ...]:
-        """Return the imperfections' labels from the most important on."""
+        """Return the imperfections' labels, the most important first."""
         return self.found.ranking(*self._asked(tracker, metric))
 
     def importance(self, tracker: str, metric: str | None = None) -> dict[str, Estimate]:
-        """Return each imperfection's importance with its 95 % interval, by label: docs/experiments.md says what it is."""
+        """Return each imperfection's importance with its 95 % interval, by label (defined in docs/experiments.md)."""
         asked = self._asked(tracker, metric)
         return {factor.label: self.found.importance(*asked, i) for i, factor in enumerate(self.found.factors)}
 
     def to_dict(self) -> dict:
-        """Return every figure, in JSON's own types."""
+        """Return every value, in JSON types."""
         return json.loads(json.dumps(self.outcome.record["sensitivity"]))
 
     def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
-        """Return the tornado chart of a metric, a panel for each tracker; it is saved at `path` where one is given."""
+        """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
         from linkplan.studies.experiment.draw_tornado import tornado_figure, tornado_title
 
         _, name = self._asked(next(iter(self.found.influences)), metric)

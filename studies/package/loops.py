@@ -1,4 +1,4 @@
-"""`bode` and `tune`: a tracker's loop over the mechanism's poses, and gains for what it is to do."""
+"""`bode` and `tune`: a tracker's feedback loop over the mechanism's poses, and gains for requirements."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ def bode(
     """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
 
     Args:
-        subject: a mechanism, a `Problem`, or the name or path of either; every freedom has its actuator.
+        subject: a mechanism, a `Problem`, or the name or path of either; every degree of freedom has an actuator.
         tracker: "pd", "pd+ff" or "lqr".
-        tracking: settings in place of the problem's, by the keys of its [tracking] table: kp [N.m/rad], kd [N.m.s/rad],
-            period_s, delay_periods (here a broken number will do), lqr_position_deg, ...
-        at_deg: poses to look at, each independent hinges' angles [deg] by joint name; by default five over the problem's
-            motion, seven over the reach, or home where there are several freedoms.
-        at_m: the same of slides [m].
-        measure: "sinestream", "multisine" or "chirp"; None measures nothing.
-        frequency_hz: where to measure [Hz], below half the sampling rate; by default twenty about the crossover.
+        tracking: settings that replace the problem's, by the keys of its [tracking] table: kp [N.m/rad], kd [N.m.s/rad],
+            period_s, delay_periods (here it may be a fraction), lqr_position_deg, ...
+        at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name; by default five over the problem's
+            motion, seven over the reach, or home with several degrees of freedom.
+        at_m: likewise, for slides [m].
+        measure: "sinestream", "multisine" or "chirp"; None for no measurement.
+        frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover.
         amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
-        progress: called with a line of text now and then.
+        progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: for a pose that cannot be held, or a number that makes no sense.
+        LinkplanError: if a pose cannot be held, or an argument is invalid.
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
@@ -99,22 +99,21 @@ def tune(
     at_m: Sequence[Mapping[str, float]] = (),
     progress: Progress | None = None,
 ) -> TuneResult:
-    """Return gains that do what is wanted at the worst pose, or the nearest miss and why.
+    """Return gains that meet the requirements at the worst pose, or the nearest ones with the reason why none do.
 
     Args:
         subject: a mechanism of one degree of freedom, a `Problem` of one, or the name or path of either.
-        bandwidth_hz: of the closed loop, at least [Hz].
-        phase_margin_deg: at least [deg].
+        bandwidth_hz: least bandwidth of the closed loop [Hz].
+        phase_margin_deg: least phase margin [deg].
         sensitivity_peak: the largest sensitivity; by default any.
         tracker: "pd", "pd+ff" or "lqr".
-        tracking: settings in place of the problem's, of which the period and delay count, as `bode` takes them.
-        at_deg: poses, as `bode` takes them; `at_m` on slides.
-        at_m: the same of slides [m].
-        progress: called with a line of text now and then.
+        tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
+        at_deg: poses, as for `bode`.
+        at_m: likewise, for slides [m].
+        progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: for a bandwidth beyond half the sampling rate, a mechanism of several freedoms, or a number that
-            makes no sense.
+        LinkplanError: for a bandwidth above half the sampling rate, several degrees of freedom, or an invalid argument.
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
@@ -147,7 +146,7 @@ def _loop_of(subject: Subject, tracking: object):
 
 
 def _settings(table: dict, mechanism: Mechanism) -> Tracking:
-    """Return the tracking settings of a table, whose delay may be a broken number of periods."""
+    """Return the tracking settings of a table; its delay may be a fraction of a period."""
     delay = number(table.get("delay_periods", 0), "tracking.delay_periods", at_least_zero=True)
     if delay > MOST_DELAY_PERIODS:
         raise ProblemError(f"tracking.delay_periods is a number from 0 to {MOST_DELAY_PERIODS}, got {delay:g}")
@@ -167,14 +166,14 @@ def _frequencies(frequency_hz: object) -> np.ndarray | None:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class BodeResult:
-    """A loop's frequency response. `str(result)` is the table; `to_dict()` has every figure, its unit in its name."""
+    """A loop's frequency response. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
 
     study: BodeStudy
     note: str | None
 
     @property
     def stable(self) -> bool:
-        """Whether the sampled loop is stable at every pose looked at."""
+        """Whether the sampled loop is stable at every analysed pose."""
         return self.study.stable
 
     @property
@@ -183,21 +182,21 @@ class BodeResult:
         return self.study.message
 
     def to_dict(self) -> dict:
-        """Return all figures by name, in JSON's own types."""
+        """Return all values by name, in JSON types."""
         from linkplan.planner.files.folders import plain_record
         from linkplan.studies.bode.bode_report import bode_record
 
         return plain_record(bode_record(self.study) | {"note": self.note})
 
     def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
-        """Return the figure of open and closed loop at every pose; it is saved at `path` where one is given.
+        """Return the figure of open and closed loop at every pose, saved at `path` if it is given.
 
         Args:
-            path: where to save.
-            joint: whose loop, of a mechanism of several freedoms; by default the first independent joint's.
+            path: of the picture.
+            joint: of the loop, for several degrees of freedom; by default the first independent joint.
 
         Raises:
-            LinkplanError: for a joint that is not independent.
+            LinkplanError: if the joint is not independent.
         """
         from linkplan.studies.bode.draw_bode import bode_figure
 
@@ -217,14 +216,14 @@ class BodeResult:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class TuneResult:
-    """Gains for what a loop is to do. `str(result)` is the report; `to_dict()` has every figure, its unit in its name."""
+    """Gains for requirements. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
     tuning: tuning.Tuning
     note: str | None
 
     @property
     def found(self) -> bool:
-        """Whether the gains do what is wanted at every pose; where not, they are the nearest miss."""
+        """Whether the gains meet the requirements at every pose; if not, they are the nearest ones."""
         return self.tuning.found
 
     @property
@@ -234,17 +233,17 @@ class TuneResult:
 
     @property
     def tracking(self) -> dict[str, float]:
-        """The gains as the `tracking` table that problems, `track`, `compare` and `bode` take."""
+        """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
         return tune_report.tracking_values(self.tuning)
 
     def to_dict(self) -> dict:
-        """Return all figures by name, in JSON's own types."""
+        """Return all values by name, in JSON types."""
         from linkplan.planner.files.folders import plain_record
 
         return plain_record(tune_report.tune_record(self.tuning) | {"note": self.note})
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of bandwidth and margins over the poses; it is saved at `path` where one is given."""
+        """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""
         from linkplan.studies.tune.draw_tune import tune_figure
 
         return drawn(path, lambda place: tune_figure(self.tuning, place))

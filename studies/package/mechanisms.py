@@ -1,4 +1,4 @@
-"""`load_mechanism` and `check`: from an MJCF model to an assembled mechanism, and what is to be known before planning."""
+"""`load_mechanism` and `check`: from an MJCF model to an assembled mechanism, and a report on it before planning."""
 
 from __future__ import annotations
 
@@ -33,25 +33,26 @@ def load_mechanism(
     closure_tolerance_m: float | None = None,
     friction_transition_deg_s: float | None = None,
 ) -> Mechanism:
-    """Return the mechanism of a built-in name, an MJCF file or MJCF text, its loops closed.
+    """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
     Args:
-        path_or_name: a built-in name (`linkplan list` has them), a path to an MJCF file, or MJCF text.
-        home_deg: hinges' angles [deg] by joint name at which to assemble: independent joints are held there, the others
-            choose the branch. By default the model's keyframe "home", else its reference pose.
-        home_m: slides' positions [m], likewise.
-        independent: names of the joints to plan in; by default the driven ones.
+        path_or_name: a built-in name (listed by `linkplan list`), a path to an MJCF file, or MJCF text.
+        home_deg: hinges' angles [deg] by joint name for the assembly: independent joints are held there, the others choose
+            the branch. By default the model's keyframe "home", else its reference pose.
+        home_m: likewise, slides' positions [m].
+        independent: names of the independent joints; by default the driven joints.
         payload: a rigid body welded on: a built-in name ("shank"), or a table with `body`, `mass_kg`, `com_m` (3 numbers
-            in the body's frame) and, where it is known, `inertia_kgm2` (3 moments about its centre of mass).
-        solref: "stiff" for the stiffest closures in simulation that the model's timestep admits; by default the model's own.
-        closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; a micrometre
-            by default, or a hundred thousandth of a small mechanism.
-        friction_transition_deg_s: the speed v_0 about which dry friction f tanh(v / v_0) turns over; 2 by default. On
-            slides and tendons as many rad/s times the mechanism's size.
+            in the body's frame) and, if it is known, `inertia_kgm2` (3 moments about its centre of mass).
+        solref: "stiff" for the stiffest closures in simulation that the model's timestep admits; by default those of the
+            model.
+        closure_tolerance_m: a motion that opens the loops by less than this [m] counts as free, because only rounding in the
+            file forbids it; by default a micrometre, or a hundred thousandth of a small mechanism.
+        friction_transition_deg_s: the speed v_0 of the dry friction f tanh(v / v_0); by default 2. For slides and tendons,
+            this speed in rad/s is multiplied by the mechanism's extent.
 
     Raises:
-        LinkplanError: when the model cannot be used (`ModelError`, naming why), its loops do not close at the pose asked
-            (`AssemblyError`), or a value is none of the above (`ProblemError`).
+        LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
+            (`AssemblyError`), or a value is invalid (`ProblemError`).
     """
     said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
     said["closure_tolerance_m"] = closure_tolerance_m
@@ -63,18 +64,18 @@ def load_mechanism(
 def check(
     subject: Subject, *, at_deg: Sequence[Mapping[str, float]] = (), at_m: Sequence[Mapping[str, float]] = ()
 ) -> CheckResult:
-    """Return what is to be known of a mechanism before planning, along a problem's motion where one is given.
+    """Return the report on a mechanism before planning, along the motion of a problem if one is given.
 
-    A model that is no mechanism as it stands, locked or not assembled, is reported on too: `problems` says why. So is the
-    mechanism of a problem file that cannot be planned, and `notes` says why not.
+    A model that is locked or not assembled has a report, too, with the reason in `problems`. For a problem file that cannot
+    be planned, the report is on its mechanism, with the reason in `notes`.
 
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either.
-        at_deg: poses to report on besides, each independent hinges' angles [deg] by joint name.
-        at_m: the same of slides [m].
+        at_deg: further poses for the report, each the independent hinges' angles [deg] by joint name.
+        at_m: likewise, for slides [m].
 
     Raises:
-        LinkplanError: for a pose that is beyond reach, or a subject that cannot be read.
+        LinkplanError: if a pose is out of reach, or the subject cannot be read.
     """
     from linkplan.studies.check.refused_model import REFUSED, RefusedModel
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
@@ -94,31 +95,31 @@ def check(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class CheckResult:
-    """What `check` found. `str(result)` is the report; `to_dict()` has every figure, its unit in its name."""
+    """The findings of `check`. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
     found: WholeCheck | RefusedModel
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong, each in a sentence; empty for a mechanism that is fit to plan with."""
+        """The faults, each a sentence; empty for a mechanism without faults."""
         return self.found.problems
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is worth knowing but no fault, each in a sentence."""
+        """Further facts that are no faults, each a sentence."""
         return self.found.notes
 
     def to_dict(self) -> dict:
-        """Return all figures by name, in JSON's own types."""
+        """Return all values by name, in JSON types."""
         from linkplan.planner.files.folders import plain_record
 
         return plain_record(self.found.record())
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of the mechanism over its reach; it is saved at `path` where one is given.
+        """Return the figure of the mechanism over its reach, saved at `path` if it is given.
 
         Raises:
-            LinkplanError: when the model is no mechanism as it stands.
+            LinkplanError: if the model is not a valid mechanism.
         """
         from linkplan.studies.check.draw_mechanism import inspection_figure
         from linkplan.studies.check.refused_model import RefusedModel

@@ -1,4 +1,4 @@
-"""`NextMotion`: what `Planner.step` returns."""
+"""`NextMotion`: the result of `Planner.step`."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from linkplan.problems import Problem
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class NextMotion:
-    """A motion next to an optimal one, by a few Newton steps from the last: not certified, its error bounded."""
+    """A nearly optimal motion, a few Newton steps from the last one: not certified, but with bounds on its error."""
 
     problem: Problem
     step: MotionStep
 
     @property
     def settled(self) -> bool:
-        """Whether the steps shrink, so that the bounds hold; else plan anew."""
+        """Whether the Newton steps converge, so that the bounds hold; if not, call `plan`."""
         return self.step.settled
 
     @property
     def duration_s(self) -> float:
-        """How long the motion takes [s]."""
+        """The duration of the motion [s]."""
         return self.step.trajectory.duration_s
 
     @property
     def violation(self) -> float:
-        """The most by which a row of the program (dynamics, loops, limits), in its own unit of order one, is overstepped."""
+        """The largest violation of a row of the program (dynamics, loops, limits), scaled to order one."""
         return self.step.violation
 
     @property
     def position_error(self) -> dict[str, float]:
-        """By independent joint, how far [deg or m] positions at nodes may be from the optimal ones on the same mesh."""
+        """A bound, by independent joint, on the error [deg or m] of positions at nodes from the optimum on this mesh."""
         joints = self.problem.mechanism.independent_joints
         return {j.name: float(j.shown(x)) for j, x in zip(joints, self.step.position_error, strict=True)}
 
     @property
     def effort_error(self) -> dict[str, float]:
-        """By actuator, how far [N.m or N] its effort may be from the optimal motion's on the same mesh, at any instant."""
+        """A bound, by actuator, on the error [N.m or N] of the effort at any instant from the optimum on this mesh."""
         actuators = self.problem.mechanism.actuators
         return {a.name: float(x) for a, x in zip(actuators, self.step.effort_error, strict=True)}
 
     def sample(self, time_s: float | np.ndarray | None = None) -> MotionTable:
-        """Return the motion at times (n,) or a time [s], as `Plan.sample` does; by default ten instants of every interval.
+        """Return the motion at times (n,) or a time [s], like `Plan.sample`; by default at ten instants of every interval.
 
         Raises:
-            LinkplanError: when the loops do not close along the motion, or a time is no finite number.
+            LinkplanError: if the loops do not close along the motion, or a time is not finite.
         """
         time = times_of(time_s)
         motion = planned.Plan(

@@ -1,4 +1,4 @@
-"""Paths and times that callers give, refused in one line where they are none."""
+"""Checks of paths and times given by callers."""
 
 import os
 from collections.abc import Callable
@@ -12,15 +12,12 @@ from linkplan.models.errors import PlanFileError, ProblemError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Bytes of a name on the usual disks.
-_LONGEST = 255
-
 
 def path_of(value: object, key: str) -> Path:
-    """Return the path that a caller means.
+    """Return the path given by a caller.
 
     Raises:
-        ProblemError: naming the argument, when it is no text and no path, or one that nothing can have.
+        ProblemError: with the name of the argument, if it is neither text nor a path, or if no file can have this path.
     """
     if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
         raise ProblemError(f"{key} is a path, a text or a pathlib.Path, got {value!r}")
@@ -29,16 +26,16 @@ def path_of(value: object, key: str) -> Path:
         parts = [os.fsencode(part) for part in Path(text).parts]
     except UnicodeEncodeError as error:
         raise ProblemError(f"{key} is a path, got what is no text: {text!r}") from error
-    if not text or "\0" in text or any(len(part) > _LONGEST for part in parts):
-        raise ProblemError(f"{key} is a path whose names have 1 to {_LONGEST} bytes, none of them zero, got {text!r}")
+    if not text or "\0" in text or any(len(part) > 255 for part in parts):
+        raise ProblemError(f"{key} is a path whose names have 1 to 255 bytes, none of them zero, got {text!r}")
     return Path(text)
 
 
 def drawn(path: object, draw: Callable[[Path | None], "Figure"]) -> "Figure":
-    """Return a figure, saved at a path where one is given.
+    """Return a figure, saved at a path if one is given.
 
     Raises:
-        LinkplanError: when the path is none, the disk refuses it, or its suffix is no kind of picture.
+        LinkplanError: if the path is invalid, the file cannot be written, or its suffix is not that of a picture.
     """
     if path is None:
         return draw(None)
@@ -50,10 +47,10 @@ def drawn(path: object, draw: Callable[[Path | None], "Figure"]) -> "Figure":
 
 
 def times_of(time_s: object) -> np.ndarray | None:
-    """Return times [s] as an array, of one number () or of a row (n,); None of None.
+    """Return times [s] as an array of shape () for a number or (n,) for a row; None for None.
 
     Raises:
-        ProblemError: for what is no finite number, and no row of such.
+        ProblemError: for anything but finite numbers.
     """
     try:
         time = None if time_s is None else np.asarray(time_s, dtype=float)

@@ -1,4 +1,4 @@
-"""Values that users give, as the tables of a problem file have them: numpy's numbers and arrays, tuples, paths."""
+"""Conversion of users' values, such as numpy arrays, tuples and paths, to the types of a problem file's tables."""
 
 from linkplan.planner.problem.values import plain
 

@@ -1,4 +1,4 @@
-"""`plan`, `Plan`, `read_plan`, `Planner`, `solve_ocp`: from a problem to a certified motion, or why there is none."""
+"""`plan`, `Plan`, `read_plan`, `Planner`, `solve_ocp`: from a problem to a certified motion, or the reason for none."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
 
 def plan(problem: Problem | str | Path, progress: Progress | None = None) -> Plan:
-    """Return the plan of a problem; one without an answer says why in `message`.
+    """Return the plan of a problem; without a motion, its `message` has the reason.
 
     Args:
-        problem: what to plan; a built-in name or a problem file's path will do.
-        progress: called with a line of text now and then.
+        problem: a `Problem`, a built-in name or the path of a problem file.
+        progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: when the problem is none.
+        LinkplanError: if the problem is invalid.
     """
     asked = _problem(problem)
     return Plan(problem=asked, answer=plan_motion(asked.planning, listener(progress)))
@@ -53,18 +53,18 @@ def read_plan(
     extra_costs: Sequence[ExtraCost] = (),
     extra_limits: Sequence[ExtraLimit] = (),
 ) -> Plan:
-    """Return a saved plan: its problem built again, its certificate made anew from the motion on disk.
+    """Return a saved plan, with its problem built again and a new certificate of the saved motion.
 
     Args:
-        folder: where it was saved.
-        anyway: whether a plan whose motion does not pass its certificate is returned, its status "failed", and not refused.
-        extra_costs: those that it was planned with. Files do not hold them: without them the objective is not checked, which
-            a note of the plan says.
+        folder: of the plan.
+        anyway: whether a plan that does not pass its certificate is returned, with status "failed", instead of refused.
+        extra_costs: those of the plan. Files do not contain them: without them the objective is not checked, and the plan
+            has a note on it.
         extra_limits: likewise, the limits.
 
     Raises:
-        CertificateError: when the motion does not pass.
-        LinkplanError: when the folder or a file in it is missing, truncated, no plan's, or its model has changed since.
+        CertificateError: if the motion does not pass.
+        LinkplanError: if the folder or a file in it is missing, truncated, or not that of a plan, or its model has changed.
     """
     folder = path_of(folder, "folder")
     answer = plan_folder.read_plan(folder, anyway=anyway, extra_costs=extra_costs, extra_limits=extra_limits)
@@ -79,14 +79,14 @@ def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
 
     Args:
         problem: dynamics, cost, boundary values and limits, in CasADi's SX.
-        progress: called with a line of text now and then.
+        progress: called with lines on the progress.
 
     Returns:
-        A plan with `status`, `message`, `objective`, `certificate`, `require()` and `trajectory`, whose `state_at(t)` and
-        `effort_at(t)` give states (n, n_x) and efforts (n, n_u) at times (n,).
+        A plan with `status`, `message`, `objective`, `certificate`, `require()` and `trajectory`. The methods `state_at(t)`
+        and `effort_at(t)` of the trajectory return states (n, n_x) and efforts (n, n_u) at times (n,).
 
     Raises:
-        LinkplanError: when the problem is no `OdeProblem`.
+        LinkplanError: if `problem` is not an `OdeProblem`.
     """
     if not isinstance(problem, OdeProblem):
         raise ProblemError(f"solve_ocp takes an OdeProblem, got {problem!r}")
@@ -94,39 +94,39 @@ def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
 
 
 class Planner:
-    """A planner for many problems that differ in numbers: each is solved from the last one's solution where that serves.
+    """A planner for many problems that differ in numbers only; each solve starts from the last solution, if possible.
 
     Payload, start, goal, duration, limits, waypoints, weights and references are such numbers. Mutable: it keeps its last
-    program; threads that share a planner wait for each other. A copy, or one that a pickle brings to another process, is a
-    new one, without `progress`.
+    program. Threads that share a planner wait for each other. A copied or unpickled planner is new and has no `progress`.
 
     Args:
-        progress: called with a line of text now and then.
+        progress: called with lines on the progress.
     """
 
     def __init__(self, progress: Progress | None = None) -> None:
         self._planner = Replanner(listener(progress))
 
     def __reduce__(self) -> tuple:
-        return Planner, ()  # solvers and locks are this process's own
+        return Planner, ()  # solvers and locks cannot be pickled
 
     def plan(self, problem: Problem | str | Path) -> Plan:
-        """Return the plan of a problem, as `linkplan.plan` does, sooner where it can.
+        """Return the plan of a problem like `linkplan.plan`, but faster if the last plan is similar.
 
         Raises:
-            LinkplanError: when the problem is none.
+            LinkplanError: if the problem is invalid.
         """
         asked = _problem(problem)
         return Plan(problem=asked, answer=self._planner.plan(asked.planning))
 
     def step(self, problem: Problem | str | Path) -> NextMotion | None:
-        """Return the motion to which a few Newton steps lead from the last plan, for replanning at the rate of control.
+        """Return a motion by a few Newton steps from the last plan, for replanning at the rate of control.
 
-        A quarter of the time of `plan`, the same in every call but the first. It is not certified: its error is bounded.
-        The next step begins here. None where the last plan differs from the problem in more than numbers: `plan` it.
+        A step takes a quarter of the time of `plan`, the same in every call but the first. The motion is not certified, but
+        has bounds on its error. The next step starts from it. Returns None if the problem differs from the last one in more
+        than numbers; then call `plan`.
 
         Raises:
-            LinkplanError: when the problem is none.
+            LinkplanError: if the problem is invalid.
         """
         asked = _problem(problem)
         step = self._planner.step(asked.planning)
@@ -135,9 +135,9 @@ class Planner:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Plan:
-    """A certified motion, or none and the reason. `str(plan)` is its report; `to_dict()` has every figure of it.
+    """A certified motion, or the reason why there is none. `str(plan)` is its report; `to_dict()` has every value.
 
-    `problem` is what was asked. Times are in seconds from the motion's start.
+    Times are in seconds from the motion's start.
     """
 
     problem: Problem
@@ -145,42 +145,42 @@ class Plan:
 
     @property
     def status(self) -> str:
-        """How it ended: "optimal" (converged and certified), "feasible" (certified), "infeasible" or "failed".
+        """The status: "optimal" (converged and certified), "feasible" (certified), "infeasible" or "failed".
 
-        A feasible motion is not known to be the best of those near to it: `message` says why.
+        A feasible motion may not be locally optimal; `message` has the reason.
         """
         return self.answer.status
 
     @property
     def message(self) -> str:
-        """The answer in a sentence: of a plan without a motion, which limit, which joint, when, by how much."""
+        """The answer in a sentence; without a motion, it names the limit, the joint, the instant and the excess."""
         return self.answer.message
 
     @property
     def objective(self) -> float | None:
-        """What was least, in SI units: effort [N2 m2 s], time [s], tracking [rad2 s], work [J], ...; None if unknown."""
+        """The value of the objective in SI units: effort [N2 m2 s], time [s], tracking [rad2 s], ...; None if unknown."""
         return self.answer.objective
 
     @property
     def duration_s(self) -> float | None:
-        """How long the motion takes [s]; None without one."""
+        """The duration of the motion [s]; None without a motion."""
         return None if self.answer.trajectory is None else self.answer.trajectory.duration_s
 
     @property
     def certificate(self) -> Certificate | None:
-        """What was checked between the nodes: `passed`, `failures` and every figure, in SI units; None without a motion."""
+        """The checks between the nodes: `passed`, `failures` and all values, in SI units; None without a motion."""
         return self.answer.certificate
 
     @property
     def history(self) -> tuple[Step, ...]:
-        """The solves that led here, in order, each with what was tried and what came of it."""
+        """The solves before this plan, in order, each with its settings and its result."""
         return self.answer.history
 
     def require(self) -> Plan:
-        """Return this plan if its motion is certified, be it optimal or feasible.
+        """Return this plan if its motion is certified (optimal or feasible).
 
         Raises:
-            InfeasibleError: a `LinkplanError` with the message, carrying the plan as `.plan`, if it has none.
+            InfeasibleError: otherwise: a `LinkplanError` with the message and with the plan as `.plan`.
         """
         if not self.answer.passed:
             raise InfeasibleError(self.message, self)
@@ -191,17 +191,17 @@ class Plan:
 
         Args:
             time_s: a time or times (n,) [s], in any order; by default ten instants of every interval. A periodic motion
-                goes on beyond its ends, any other rests there.
-            jumps: whether the default times have both sides of a jump in effort, at one time; else they increase strictly.
+                continues beyond its ends, any other motion rests there.
+            jumps: whether the default times have both sides of a jump in effort, at equal times; else they increase.
 
         Returns:
-            `time_s`; `position` [deg or m], dependent joints too, and `speed`, by joint; `acceleration` of the independent
-            joints; `effort` [N.m or N] by actuator: arrays (n,), or numbers of a single time. `unit` and `effort_unit` say
-            which; `site` are the sites that the problem names, (n, 3) or (3,) [m] in the world. `columns()` has all under
-            heads with units.
+            `time_s`; `position` [deg or m] and `speed` of all joints by name; `acceleration` of the independent joints;
+            `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and `effort_unit` are their
+            units; `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world frame. `columns()` returns
+            all columns under heads with units.
 
         Raises:
-            LinkplanError: when the plan has no motion, or a time is no finite number.
+            LinkplanError: if the plan has no motion, or a time is not finite.
         """
         self._moves("sample")
         time = times_of(time_s)
@@ -209,20 +209,20 @@ class Plan:
         return table.single() if time is not None and time.ndim == 0 else table
 
     def to_frame(self, time_s: np.ndarray | None = None) -> pandas.DataFrame:
-        """Return the motion at times (n,) [s] as a pandas table, one row a time, units in the columns' names.
+        """Return the motion at times (n,) [s] as a pandas table, with a row for each time and units in the columns' names.
 
         Raises:
-            MissingPackageError: when pandas is not installed.
-            LinkplanError: as `sample` does.
+            MissingPackageError: if pandas is not installed.
+            LinkplanError: as for `sample`.
         """
         table = self.sample(None if time_s is None else np.atleast_1d(time_s))
         return load_extra("pandas", "Plan.to_frame").DataFrame(table.columns())
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of positions, speeds and efforts over time; it is saved at `path` where one is given.
+        """Return the figure of positions, speeds and efforts over time, saved at `path` if it is given.
 
         Raises:
-            LinkplanError: when the plan has no motion.
+            LinkplanError: if the plan has no motion.
         """
         self._moves("draw")
         from linkplan.studies.output.draw_plan import plan_figure
@@ -235,7 +235,7 @@ class Plan:
         A folder that holds an older plan is replaced. With `jumps`, trajectory.csv has both sides of a jump in effort.
 
         Raises:
-            LinkplanError: when the plan has no motion, the folder holds other files, or the disk refuses.
+            LinkplanError: if the plan has no motion, the folder has other files, or it cannot be written.
         """
         self._moves("save")
         from linkplan.studies.output.save_plan import save_plan
@@ -248,7 +248,7 @@ class Plan:
         """Write the plan's report, one HTML file that opens offline, and return its path.
 
         Raises:
-            LinkplanError: when something that is no report stands there.
+            LinkplanError: if another file exists at the path.
         """
         from linkplan.studies.report.render import write_report
         from linkplan.studies.report.reports import plan_report
@@ -258,7 +258,7 @@ class Plan:
         return place
 
     def to_dict(self) -> dict:
-        """Return what plan.json has of a plan: status, message, certificate, history, problem, versions; units in names."""
+        """Return the record of plan.json: status, message, certificate, history, problem, versions; units in names."""
         return plan_folder.record(self.answer)
 
     def _moves(self, what: str) -> None:
@@ -271,8 +271,8 @@ class Plan:
         return plan_text(self.answer)
 
     def __repr__(self) -> str:
-        lasts = "no motion" if self.duration_s is None else f"{self.duration_s:.6g} s"
-        return f"Plan({self.problem.name!r}, {self.status}, {lasts})"
+        duration = "no motion" if self.duration_s is None else f"{self.duration_s:.6g} s"
+        return f"Plan({self.problem.name!r}, {self.status}, {duration})"
 
 
 def _problem(problem: object) -> Problem:

@@ -1,4 +1,4 @@
-"""`Problem`: which motion of which mechanism, best in which sense, within which limits; stated in users' units and names."""
+"""`Problem`: the mechanism, the motion, the objective and the limits, in users' units and names."""
 
 from __future__ import annotations
 
@@ -19,34 +19,32 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
 
 ByName = Mapping[str, float]
-# Arguments of the builders that are whole tables of a problem file, and those that are keys of one.
+# Arguments of the builders that are whole tables of a problem file, and those that are keys of a table.
 _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking")
 _MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
-# Names stand in titles of figures and in tables.
-_LONGEST_NAME = 500
 _EXTRAS = ("extra_costs", "extra_limits")
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Problem:
-    """A planning problem that was checked as a whole: what it asks makes sense, and the mechanism reaches it.
+    """A planning problem, checked as a whole: it is consistent, and the mechanism reaches its poses.
 
     Made by `Problem.reach`, `.periodic`, `.track` or `.from_file`; varied by `replace` and `with_settings`. All builders
-    take the same arguments, each as the tables of a problem file have them:
+    take the same arguments, in the form of a problem file's tables:
 
     Args:
-        mechanism: from `load_mechanism`, or what that takes: a built-in name, a path, MJCF text.
-        start_deg, goal_deg: hinges' angles [deg] by joint name, of the independent joints; dependent ones may be named too
-            and are checked against the closed loop. `start_m`, `goal_m`: slides' positions [m].
-        start_at, goal_at: in place of joints, where sites of the model are, by name [m] in the world's frame:
-            {"foot": [x, y, z]}, or the coordinates that matter, {"foot": {"z": 0.2}}. The pose is found by inverse
-            kinematics, the nearest to the start; the end of a reach may leave it open.
+        mechanism: from `load_mechanism`, or an argument for it: a built-in name, a path, MJCF text.
+        start_deg, goal_deg: angles [deg] of the independent hinges by joint name; dependent hinges may be named, too, and
+            are checked against the closed loop. `start_m`, `goal_m`: slides' positions [m].
+        start_at, goal_at: instead of joints, positions [m] of the model's sites in the world frame, by name:
+            {"foot": [x, y, z]}, or some coordinates, {"foot": {"z": 0.2}}. Inverse kinematics finds the nearest pose to the
+            start. The position at the end of a reach may leave the pose open.
         start_speed_deg_s, goal_speed_deg_s: independent speeds [deg/s]; `..._m_s` [m/s] on slides. At rest by default.
-        duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s` where they are given.
-        waypoints: tables in order, with `at_deg`, `at_m` or `at` (places of sites), `speed_deg_s`, `speed_m_s`, `time_s`,
-            whichever are known.
-        turns: whole turns by joint that a periodic motion goes on by in a period, {"O": 1}; their sign is the direction.
+        duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s`, if they are given.
+        waypoints: tables in order, with any of `at_deg`, `at_m`, `at` (positions of sites), `speed_deg_s`, `speed_m_s`,
+            `time_s`.
+        turns: whole turns by joint that a periodic motion makes in a period, {"O": 1}; their sign is the direction.
         minimize: effort, time, tracking, work, copper_loss, effort_rate or closure_force, or a table of weights.
         reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `effort_rate`, `power_w`, `closure_force`, each by name, and
@@ -57,13 +55,13 @@ class Problem:
         mesh: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`.
         solver: `starts`, `compile`, `max_time_s`.
         tracking: `kp`, `kd`, `period_s`, `delay_periods`, `duration_s` and the weights of LQR.
-        extra_costs: a list of `ExtraCost`, running costs beside `minimize`; with {} there they are the whole objective.
-        extra_limits: a list of `ExtraLimit`, limits on every instant.
-        name: of the problem in messages, tables and files; by default the mechanism's with the kind of motion.
+        extra_costs: a list of `ExtraCost`, running costs in addition to `minimize`, or the whole objective if that is {}.
+        extra_limits: a list of `ExtraLimit`, limits at every instant.
+        name: of the problem in messages, tables and files; by default the mechanism's name with the kind of motion.
 
     Raises:
-        LinkplanError: with one sentence, for anything that a problem file would be refused for, and where start, goal,
-            waypoints or reference lie beyond the mechanism's reach.
+        LinkplanError: with one sentence, if a problem file with these tables would be refused, or if start, goal, waypoints
+            or reference are out of reach.
     """
 
     planning: PlanningProblem
@@ -105,9 +103,9 @@ class Problem:
         extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
     ) -> Problem:
-        """Return the problem of going from a start to a goal; the arguments are those of `Problem`.
+        """Return the problem of a motion from a start to a goal; the arguments are those of `Problem`.
 
-        Without `duration_s` the duration is free. By default the integral of squared efforts is least.
+        Without `duration_s` the duration is free. The default objective is the integral of squared efforts.
         """
         return _built("reach", mechanism, name, locals())
 
@@ -139,11 +137,11 @@ class Problem:
         extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
     ) -> Problem:
-        """Return the problem of a motion that returns to its own first state; the arguments are those of `Problem`.
+        """Return the problem of a motion that returns to its first state; the arguments are those of `Problem`.
 
-        It moves between `start_deg` and `goal_deg`, where it is after half the period, or by way of `waypoints`, or comes
-        nearest to the `reference`, whose period is then its duration and whose distance is least by default. With `turns`
-        hinges go on by whole turns in every period.
+        The motion goes from `start_deg` to `goal_deg` in half the period and back, or through `waypoints`, or it follows the
+        `reference`. With a reference, the duration is that of its period and the default objective is the tracking error.
+        With `turns`, hinges turn by whole turns in every period.
         """
         return _built("periodic", mechanism, name, locals())
 
@@ -170,12 +168,12 @@ class Problem:
         """Return the problem of a built-in name or a TOML file.
 
         Args:
-            path_or_name: a built-in name (`linkplan list` has them) or a path. Paths in a file are from its own folder, else
-                the working folder.
-            settings: values that stand in for the file's, by dotted key: {"motion.duration_s": 0.2}.
+            path_or_name: a built-in name (listed by `linkplan list`) or a path. Paths in a file are relative to its folder,
+                else to the working folder.
+            settings: values that replace those of the file, by dotted key: {"motion.duration_s": 0.2}.
 
         Raises:
-            LinkplanError: for anything in the file or the settings that cannot be used.
+            LinkplanError: if the file or the settings are invalid.
         """
         name, tables, folder = read_tables(path_or_name)
         _set(tables, settings)
@@ -192,24 +190,24 @@ class Problem:
         return self.planning.mechanism
 
     def to_dict(self) -> dict:
-        """Return the problem as the tables of a problem file, a copy; extra costs and limits have no place in them."""
+        """Return a copy of the problem as the tables of a problem file, without extra costs and limits."""
         return copy.deepcopy(self.planning.source)
 
     def to_toml(self) -> str:
-        """Return the problem as the text of a problem file: `from_file` of it, written down, is the same problem.
+        """Return the problem as the text of a problem file, from which `from_file` returns the same problem.
 
-        Extra costs and limits are Python and not in it: a comment in its first line names them.
+        The text does not contain extra costs and limits, which are Python code; a comment in its first line names them.
         """
         return file_text(self.planning)
 
     def replace(self, **changes: object) -> Problem:
-        """Return the problem with some of the builders' arguments in place of what they were; None takes one back.
+        """Return the problem with new values of some of the builders' arguments; None removes an argument.
 
-        A table, such as `limits`, is replaced as a whole; `with_settings` changes single values in one. Beside the
-        builders' arguments there are `payload`, `home_deg`, `home_m` and `independent`, of the mechanism.
+        A table, such as `limits`, is replaced as a whole; `with_settings` changes single values in a table. Further
+        arguments are `payload`, `home_deg`, `home_m` and `independent`, of the mechanism.
 
         Raises:
-            LinkplanError: for an unknown argument, or as the builders do.
+            LinkplanError: for an unknown argument, or as for the builders.
         """
         legal = ("mechanism", *_MECHANISM, *_MOTION, "minimize", *_SECTIONS, *_EXTRAS, "name")
         for key in changes:
@@ -229,10 +227,10 @@ class Problem:
         return _checked(problem_from_tables(self.name if name is None else _name(name), tables, None, mechanism, **extras))
 
     def with_settings(self, settings: Mapping[str, object]) -> Problem:
-        """Return the problem with single values of its tables set, by dotted key: {"limits.effort.act_O": [-80, 80]}.
+        """Return the problem with new single values in its tables, by dotted key: {"limits.effort.act_O": [-80, 80]}.
 
         Raises:
-            LinkplanError: for a key or value that a problem file would be refused for.
+            LinkplanError: for an invalid key or value.
         """
         tables = self.to_dict()
         before = copy.deepcopy(tables["mechanism"])
@@ -245,12 +243,13 @@ class Problem:
 
     def __repr__(self) -> str:
         motion = self.planning.motion
-        lasts = "free" if motion.duration_s is None else f"{motion.duration_s:g} s"
-        return f"Problem({self.name!r}: {motion.kind} of {self.mechanism.name!r}, {self.planning.objective.name}, {lasts})"
+        duration = "free" if motion.duration_s is None else f"{motion.duration_s:g} s"
+        objective = self.planning.objective.name
+        return f"Problem({self.name!r}: {motion.kind} of {self.mechanism.name!r}, {objective}, {duration})"
 
 
 def _built(kind: str, mechanism: object, name: str | None, said: Mapping[str, object]) -> Problem:
-    """Return the problem of a builder's arguments, whatever else is among what is said."""
+    """Return the problem of a builder's arguments, which are among the builder's local variables `said`."""
     tables: dict[str, dict] = {"mechanism": {}, "motion": {"kind": kind}}
     loaded = _mechanism(mechanism)
     _fill(tables, {key: value for key, value in said.items() if value is not None})
@@ -263,7 +262,7 @@ def _given_extras(said: Mapping[str, object]) -> dict:
 
 
 def _checked(planning: PlanningProblem) -> Problem:
-    start_pose_of(planning)  # refuses what is beyond reach
+    start_pose_of(planning)  # raises if a pose is out of reach
     return Problem(planning=planning)
 
 
@@ -281,7 +280,7 @@ def _fill(tables: dict, said: Mapping[str, object]) -> None:
 
 
 def _updated(table: Mapping[str, object], said: Mapping[str, object]) -> dict[str, object]:
-    """Return a table with values in place of what was there; without those that are None."""
+    """Return a table with new values, without the keys whose new value is None."""
     found = {key: value for key, value in table.items() if key not in said}
     return found | {key: plain(value) for key, value in said.items() if value is not None}
 
@@ -302,8 +301,6 @@ def _mechanism(mechanism: object) -> Mechanism:
 
 
 def _name(name: object) -> str:
-    if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME:
-        raise ProblemError(
-            f"a problem's name is a word of at most {_LONGEST_NAME} characters that can be shown, got {name!r}"
-        )
+    if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > 500:
+        raise ProblemError(f"a problem's name is a word of at most 500 characters that can be shown, got {name!r}")
     return name

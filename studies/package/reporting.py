@@ -1,4 +1,4 @@
-"""Progress and results of the public functions: logging under the name "linkplan", and what their results share."""
+"""Progress of the public functions: logging under the name "linkplan", and the caller's function."""
 
 import logging
 from collections.abc import Callable
@@ -12,10 +12,10 @@ Progress = Callable[[str], None]
 
 
 def listener(progress: Progress | None) -> Progress:
-    """Return the function that takes lines of progress: to the log at INFO, and to `progress` where it is given.
+    """Return the function that passes lines of progress to the log at INFO, and to `progress` if it is given.
 
     Raises:
-        ProblemError: when `progress` cannot be called.
+        ProblemError: if `progress` is not callable.
     """
     if progress is not None and not callable(progress):
         raise ProblemError(f"progress is a function of one line of text, got {progress!r}")

@@ -1,4 +1,4 @@
-"""What a study is asked about: a mechanism, a problem, or the name or path of either; and the poses to look at."""
+"""The subject of a study: a mechanism, a problem, or the name or path of either; and the poses to analyse."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,16 +14,16 @@ from linkplan.planner.keys.motion_section import WaypointSection
 from linkplan.planner.keys.reading import read
 from linkplan.problems import Problem
 
-# What poses are stated by: a table of joint = value in degrees, one in metres.
+# A pose consists of a table of joint = value in degrees and another table in metres.
 _KINDS = {"at_deg": Angles, "at_m": Numbers}
 Subject = Mechanism | Problem | str | Path
 
 
 def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
-    """Return the mechanism that is meant, and the problem where it is one.
+    """Return the mechanism of a subject, and its problem or None.
 
     Raises:
-        LinkplanError: when it is none, or its file cannot be used.
+        LinkplanError: if it is neither a mechanism nor a problem, or its file cannot be used.
     """
     if isinstance(subject, str | Path):
         if not is_problem(subject):
@@ -37,25 +37,19 @@ def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
 
 
 def is_problem(name: str | Path) -> bool:
-    """Return whether a name or path is a problem's, and no model's."""
+    """Tell if a name or path is that of a problem, not of a model."""
     return str(name) in PROBLEMS or Path(str(name)[:255]).suffix == ".toml"
 
 
 def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:
     """Return poses as positions [rad or m] by joint name; `at_deg` and `at_m` are lists of tables of joint = value.
 
-    Where both are given, their tables belong together in turn.
+    If both are given, tables at the same index belong to one pose.
 
     Raises:
-        ProblemError: for a value that is none, or a joint that the mechanism does not have.
+        ProblemError: for an invalid value, or a joint that the mechanism does not have.
     """
-    lists = {}
-    for key, value in (("at_deg", at_deg), ("at_m", at_m)):
-        value = [value] if isinstance(value, Mapping) else value
-        value = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
-        if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
-            raise ProblemError(f"{key} is a list of poses, each a table of joint = value, got {value!r}")
-        lists[key] = [plain(item) for item in value]
+    lists = {key: _tables(key, value) for key, value in (("at_deg", at_deg), ("at_m", at_m))}
     if lists["at_deg"] and lists["at_m"] and len(lists["at_deg"]) != len(lists["at_m"]):
         raise ProblemError(
             f"at_deg and at_m have a table each for every pose, got {len(lists['at_deg'])} and {len(lists['at_m'])}"
@@ -67,3 +61,12 @@ def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[di
         values = joint_values(WaypointSection(at_deg=at_deg, at_m=at_m), "at", where, mechanism)
         poses.append({mechanism.joints[i].name: mechanism.joints[i].read(value) for i, value in values.items()})
     return poses
+
+
+def _tables(key: str, value: object) -> list[dict]:
+    """Return a list of tables; a single table counts as a list of one."""
+    value = [value] if isinstance(value, Mapping) else value
+    value = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+    if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
+        raise ProblemError(f"{key} is a list of poses, each a table of joint = value, got {value!r}")
+    return [plain(item) for item in value]

@@ -1,4 +1,4 @@
-"""`track` and `compare`: trackers on a plan in MuJoCo, built-in ones and a user's own."""
+"""`track` and `compare`: built-in and user-defined trackers on a plan in MuJoCo."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ def track(
     Args:
         plan: with a motion.
         tracker: "pd", "pd+ff" or "lqr"; or a `Tracker`: an object with a `name` and `effort(k, position, velocity)`; or a
-            function that is given the sampled reference and returns one. The reference has `period_s`, and at the control
+            function of the sampled reference that returns a tracker. The reference has `period_s`, and at the control
             instants `time_s` (n,), `position`, `velocity` (n, n_s) [rad or m, and per second], `pose` (n, n_q) and the
-            needed `effort` (n, n_u) [N.m or N]. A tracker is asked for efforts (n_u,) at instant k for the independent
-            joints' measured position and velocity (n_s,); saturation, sampling and delay are the loop's.
-        mass_factor: on the payload's mass and inertia in the simulator, on all moving bodies' where there is none.
-        delay_periods: further control periods before a command acts, beside the problem's own.
-        tracking: settings in place of the problem's: kp, kd, period_s, delay_periods, duration_s, lqr_position_deg, ...
-        progress: called with a line of text now and then.
+            needed `effort` (n, n_u) [N.m or N]. `effort` of a tracker returns efforts (n_u,) at instant k for the measured
+            position and velocity (n_s,) of the independent joints; the loop adds saturation, sampling and delay.
+        mass_factor: on mass and inertia of the payload in the simulator, or of all moving bodies without a payload.
+        delay_periods: further control periods before a command acts, in addition to those of the problem.
+        tracking: settings that replace the problem's: kp, kd, period_s, delay_periods, duration_s, lqr_position_deg, ...
+        progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: when the plan has no motion, the tracker is none, or a number makes no sense.
+        LinkplanError: if the plan has no motion, or the tracker or another argument is invalid.
     """
     answer, say = _to_track(plan, tracking), listener(progress)
     mismatch = study.mismatch_of(answer, mass_factor, delay_periods)
@@ -67,18 +67,18 @@ def compare(
     tracking: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> TrackingResult:
-    """Return trackers' runs on a plan side by side in MuJoCo, as modelled and with a mismatch.
+    """Return trackers' runs on a plan in MuJoCo, with the nominal model and with a mismatch.
 
     Args:
         plan: with a motion.
-        trackers: each as `track` takes it, with names of their own.
-        mass_factor: the mismatch's, on the payload's mass and inertia (all moving bodies' without one).
-        delay_periods: the mismatch's, further control periods of delay. With a factor of 1 and no delay there is none.
-        tracking: settings in place of the problem's, as `track` takes them.
-        progress: called with a line of text now and then.
+        trackers: each as for `track`, with different names.
+        mass_factor: of the mismatch, on mass and inertia of the payload, or of all moving bodies without a payload.
+        delay_periods: of the mismatch, further control periods of delay. With a factor of 1 and no delay there is none.
+        tracking: settings that replace the problem's, as for `track`.
+        progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: as `track` does.
+        LinkplanError: as for `track`.
     """
     answer = _to_track(plan, tracking)
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
@@ -88,7 +88,7 @@ def compare(
 
 
 def _to_track(plan: object, tracking: object) -> planned.Plan:
-    """Return a plan with a motion, its tracking settings changed as asked."""
+    """Return the planner's plan, with a motion and with new tracking settings."""
     if not isinstance(plan, Plan):
         raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
     if plan.answer.trajectory is None:
@@ -104,27 +104,27 @@ def _to_track(plan: object, tracking: object) -> planned.Plan:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class TrackingResult:
-    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every figure, its unit in its name."""
+    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
 
     comparison: study.Comparison
 
     @property
     def runs(self) -> dict[str, Rollout]:
-        """The runs by tracker, as modelled (or under `track`'s mismatch): logs at the control instants, in SI units."""
+        """The runs by tracker with the nominal model, or the mismatch of `track`: logs at control instants, in SI units."""
         return dict(self.comparison.nominal)
 
     @property
     def mismatched(self) -> dict[str, Rollout]:
-        """The runs by tracker under the mismatch of `compare`; empty without one."""
+        """The runs by tracker with the mismatch of `compare`; empty without a mismatch."""
         return dict(self.comparison.mismatched)
 
     @property
     def stable(self) -> bool:
-        """Whether every run stayed finite and none swung between its limits over and over."""
+        """Whether every run stayed finite and none oscillated between its limits."""
         return all(run.stable for run in (*self.comparison.nominal.values(), *self.comparison.mismatched.values()))
 
     def to_dict(self) -> dict:
-        """Return all figures by name, in JSON's own types: errors in deg or m, efforts, share at the limits, loop gap."""
+        """Return all values by name, in JSON types: errors in deg or m, efforts, share at the limits, loop gap."""
         from linkplan.planner.files.folders import plain_record
 
         return plain_record(study.comparison_record(self.comparison))
@@ -132,11 +132,11 @@ class TrackingResult:
     def save(self, folder: str | Path) -> Path:
         """Write every run's time series into a folder, whole or not at all, with the record and the figure; return its path.
 
-        `nominal-pd.csv` and `.npz` have a row for each control instant, units in the heads; `mismatch-pd.csv` the same under
-        the mismatch.
+        `nominal-pd.csv` and `.npz` have a row for each control instant, with units in the heads; `mismatch-pd.csv` has the
+        same for the mismatch.
 
         Raises:
-            LinkplanError: when the folder holds other files, or the disk refuses.
+            LinkplanError: if the folder has other files, or cannot be written.
         """
         from linkplan.planner.files.folders import write_json, write_whole
         from linkplan.studies.compare.draw_tracking import comparison_figure
@@ -159,7 +159,7 @@ class TrackingResult:
         """Write the runs' report, one HTML file that opens offline, and return its path.
 
         Raises:
-            LinkplanError: when something that is no report stands there.
+            LinkplanError: if another file exists at the path.
         """
         from linkplan.studies.report.render import write_report
         from linkplan.studies.report.reports import comparison_report
@@ -169,7 +169,7 @@ class TrackingResult:
         return place
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of motion, error and effort of every tracker; it is saved at `path` where one is given."""
+        """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given."""
         from linkplan.studies.compare.draw_tracking import comparison_figure
 
         return drawn(path, lambda place: comparison_figure(self.comparison, place))

@@ -1,4 +1,4 @@
-"""Which way a picture looks: by the mechanism, by azimuth and elevation, or through one of the model's cameras."""
+"""The camera of a picture: the mechanism's default, azimuth and elevation, or one of the model's cameras."""
 
 from dataclasses import dataclass
 
@@ -9,22 +9,22 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
 from linkplan.studies.render.framing import own_direction
-from linkplan.studies.render.scenes import stand
+from linkplan.studies.render.scenes import place_bodies
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """A direction of sight, azimuth and elevation [rad], and the index of the model's camera that has it; -1 for none."""
+    """A direction of sight, azimuth and elevation [rad], and the index of the model's camera; -1 for a free camera."""
 
     direction: tuple[float, float]
     fixed: int = -1
 
 
 def camera_from(text: str | None, mechanism: Mechanism) -> Camera:
-    """Return the camera that is asked for: None, a name, or "azimuth/elevation" in degrees.
+    """Return the camera for None (the default), a name, or "azimuth/elevation" in degrees.
 
     Raises:
-        ProblemError: for what is neither.
+        ProblemError: for any other text.
     """
     model = mechanism.model
     if text is None:
@@ -32,7 +32,7 @@ def camera_from(text: str | None, mechanism: Mechanism) -> Camera:
     names = [model.camera(k).name for k in range(model.ncam)]
     if text in names:
         data = mujoco.MjData(model)
-        stand(model, data, mechanism.qpos_of(mechanism.home))
+        place_bodies(model, data, mechanism.qpos_of(mechanism.home))
         sight = -np.array(data.cam_xmat[names.index(text)]).reshape(3, 3)[:, 2]
         direction = float(np.arctan2(sight[1], sight[0])), float(np.arcsin(np.clip(sight[2], -1.0, 1.0)))
         return Camera(direction=direction, fixed=names.index(text))

@@ -1,4 +1,4 @@
-"""Words on a picture: what is shown, when, how slowly, and which share of its limit each effort is."""
+"""The caption of a picture: time, slowness, and each effort with its limit."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -11,10 +11,10 @@ from PIL import Image, ImageDraw, ImageFont
 from linkplan.studies.render.motion import Motion
 from linkplan.studies.render.shapes import load_colour
 
-# The letters' height as a share of the picture's, and the smallest that can be read [px].
-_HEIGHT, _SMALLEST_PX = 1 / 32, 11
-# More efforts than this are not written.
-_MOST_EFFORTS = 6
+# The smallest legible height of letters [px].
+_MIN_LETTERS_PX = 11
+# The lines of further efforts are left out.
+_MAX_EFFORT_LINES = 6
 _INK = (30, 30, 30)
 
 Line = tuple[str, tuple[int, int, int]]
@@ -28,8 +28,8 @@ def frame_lines(motion: Motion, k: int, slow: float) -> list[Line]:
 
 
 def head_share(motion: Motion, size: tuple[int, int]) -> float:
-    """Return which share of a picture's height its lines take, for a size in pixels."""
-    lines = 1 + min(motion.mechanism.n_u, _MOST_EFFORTS + 1)
+    """Return the share of a picture's height that its caption takes, for a size in pixels."""
+    lines = 1 + min(motion.mechanism.n_u, _MAX_EFFORT_LINES + 1)
     letters = _letters_px(size[1], size[0])
     return min(0.4, (lines * 1.25 + 1.0) * letters / size[1])
 
@@ -46,12 +46,12 @@ def effort_lines(motion: Motion, k: int) -> list[Line]:
         darker = tuple(int(255 * 0.85 * c) for c in (red, green, blue))
         shown = 0.0 if abs(effort) < 5e-3 * abs(end) and np.isfinite(end) else effort
         lines.append((f"{actuator.name}: {shown:.4g}{most} {actuator.unit}", darker))
-    more = len(lines) - _MOST_EFFORTS
-    return lines if more <= 0 else [*lines[:_MOST_EFFORTS], (f"and {more} more", _INK)]
+    more = len(lines) - _MAX_EFFORT_LINES
+    return lines if more <= 0 else [*lines[:_MAX_EFFORT_LINES], (f"and {more} more", _INK)]
 
 
 def written(image: np.ndarray, lines: Sequence[Line], foot: str = "") -> np.ndarray:
-    """Return an image (height, width, 3) with lines in its upper left corner and one at its foot."""
+    """Return an image (height, width, 3) with lines in its upper left corner and a line at the bottom."""
     canvas = Image.fromarray(image)
     pen = ImageDraw.Draw(canvas, "RGBA")
     size = _letters_px(*image.shape[:2])
@@ -61,13 +61,13 @@ def written(image: np.ndarray, lines: Sequence[Line], foot: str = "") -> np.ndar
         _put(pen, (x, y), text, font, colour)
         y += gap
     if foot:
-        small = _font(max(_SMALLEST_PX - 2, round(0.8 * size)))
+        small = _font(max(_MIN_LETTERS_PX - 2, round(0.8 * size)))
         _put(pen, (x, image.shape[0] - round(1.7 * size)), foot, small, (90, 90, 90))
     return np.asarray(canvas)
 
 
 def _letters_px(height: int, width: int) -> int:
-    return max(_SMALLEST_PX, round(_HEIGHT * min(height, 0.75 * width)))
+    return max(_MIN_LETTERS_PX, round(min(height, 0.75 * width) / 32))
 
 
 def _put(pen, place: tuple[int, int], text: str, font, colour: tuple[int, int, int]) -> None:
@@ -78,5 +78,5 @@ def _put(pen, place: tuple[int, int], text: str, font, colour: tuple[int, int, i
 
 @lru_cache(maxsize=8)
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    """Return the letters that come with Matplotlib: the same on every machine."""
+    """Return the font that Matplotlib ships, the same on every machine."""
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)

@@ -1,6 +1,6 @@
 """Efforts as arrows: an arc about a driven hinge, a straight arrow along a slide or a force, a tendon in the load's colour.
 
-How far an arc goes round, how long an arrow is and its colour say which share of its limit an effort is.
+The angle of an arc, the length of an arrow and the colour show the effort as a share of its limit.
 """
 
 import itertools
@@ -14,19 +14,17 @@ from linkplan.models.tree.coordinates import HINGE, SLIDE
 from linkplan.models.tree.tendons import is_fixed
 from linkplan.studies.render.shapes import Shape, arrow, load_colour
 
-# An effort at its limit goes so far round [rad]; sizes are shares of the mechanism's.
-_FULL_TURN = np.radians(270.0)
-_ARC_RADIUS, _ARROW_LENGTH, _THICKNESS, _BESIDE = 0.16, 0.45, 0.012, 0.06
-_ARC_STEP = np.radians(8.0)
-# An arrow's head: its length and its base's radius as shares of the mechanism's size, made of so many parts; of a short
-# arrow it takes this share at the most, and is as much thinner.
-_HEAD_LENGTH, _HEAD_BASE, _HEAD_PARTS, _MOSTLY_HEAD = 0.085, 0.028, 18, 0.75
-# A smaller share of the limit than this is not drawn: an arrow would be all head.
-_LEAST_SHARE = 0.02
+# Sizes are shares of the mechanism's extent. The offset towards the eye keeps arrows in front of the links.
+_ARROW_LENGTH, _SHAFT_RADIUS, _EYE_OFFSET = 0.45, 0.012, 0.06
+_HEAD_LENGTH, _HEAD_RADIUS, _HEAD_PARTS = 0.085, 0.028, 18
+# The head takes at most this share of a short arrow, and is thinner in proportion.
+_MAX_HEAD_SHARE = 0.75
+# A smaller share of the limit is not drawn: the arrow would only have a head.
+_MIN_DRAWN_SHARE = 0.02
 
 
 def load_shares(effort: np.ndarray, limit: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Return which share of its limit on its own side each effort (..., n_u) is; of its peak (n_u,) where it has no limit.
+    """Return each effort (..., n_u) as a share of the limit of its sign, or of its peak if it has no limit.
 
     Args:
         effort: [N.m or N].
@@ -46,15 +44,15 @@ def effort_shapes(
     size: float,
     towards: np.ndarray,
 ) -> tuple[Shape, ...]:
-    """Return an actuator's effort as shapes where the mechanism stands.
+    """Return the shapes of an actuator's effort at the current pose.
 
     Args:
         model: MuJoCo's.
-        data: with poses of bodies, sites and tendons worked out.
-        actuator: whose effort it is.
-        share: of the effort's limit, signed as the effort.
-        size: the mechanism's [m].
-        towards: the direction (3,) in which the eye is: arcs stand a little that way, not to be hidden by links.
+        data: with the current positions of bodies, sites and tendons.
+        actuator: with the effort.
+        share: the effort as a share of its limit, with its sign.
+        size: the mechanism's extent [m].
+        towards: the direction (3,) to the eye; arrows are moved towards it, in front of the links.
     """
     if not np.isfinite(share):
         return ()
@@ -102,47 +100,50 @@ def _wrench(at, turned: np.ndarray, gear: np.ndarray, share: float, size: float,
 
 
 def _arc(centre, axis: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[Shape, ...]:
-    """Return an arc about an axis (3,), right-handed where `share` is above zero, that begins at the top."""
-    if abs(share) < _LEAST_SHARE:
+    """Return an arc about an axis (3,) that starts at the top and is right-handed for a positive `share`.
+
+    An effort at its limit has an arc of 270 degrees.
+    """
+    if abs(share) < _MIN_DRAWN_SHARE:
         return ()
     up = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
     first = up - (up @ axis) * axis
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
     side = 1.0 if axis @ towards >= 0 else -1.0
-    middle = np.array(centre) + _BESIDE * size * side * axis
-    radius = _ARC_RADIUS * size
-    whole = float(np.clip(share, -1.0, 1.0)) * _FULL_TURN
-    angles = _stretches(whole * radius, size, _ARC_STEP * radius) / radius
+    middle = np.array(centre) + _EYE_OFFSET * size * side * axis
+    radius = 0.16 * size
+    whole = float(np.clip(share, -1.0, 1.0)) * np.radians(270.0)
+    angles = _stretches(whole * radius, size, np.radians(8.0) * radius) / radius
     points = middle + radius * (np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second)
     return _arrow(points, abs(whole) * radius, share, size)
 
 
 def _straight(start, direction: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[Shape, ...]:
-    """Return an arrow from a point, its length the share of the limit."""
-    if abs(share) < _LEAST_SHARE:
+    """Return an arrow from a point with a length in proportion to `share`."""
+    if abs(share) < _MIN_DRAWN_SHARE:
         return ()
     long = float(np.clip(share, -1.0, 1.0)) * _ARROW_LENGTH * size
     along = _stretches(long, size, _ARROW_LENGTH * size)
-    return _arrow(np.array(start) + _BESIDE * size * towards + along[:, None] * direction, abs(long), share, size)
+    return _arrow(np.array(start) + _EYE_OFFSET * size * towards + along[:, None] * direction, abs(long), share, size)
 
 
 def _stretches(long: float, size: float, step: float) -> np.ndarray:
-    """Return where an arrow of length `long` [m], signed, is cut: its shaft by `step` [m], its head into its parts."""
-    head = np.sign(long) * min(_HEAD_LENGTH * size, _MOSTLY_HEAD * abs(long))
+    """Return the points along an arrow of signed length `long` [m]: its shaft in steps of `step` [m], its head in parts."""
+    head = np.sign(long) * min(_HEAD_LENGTH * size, _MAX_HEAD_SHARE * abs(long))
     shaft = np.linspace(0.0, long - head, 1 + max(1, int(np.ceil(abs(long - head) / step))))
     return np.append(shaft, np.linspace(long - head, long, _HEAD_PARTS + 1)[1:])
 
 
 def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[Shape, ...]:
-    base = size * min(_HEAD_BASE, max(_THICKNESS, _HEAD_BASE * _MOSTLY_HEAD * long / (_HEAD_LENGTH * size)))
-    thin = size * min(_THICKNESS, 0.6 * base / size)
+    base = size * min(_HEAD_RADIUS, max(_SHAFT_RADIUS, _HEAD_RADIUS * _MAX_HEAD_SHARE * long / (_HEAD_LENGTH * size)))
+    thin = size * min(_SHAFT_RADIUS, 0.6 * base / size)
     return arrow(points, thin, load_colour(share), _HEAD_PARTS, base)
 
 
 def _along_tendon(data: mujoco.MjData, tendon: int, share: float, size: float) -> tuple[Shape, ...]:
     first, n = int(data.ten_wrapadr[tendon]), int(data.ten_wrapnum[tendon])
     points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
-    apart = itertools.pairwise(points)
-    thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _THICKNESS * size
-    return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in apart)
+    pairs = itertools.pairwise(points)
+    thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _SHAFT_RADIUS * size
+    return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in pairs)

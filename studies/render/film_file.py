@@ -1,4 +1,4 @@
-"""Images written as a file: an MP4 (H.264), a GIF that goes on for ever, or a PNG. Each says that linkplan made it."""
+"""Images written as a file: an MP4 (H.264), an endless GIF, or a PNG. The metadata of each name linkplan."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
@@ -12,12 +12,6 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.extras import load_extra
 from linkplan.planner.files.whole_file import MADE_BY
 
-# H.264's constant rate factor: smaller is better and larger; 18 is told from the original by nobody.
-_QUALITY = "18"
-# Colours of a GIF, found in some of its frames: flat surfaces need no more, and dithering would double its size.
-_COLOURS = 64
-_WHITE = 244  # what is as light as this in all channels is white
-
 
 def write_png(path: Path, image: np.ndarray) -> None:
     """Write an image (height, width, 3) of bytes."""
@@ -27,11 +21,11 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 
 def write_mp4(path: Path, images: Iterable[np.ndarray], fps: float) -> None:
-    """Write images (height, width, 3) of bytes, even in height and width, at so many a second.
+    """Write images (height, width, 3) of bytes, with even height and width, at `fps` frames a second.
 
     Raises:
-        MissingPackageError: when PyAV is not installed.
-        LinkplanError: where the video library has no H.264 encoder.
+        MissingPackageError: if PyAV is not installed.
+        LinkplanError: if the video library has no H.264 encoder.
     """
     av = load_extra("av", "an .mp4")
 
@@ -45,28 +39,32 @@ def write_mp4(path: Path, images: Iterable[np.ndarray], fps: float) -> None:
         stream = None
         for image in images:
             if stream is None:
-                stream = film.add_stream("libx264", rate=rate, options={"crf": _QUALITY, "preset": "medium"})
+                stream = film.add_stream(
+                    "libx264", rate=rate, options={"crf": "18", "preset": "medium"}
+                )  # visually lossless
                 stream.height, stream.width = image.shape[:2]
-                stream.pix_fmt = "yuv420p"  # what browsers and slides play
+                stream.pix_fmt = "yuv420p"  # the format that browsers play
             film.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         if stream is not None:
             film.mux(stream.encode())
 
 
 def write_gif(path: Path, images: Iterable[np.ndarray], n: int, fps: float, palette_from: Sequence[np.ndarray]) -> None:
-    """Write n images (height, width, 3) of bytes at so many a second; a GIF counts time in hundredths.
+    """Write n images (height, width, 3) of bytes at `fps` frames a second. A GIF counts hundredths of a second.
+
+    The palette has 64 colours, enough for flat surfaces. There is no dithering, which would double the size.
 
     Args:
         path: of the file.
         images: in order.
-        n: how many.
-        fps: frames a second, fewer than 50.
-        palette_from: some of the images, whose colours are the GIF's.
+        n: number of images.
+        fps: frames a second, at most 50.
+        palette_from: some of the images, from which the palette is made.
     """
     samples = Image.fromarray(np.vstack(list(palette_from)))
-    palette = samples.quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    palette = samples.quantize(64, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[(colours >= _WHITE).all(axis=1)] = 255  # what is drawn on stays white
+    colours[(colours >= 244).all(axis=1)] = 255  # the background stays white
     palette.putpalette(colours.ravel().tolist())
 
     def coloured() -> Iterator[Image.Image]:
@@ -84,6 +82,6 @@ def write_gif(path: Path, images: Iterable[np.ndarray], n: int, fps: float, pale
         duration=[10 * int(one) for one in np.diff(ends)],
         loop=0,
         comment=MADE_BY.encode(),
-        optimize=True,  # what stays as it was is left out of the next frame
+        optimize=True,  # unchanged pixels are left out of the next frame
         disposal=1,
     )

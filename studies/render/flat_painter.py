@@ -1,4 +1,4 @@
-"""Pictures drawn by Matplotlib, where there is no OpenGL: the skeleton as seen from the same side, without perspective."""
+"""Pictures drawn by Matplotlib, without OpenGL: the skeleton from the same direction, without perspective."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,16 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from linkplan.studies.render.framing import FOOT, SIDE, axes_of
+from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of
 from linkplan.studies.render.scenes import Scene
 from linkplan.studies.render.shapes import Shape
 
-_DPI = 100.0
-_THINNEST_PX = 1.0
+_DOTS_PER_INCH = 100.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FlatPainter:
-    """Draws scenes along `sight`: `right` and `up` (3,) are the picture's, `middle` (2,) [m] and `scale` [px/m] frame it."""
+    """Draws scenes along `sight`, with axes `right` and `up` (3,), centre `middle` (2,) [m] and `scale` [px/m]."""
 
     right: np.ndarray
     up: np.ndarray
@@ -30,7 +29,7 @@ class FlatPainter:
     def paint(self, picture: Scene) -> np.ndarray:
         """Return a scene as an image (height, width, 3) of bytes."""
         width, height = self.size
-        figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
+        figure = Figure(figsize=(width / _DOTS_PER_INCH, height / _DOTS_PER_INCH), dpi=_DOTS_PER_INCH, facecolor="white")
         canvas = FigureCanvasAgg(figure)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         half = np.array(self.size) / (2 * self.scale)
@@ -49,7 +48,7 @@ class FlatPainter:
         rounds = [Circle(self._flat(ball.start), ball.radius) for ball in balls]
         axes.add_collection(PatchCollection(rounds, facecolors=[ball.rgba for ball in balls], zorder=2 + layer))
         lines = [[self._flat(rod.start), self._flat(rod.end)] for rod in rods]
-        widths = [max(_THINNEST_PX, 2 * rod.radius * self.scale) * 72.0 / _DPI for rod in rods]
+        widths = [max(1.0, 2 * rod.radius * self.scale) * 72.0 / _DOTS_PER_INCH for rod in rods]
         colours = [rod.rgba for rod in rods]
         axes.add_collection(LineCollection(lines, linewidths=widths, colors=colours, capstyle="round", zorder=2.5 + layer))
 
@@ -58,20 +57,20 @@ class FlatPainter:
 
 
 def flat_painter(
-    points: np.ndarray, direction: tuple[float, float], size: tuple[int, int], head: float = FOOT
+    points: np.ndarray, direction: tuple[float, float], size: tuple[int, int], head: float = FOOT_MARGIN
 ) -> FlatPainter:
     """Return the painter that sees all points (n, 3) [m] along an azimuth and elevation [rad].
 
     Args:
-        points: everything that is to be seen, at every instant.
+        points: all visible points at all instants.
         direction: azimuth and elevation.
         size: of the pictures, width and height [px].
-        head: the share of the picture's height that is kept free at the top.
+        head: the free share of the picture's height at the top.
     """
     right, up, sight = axes_of(*direction)
     flat = np.stack([points @ right, points @ up], axis=1)
     low, high = flat.min(axis=0), flat.max(axis=0)
     extent = np.maximum(high - low, 1e-6 * max(1e-6, float((high - low).max())))
-    scale = float(np.min(np.array([1 - 2 * SIDE, 1 - head - FOOT]) * size / extent))
-    middle = 0.5 * (low + high) + np.array([0.0, 0.5 * (head - FOOT) * size[1] / scale])
+    scale = float(np.min(np.array([1 - 2 * SIDE_MARGIN, 1 - head - FOOT_MARGIN]) * size / extent))
+    middle = 0.5 * (low + high) + np.array([0.0, 0.5 * (head - FOOT_MARGIN) * size[1] / scale])
     return FlatPainter(right=right, up=up, sight=sight, middle=middle, scale=scale, size=size)

@@ -1,4 +1,4 @@
-"""Where the eye stands: a direction, the mechanism's own or asked for, and a distance from which all that moves is seen."""
+"""The position of the eye: a direction, and the least distance from which the whole motion is visible."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,15 @@ import numpy as np
 from linkplan.models.poses.skeleton import view
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 
-# What is drawn keeps off the picture's sides by this share of its width, and of its height at the foot, where a line stands.
-SIDE, FOOT = 0.05, 0.07
-# Hinges whose axes share one direction to this share are a planar mechanism's.
-_PLANAR = 1e-3
-# A planar mechanism is seen a little from above [deg], to be seen in space; a spatial one from the side and above.
-_TILT_DEG, _SPATIAL_DEG = 10.0, (125.0, -20.0)
+# Free margins: at both sides as a share of the picture's width, and at the bottom, for a line of text, of its height.
+SIDE_MARGIN, FOOT_MARGIN = 0.05, 0.07
+# A planar mechanism is seen from a little above, to give an impression of depth.
+_TILT_DEG = 10.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Eye:
-    """A camera: looks at `target` (3,) [m] from `distance` [m], along azimuth and elevation [rad] as MuJoCo counts them."""
+    """A camera with `target` (3,) [m] and `distance` [m], along azimuth and elevation [rad] as defined by MuJoCo."""
 
     target: np.ndarray
     distance: float
@@ -27,54 +25,57 @@ class Eye:
 
 
 def axes_of(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the picture's right and up and the direction of sight, each (3,), of MuJoCo's azimuth and elevation [rad]."""
+    """Return the picture's right and up and the direction of sight, each (3,), for azimuth and elevation [rad]."""
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     sight = np.array([ce * ca, ce * sa, se])
     return np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]), sight
 
 
 def own_direction(model: mujoco.MjModel, *, tilted: bool = True) -> tuple[float, float]:
-    """Return azimuth and elevation [rad] from which a mechanism is best seen.
+    """Return azimuth and elevation [rad] of the default view of a mechanism.
 
-    A planar one's hinges point to the eye, seen from a little above where `tilted`; a spatial one from the side and above.
+    The hinges of a planar mechanism point to the eye, or a little below it if `tilted`. A spatial mechanism is seen from the
+    side and above. In a planar mechanism all hinge axes are parallel to a thousandth.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     axes = np.array(data.xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
     spread = np.linalg.svd(axes, compute_uv=False) if len(axes) else np.zeros(1)
-    if (model.jnt_type == BALL).any() or (len(spread) > 1 and spread[1] > _PLANAR * spread[0]):
-        return float(np.radians(_SPATIAL_DEG[0])), float(np.radians(_SPATIAL_DEG[1]))
+    if (model.jnt_type == BALL).any() or (len(spread) > 1 and spread[1] > 1e-3 * spread[0]):
+        return float(np.radians(125.0)), float(np.radians(-20.0))
     right, up = view(model)
     sight = np.cross(up, right)
     elevation = float(np.arcsin(np.clip(sight[2], -1.0, 1.0)))
     azimuth = float(np.arctan2(-right[0], right[1])) + np.pi if abs(sight[2]) > 1 - 1e-9 else np.arctan2(sight[1], sight[0])
     if tilted and abs(sight[2]) < 0.5:
         elevation -= float(np.radians(_TILT_DEG))
-    elif tilted:  # seen along the vertical: from a little aside
+    elif tilted:  # a vertical view is tilted to the side
         elevation += float(np.copysign(np.radians(2 * _TILT_DEG), -sight[2]))
     return float(azimuth), elevation
 
 
-def framed(points: np.ndarray, azimuth: float, elevation: float, fovy: float, aspect: float, head: float = FOOT) -> Eye:
-    """Return the eye that sees all points (n, 3) [m] in one picture, as near as it may be.
+def framed(
+    points: np.ndarray, azimuth: float, elevation: float, fovy: float, aspect: float, head: float = FOOT_MARGIN
+) -> Eye:
+    """Return the nearest eye that sees all points (n, 3) [m] in one picture.
 
     Args:
-        points: everything that is to be seen, at every instant.
+        points: all visible points at all instants.
         azimuth: [rad].
         elevation: [rad].
         fovy: the vertical field of view [rad].
-        aspect: the picture's width by its height.
-        head: the share of the picture's height that is kept free at the top.
+        aspect: the picture's width divided by its height.
+        head: the free share of the picture's height at the top.
     """
     right, up, sight = axes_of(azimuth, elevation)
     flat = np.stack([points @ right, points @ up, points @ sight], axis=1)
     low, high = flat.min(axis=0), flat.max(axis=0)
     half = np.tan(0.5 * fovy)
-    above, below, aside = half * (1 - 2 * head), half * (1 - 2 * FOOT), half * aspect * (1 - 2 * SIDE)
+    above, below, aside = half * (1 - 2 * head), half * (1 - 2 * FOOT_MARGIN), half * aspect * (1 - 2 * SIDE_MARGIN)
     middle = 0.5 * (low + high)
     middle[1] = (high[1] * below + low[1] * above) / (above + below)
     across, tall, deep = (flat - middle).T
-    # A point at depth z beyond the target stands within the picture where y <= above (distance + z), and so on.
+    # A point at depth z behind the target is inside the picture if y <= above (distance + z), and so on.
     needed = np.maximum(np.maximum(tall / above, -tall / below), np.abs(across) / aside) - deep
     distance = float(needed.max())
     smallest = 1e-3 * max(float(np.ptp(points, axis=0).max()), 1e-6)
@@ -87,7 +88,7 @@ def framed(points: np.ndarray, azimuth: float, elevation: float, fovy: float, as
 
 
 def corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
-    """Return the corners (n, 3) [m] of the boxes about geoms, given by MuJoCo's indices, where the bodies stand."""
+    """Return the corners (n, 3) [m] of the bounding boxes of geoms at the current pose; `geoms` are MuJoCo's indices."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
     boxes = np.array(model.geom_aabb).reshape(-1, 6)[geoms]
     local = boxes[:, None, :3] + signs * boxes[:, None, 3:]

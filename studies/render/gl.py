@@ -1,7 +1,7 @@
-"""Which OpenGL there is to draw with, found by trying: in a process of its own, which a broken driver may end.
+"""The available OpenGL, found by a trial in a separate process, because a broken driver can end the process.
 
-MuJoCo's contexts are used directly, not by way of the variable MUJOCO_GL, which is read once, when mujoco is loaded. Loads
-nothing heavy.
+MuJoCo's contexts are used directly. The variable MUJOCO_GL has no later effect, because mujoco reads it on import. This file
+has no heavy imports.
 """
 
 import functools
@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 from linkplan.models.errors import LinkplanError, one_line
 
-# Without a window first. A try takes half a second; a driver that hangs is given up.
+# In the order of trials: contexts without a window first.
 _BY_SYSTEM = {"linux": ("egl", "osmesa", "glfw"), "darwin": ("cgl", "glfw")}
-_LONGEST_TRY_S = 30.0
 _OFF = ("disable", "disabled", "off", "false", "0")
 _ANY = ("", "enable", "enabled", "on", "true", "1")
 _MODULES = {"glx": "glfw", "wgl": "glfw"}
@@ -42,21 +41,21 @@ os._exit(0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GL:
-    """The OpenGL to draw with, by the name of MuJoCo's module for it; None where there is none, and why not."""
+    """The name of MuJoCo's module for the OpenGL; None with the reason if there is none."""
 
     name: str | None
     why_not: str = ""
 
 
 def find_gl(asked: str | None, environment: Mapping[str, str] | None = None) -> GL:
-    """Return the first OpenGL with which a picture can be drawn.
+    """Return the first OpenGL that draws a picture.
 
     Args:
-        asked: what MUJOCO_GL says: one by name, none ("disable"), or any; None where it is not set.
-        environment: of the process; by default this one's.
+        asked: the value of MUJOCO_GL: a name, "disable", or any; None if it is not set.
+        environment: of the process; by default that of this process.
 
     Raises:
-        LinkplanError: where MUJOCO_GL is set to what is none.
+        LinkplanError: if MUJOCO_GL has an unknown value.
     """
     environment = os.environ if environment is None else environment
     word = (asked or "").lower().strip()
@@ -68,7 +67,7 @@ def find_gl(asked: str | None, environment: Mapping[str, str] | None = None) -> 
     names = known if word in _ANY else (_MODULES.get(word, word),)
     loaded = os.environ.get("PYOPENGL_PLATFORM", "") if "OpenGL" in sys.modules else ""
     if loaded in names:
-        names = (loaded,)  # a process has one
+        names = (loaded,)  # a process can use one platform only
     said = []
     for name in names:
         if (
@@ -87,7 +86,7 @@ def find_gl(asked: str | None, environment: Mapping[str, str] | None = None) -> 
 
 @functools.lru_cache(maxsize=16)
 def _tried(name: str, display: str) -> str:
-    """Return why an OpenGL cannot be used, "" where it can. `display` tells one screen from another."""
+    """Return the reason why an OpenGL cannot be used, "" if it can. `display` is a key of the cache."""
     del display
     environment = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"} | {"MUJOCO_GL": "disable"}
     try:
@@ -96,7 +95,7 @@ def _tried(name: str, display: str) -> str:
             env=environment,
             capture_output=True,
             stdin=subprocess.DEVNULL,
-            timeout=_LONGEST_TRY_S,
+            timeout=30.0,  # a trial takes half a second, unless the driver hangs
             text=True,
             errors="replace",
         )
@@ -109,5 +108,5 @@ def _tried(name: str, display: str) -> str:
 
 
 def context_class(name: str) -> type:
-    """Return MuJoCo's class of contexts of an OpenGL that was found."""
+    """Return MuJoCo's context class for an OpenGL."""
     return importlib.import_module(f"mujoco.{name}").GLContext

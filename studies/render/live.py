@@ -1,4 +1,4 @@
-"""A plan's runs as MuJoCo's interactive viewer shows them: with the gains that keys ask for, ghost and efforts drawn in."""
+"""A plan's runs in MuJoCo's interactive viewer: gains set by keys, with the ghost and the efforts."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,12 +17,12 @@ from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, framed, own_direction
 from linkplan.studies.render.motion import Motion, tracked_motion
 from linkplan.studies.render.mujoco_painter import add_figure, add_shapes
-from linkplan.studies.render.scenes import Figure, all_points, body_colours, rod_radius, stand
+from linkplan.studies.render.scenes import Figure, all_points, body_colours, place_bodies, rod_radius
 from linkplan.studies.render.shapes import bones, ghostly
 
 
 def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
-    """Return the function that gives a plan's run with a tracker and gains."""
+    """Return the function that runs a plan with a tracker and gains."""
     reference = tracking_reference(plan)
 
     def make(controls: Controls) -> Shown:
@@ -36,7 +36,7 @@ def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
 
 
 def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracking:
-    """Return settings with gains multiplied; of LQR the position and velocity errors that weigh 1 are divided."""
+    """Return settings with multiplied gains; for LQR, the position and velocity errors of weight 1 are divided."""
 
     def times(gain, factor: float):
         return {name: factor * one for name, one in gain.items()} if isinstance(gain, dict) else factor * gain
@@ -55,7 +55,7 @@ def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracki
 
 
 def shown(motion: Motion, words: Callable[[int], Rows]) -> Shown:
-    """Return a motion as the viewer shows it."""
+    """Return a motion for the viewer."""
     mechanism, model = motion.mechanism, motion.mechanism.model
     colours, radius, size = body_colours(mechanism), rod_radius(mechanism), mechanism.extent_m
     own, planned = ({b: p for b, p in pins_in_space(mechanism, q).items() if b} for q in (motion.pose, motion.reference))
@@ -65,13 +65,13 @@ def shown(motion: Motion, words: Callable[[int], Rows]) -> Shown:
     def decorate(scene, k: int, ghost: bool) -> None:
         """Add the skeleton, the ghost and the efforts of instant k."""
         add_shapes(scene, bones({body: pins[k] for body, pins in own.items()}, radius, colours))
-        stand(model, data, mechanism.qpos_of(motion.pose[k]))
+        place_bodies(model, data, mechanism.qpos_of(motion.pose[k]))
         for actuator, share in zip(mechanism.actuators, motion.shares[k], strict=True):
             add_shapes(scene, effort_shapes(model, data, actuator, float(share), size, towards))
         if ghost:
             qpos = mechanism.qpos_of(motion.reference[k])
             rods = ghostly(bones({body: pins[k] for body, pins in planned.items()}, radius, colours))
-            stand(model, data, qpos)
+            place_bodies(model, data, qpos)
             add_figure(scene, model, data, option, Figure(qpos=qpos, shapes=rods, ghost=True))
 
     return Shown(time_s=motion.time_s, pose=motion.pose, decorate=decorate, words=words, stable=motion.stable)

@@ -1,4 +1,4 @@
-"""A tracked motion as it is drawn: where the mechanism stands, where the plan would have it, and what acts."""
+"""A tracked motion to draw: simulated poses, planned poses, and efforts."""
 
 from dataclasses import dataclass
 
@@ -11,16 +11,14 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.compare.compare import track, tracking_reference
 from linkplan.studies.render.efforts import load_shares
 
-# A film lasts about so long [s] where nothing is said, and has so many frames at the most.
-_SHOWN_S, MOST_FRAMES = 4.0, 20_000
-_ROUND = (1.0, 2.0, 5.0)
+MAX_FILM_FRAMES = 20_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Motion:
-    """A run at its control instants (n,) [s]: poses and the plan's (n, n_q), efforts (n, n_u) and their limits (n_u, 2).
+    """A run at its control instants (n,) [s]: poses and planned poses (n, n_q), efforts (n, n_u) and their limits (n_u, 2).
 
-    `shares` (n, n_u) is which share of its limit each effort is. `repeats` where the last instant leads on to the first.
+    `shares` (n, n_u) are the efforts as shares of their limits. `repeats` is True for a periodic motion.
     """
 
     mechanism: Mechanism
@@ -41,21 +39,21 @@ class Motion:
         return float(self.time_s[-1] + (self.time_s[1] - self.time_s[0]))
 
     def index_at(self, time_s: float) -> int:
-        """Return the control instant that holds at a time [s]; the last one beyond the end."""
+        """Return the index of the control period at a time [s]; the last one after the end."""
         return int(np.clip(np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1, 0, len(self.time_s) - 1))
 
 
 def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None = None) -> Motion:
-    """Return a plan's motion as a tracker follows it in MuJoCo; `reference` is the plan's, where it is at hand.
+    """Return a plan's motion tracked in MuJoCo; `reference` is the plan's reference, if it is already computed.
 
     Raises:
-        ProblemError: where the run ends before there is anything to see.
+        ProblemError: if the run diverges in the first step.
     """
     reference = tracking_reference(plan) if reference is None else reference
     run = track(plan, tracker, None, reference)
     kept = int(np.sum(np.cumprod(np.isfinite(run.pose).all(axis=1))))
     if kept < 2:
-        raise ProblemError(f"the run with {tracker} blows up at once: there is no motion to draw")
+        raise ProblemError(f"the run with {tracker} diverges at once: there is no motion to draw")
     effort, limit = run.applied[:kept], np.array(run.effort_limit)
     return Motion(
         mechanism=plan.problem.mechanism,
@@ -73,24 +71,24 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
 
 
 def own_slowness(duration_s: float) -> float:
-    """Return how many times slower than real a motion is shown by default: 1, 2, 5, 10, ... to last some seconds."""
-    wanted = max(1.0, _SHOWN_S / duration_s)
+    """Return the default slowness of a motion, one of 1, 2, 5, 10, ..., so that a film lasts about 4 s."""
+    wanted = max(1.0, 4.0 / duration_s)
     ten = 10.0 ** np.floor(np.log10(wanted))
-    return float(min((step * ten for step in (*_ROUND, 10.0)), key=lambda step: abs(np.log(step / wanted))))
+    return float(min((step * ten for step in (1.0, 2.0, 5.0, 10.0)), key=lambda step: abs(np.log(step / wanted))))
 
 
 def frame_times(duration_s: float, slow: float, fps: float, *, repeats: bool = False) -> np.ndarray:
-    """Return the times (n,) [s] of a film's frames, from 0 to the end; without the end where the motion repeats itself.
+    """Return the times (n,) [s] of a film's frames, from 0 to the end; without the end for a periodic motion.
 
     Raises:
-        ProblemError: where there would be too many.
+        ProblemError: if there are more than `MAX_FILM_FRAMES`.
     """
     step = 1.0 / (fps * slow)
     many = duration_s / step
-    if many > MOST_FRAMES:
+    if many > MAX_FILM_FRAMES:
         raise ProblemError(
             f"a motion of {duration_s:.4g} s, {slow:g} times slower at {fps:g} frames a second, has {many:.0f} frames;"
-            f" at most {MOST_FRAMES} are drawn"
+            f" at most {MAX_FILM_FRAMES} are drawn"
         )
     if repeats:
         n = max(1, round(many))

@@ -11,22 +11,15 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.studies.render.framing import Eye
 from linkplan.studies.render.gl import context_class
-from linkplan.studies.render.scenes import Figure, Scene, has_end, seen, stand
+from linkplan.studies.render.scenes import Figure, Scene, bounded_geoms, place_bodies, visible_geoms
 from linkplan.studies.render.shapes import GHOST, Shape
 
-_GEOMS = 20_000
-# The ghost is drawn a hair smaller than it is: where it coincides with the mechanism, it is inside, and nothing flickers.
-_GHOST_SIZE = 0.985
-# Behind everything stands a white wall, at this share of the farthest distance that is drawn.
-_WALL = 0.9
-# A floor is drawn where what moves comes as near to it as this share of its extent.
-_NEAR = 0.3
 _MOVING = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MujocoPainter:
-    """Draws scenes through one camera; made by `mujoco_painter`, which ends its OpenGL."""
+    """Draws scenes with one camera. `mujoco_painter` makes it and frees its OpenGL."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -41,12 +34,12 @@ class MujocoPainter:
         """Return a scene as an image (height, width, 3) of bytes."""
         width, height = self.size
         main, others = picture.figures[-1], picture.figures[:-1]
-        stand(self.model, self.data, main.qpos)
+        place_bodies(self.model, self.data, main.qpos)
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(self.model, self.data, self.option, None, self.camera, everything, self.scene)
         add_shapes(self.scene, main.shapes if self.ground_is_seen else (*main.ground, *main.shapes))
         for figure in others:
-            stand(self.model, self.data, figure.qpos)
+            place_bodies(self.model, self.data, figure.qpos)
             add_figure(self.scene, self.model, self.data, self.option, figure)
         add_shapes(self.scene, picture.efforts)
         self._add_wall()
@@ -57,10 +50,10 @@ class MujocoPainter:
         return np.ascontiguousarray(image[::-1])
 
     def _add_wall(self) -> None:
-        """Put a white wall behind everything: what the picture stands on is the same for every model."""
+        """Put a white wall behind everything, so that the background is the same for every model."""
         eye = self.scene.camera[0]
         sight = np.array(eye.forward, dtype=float)
-        far = _WALL * float(eye.frustum_far)
+        far = 0.9 * float(eye.frustum_far)  # in front of the clipping plane
         right, up = np.cross(sight, np.array(eye.up, dtype=float)), np.array(eye.up, dtype=float)
         turned = np.stack([right, up, -sight], axis=1)
         wide = 4.0 * far * max(1.0, self.size[0] / self.size[1])
@@ -69,7 +62,7 @@ class MujocoPainter:
         box = mujoco.mjtGeom.mjGEOM_BOX
         mujoco.mjv_initGeom(geom, box, np.array([wide, wide, 1e-3 * far]), place, turned.ravel(), np.ones(4, np.float32))
         geom.emission, geom.specular, geom.reflectance = 1.0, 0.0, 0.0
-        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)  # which casts no shadow
+        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)  # decoration casts no shadow
         self.scene.ngeom += 1
 
 
@@ -77,14 +70,14 @@ class MujocoPainter:
 def mujoco_painter(
     model: mujoco.MjModel, gl: str, size: tuple[int, int], eye: Eye | int, points: np.ndarray
 ) -> Iterator[MujocoPainter]:
-    """Give a painter that draws by an OpenGL that was found.
+    """Yield a painter that draws with OpenGL.
 
     Args:
         model: MuJoCo's.
-        gl: the OpenGL's name.
+        gl: the name of the OpenGL.
         size: of the pictures, width and height.
-        eye: the camera, or the index of one of the model's.
-        points: what the picture is about (n, 3) [m]: a floor far from it is left out.
+        eye: the camera, or the index of one of the model's cameras.
+        points: all visible points (n, 3) [m]; a floor far from them is left out.
     """
     model = copy.copy(model)
     model.geom_group[far_planes(model, points)] = mujoco.mjNGROUP - 1  # a group that is not drawn
@@ -95,7 +88,7 @@ def mujoco_painter(
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         camera.lookat[:], camera.distance = eye.target, eye.distance
         camera.azimuth, camera.elevation = np.degrees(eye.azimuth), np.degrees(eye.elevation)
-        # What is drawn lies between a hundredth of the distance and a hundred times it.
+        # The clipping planes are at a hundredth of the distance and at a hundred times the distance.
         model.stat.extent, model.vis.map.znear, model.vis.map.zfar = eye.distance, 0.01, 100.0
         model.stat.center[:] = eye.target
     else:
@@ -105,11 +98,11 @@ def mujoco_painter(
         context.make_current()
         try:
             drawn = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        except mujoco.FatalError as error:  # a renderer in software without memory for its buffers
+        except mujoco.FatalError as error:  # a software renderer without memory for its buffers
             raise LinkplanError(f"MuJoCo's renderer cannot draw here: {one_line(error)}") from error
         try:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawn)
-            scene = mujoco.MjvScene(model, _GEOMS)
+            scene = mujoco.MjvScene(model, maxgeom=20_000)
             for flag in (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_SHADOW):
                 scene.flags[int(flag)] = False
             yield MujocoPainter(
@@ -120,7 +113,9 @@ def mujoco_painter(
                 camera=camera,
                 option=mujoco.MjvOption(),
                 size=size,
-                ground_is_seen=bool((seen(model) & has_end(model) & (model.body_weldid[model.geom_bodyid] == 0)).any()),
+                ground_is_seen=bool(
+                    (visible_geoms(model) & bounded_geoms(model) & (model.body_weldid[model.geom_bodyid] == 0)).any()
+                ),
             )
         finally:
             drawn.free()
@@ -129,26 +124,29 @@ def mujoco_painter(
 
 
 def far_planes(model: mujoco.MjModel, points: np.ndarray) -> np.ndarray:
-    """Return the indices of planes that stand far from all points (n, 3) [m], by the points' extent, or far into them."""
-    reach = float(np.ptp(points, axis=0).max())
+    """Return the indices of planes whose distance from the lowest of all points (n, 3) [m] is over 30 % of their extent."""
+    far = 0.3 * float(np.ptp(points, axis=0).max())
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found = []
     for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
         height = (points - np.array(data.geom_xpos[geom])) @ np.array(data.geom_xmat[geom]).reshape(3, 3)[:, 2]
-        if not -_NEAR * reach < height.min() < _NEAR * reach:
+        if not -far < height.min() < far:
             found.append(int(geom))
     return np.array(found, dtype=int)
 
 
 def add_figure(scene, model: mujoco.MjModel, data: mujoco.MjData, option: mujoco.MjvOption, figure: Figure) -> None:
-    """Add a mechanism in a pose that `data` has: its moving geoms and its skeleton, translucent."""
+    """Add a translucent mechanism at the pose of `data`: its moving geoms and its skeleton.
+
+    The geoms of a ghost are 1.5 % smaller, so that they do not flicker where they coincide with the mechanism.
+    """
     first = scene.ngeom
     mujoco.mjv_addGeoms(model, data, option, mujoco.MjvPerturb(), _MOVING, scene)
     for k in range(first, scene.ngeom):
         geom = scene.geoms[k]
         if figure.ghost:
-            geom.rgba[:], geom.size[:] = GHOST, np.array(geom.size) * _GHOST_SIZE
+            geom.rgba[:], geom.size[:] = GHOST, np.array(geom.size) * 0.985
             geom.matid = -1
         else:
             geom.rgba[3] *= figure.alpha
@@ -157,7 +155,7 @@ def add_figure(scene, model: mujoco.MjModel, data: mujoco.MjData, option: mujoco
 
 
 def add_shapes(scene, shapes: Sequence[Shape]) -> None:
-    """Add shapes to one of MuJoCo's scenes, as far as there is room."""
+    """Add shapes to a scene of MuJoCo, up to its capacity."""
     for shape in shapes:
         if scene.ngeom >= scene.maxgeom - 1:
             return

@@ -1,4 +1,4 @@
-"""A plan's tracked motion as an MP4, a GIF or a PNG: what `linkplan render` does."""
+"""A plan's tracked motion as an MP4, a GIF or a PNG (`linkplan render`)."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -22,17 +22,12 @@ from linkplan.studies.render.motion import Motion, frame_times, own_slowness, tr
 from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 
-# Scenes are made so many at a time; progress is said so often.
-_CHUNK, _SAID_EVERY = 50, 25
-# Frames from which a GIF's colours are found.
-_PALETTE_FRAMES = 5
-
 Paint = Callable[[Scene], np.ndarray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendered:
-    """What was written: frames of which size, how many a second, how much slower than real, and by whom they were drawn."""
+    """The written file: number and size of frames, frames a second, slowness, and the painter."""
 
     file: str
     frames: int
@@ -47,19 +42,19 @@ class Rendered:
 
 
 def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent) -> Rendered:
-    """Draw a plan's motion as a tracker follows it into a file, whole or not at all.
+    """Draw a plan's tracked motion into a file, which is written whole or not at all.
 
     Args:
         plan: with a motion.
         path: of the file.
-        settings: how.
-        gl: the OpenGL to draw with; where there is none, the skeleton is drawn flat.
-        say: told of progress.
+        settings: of the film or picture.
+        gl: the OpenGL; without one, Matplotlib draws the skeleton in a plane.
+        say: called with lines on the progress.
     """
     camera = camera_from(settings.camera, plan.problem.mechanism)
     motion = tracked_motion(plan, settings.tracker)
     slow = own_slowness(motion.duration_s) if settings.slow is None else settings.slow
-    times = frame_times(motion.duration_s, slow, settings.fps, repeats=motion.repeats)  # refused before it is drawn
+    times = frame_times(motion.duration_s, slow, settings.fps, repeats=motion.repeats)  # raises before anything is drawn
     if gl.name is None:
         say(f"no OpenGL to draw with ({gl.why_not}): the skeleton is drawn flat, by Matplotlib")
     if settings.suffix != ".png":
@@ -106,10 +101,10 @@ def _painter(motion: Motion, camera: Camera, settings: RenderSettings, gl: GL) -
 
 
 def picture(motion: Motion, camera: Camera, settings: RenderSettings, paint: Paint) -> np.ndarray:
-    """Return one image: an instant with the plan's ghost, or several instants of the run, the last one strong.
+    """Return one image: an instant with the plan's ghost, or several instants of the run, the last one opaque.
 
     Raises:
-        ProblemError: when the run has ended by that instant.
+        ProblemError: if the instant is after the end of the run.
     """
     if settings.at_s is not None:
         end = float(motion.time_s[-1])
@@ -127,29 +122,29 @@ def picture(motion: Motion, camera: Camera, settings: RenderSettings, paint: Pai
 
 
 def _write_film(path: Path, motion: Motion, instants, camera: Camera, settings: RenderSettings, slow, paint, say) -> None:
-    n, foot = len(instants), _foot(motion, ghost=True)
+    n, foot, chunk_size = len(instants), _foot(motion, ghost=True), 50
 
     def images(chosen: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the images of some control instants, one at a time."""
-        for begin in range(0, len(chosen), _CHUNK):
-            chunk = chosen[begin : begin + _CHUNK]
+        for begin in range(0, len(chosen), chunk_size):
+            chunk = chosen[begin : begin + chunk_size]
             for k, scene in zip(chunk, film_scenes(motion, chunk, camera.direction), strict=True):
                 check()
                 yield written(paint(scene), frame_lines(motion, int(k), slow), foot)
 
-    def told() -> Iterator[np.ndarray]:
+    def reported() -> Iterator[np.ndarray]:
         for done, image in enumerate(images(instants), start=1):
             yield image
-            if done % _SAID_EVERY == 0:
+            if done % 25 == 0:
                 say(f"{done} of {n} frames")
 
     def write(place: Path) -> None:
         """Write the film in its work folder."""
         if settings.suffix == ".mp4":
-            write_mp4(place, told(), settings.fps)
+            write_mp4(place, reported(), settings.fps)
             return
-        some = instants[np.linspace(0, n - 1, min(n, _PALETTE_FRAMES)).astype(int)]
-        write_gif(place, told(), n, settings.fps, list(images(some)))
+        some = instants[np.linspace(0, n - 1, min(n, 5)).astype(int)]
+        write_gif(place, reported(), n, settings.fps, list(images(some)))
 
     write_file_whole(path, SUFFIXES, write)
 

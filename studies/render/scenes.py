@@ -1,4 +1,4 @@
-"""What is in a picture at an instant: the mechanism, the plan's ghost in the same place, and the efforts."""
+"""The contents of a picture at an instant: the mechanism, the ghost of the plan, and the efforts."""
 
 import copy
 from dataclasses import dataclass
@@ -13,19 +13,10 @@ from linkplan.studies.render.framing import axes_of, corners
 from linkplan.studies.render.motion import Motion
 from linkplan.studies.render.shapes import Shape, bones, faded, ghostly, series_colour
 
-# The rods of the skeleton are so thick, as a share of the mechanism's size: to be seen where there are no geoms.
-_ROD = 0.009
-# A fixed geom that stands out by more than the first share of what moves is surroundings, held as far as the second.
-_BESIDE, _SURROUNDINGS = 0.8, 0.12
-# The headlight's least ambient and diffuse parts: MuJoCo's own leave models without lights nearly black.
-_AMBIENT, _DIFFUSE = 0.42, 0.48
-# Instants at which a motion is looked at to find what the picture must hold.
-_LOOKED_AT = 60
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Figure:
-    """A mechanism in one pose: MuJoCo's qpos, its skeleton as shapes, the ground's pins apart, and how it is drawn."""
+    """A mechanism in one pose: MuJoCo's qpos, the shapes of its skeleton and of the ground's pins, and its appearance."""
 
     qpos: np.ndarray
     shapes: tuple[Shape, ...]
@@ -36,28 +27,28 @@ class Figure:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scene:
-    """One picture: figures, the last of them the one that things are about, and efforts as shapes."""
+    """One picture: figures, the main one last, and efforts as shapes."""
 
     figures: tuple[Figure, ...]
     efforts: tuple[Shape, ...]
 
 
-def seen(model: mujoco.MjModel) -> np.ndarray:
-    """Return which geoms (n_geom,) a picture shows: not transparent ones, nor of groups that MuJoCo's viewer hides."""
+def visible_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Return the mask (n_geom,) of visible geoms: neither transparent nor in groups that MuJoCo's viewer hides."""
     matte = np.where(model.geom_matid >= 0, 1.0, model.geom_rgba[:, 3])
     return (matte > 0) & (model.geom_group < 3)
 
 
 def plain_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Return which moving geoms (n_geom,) have no colour of their own: MuJoCo's grey, and no material."""
+    """Return the mask (n_geom,) of moving geoms without a colour: MuJoCo's default grey, and no material."""
     grey = np.all(np.isclose(model.geom_rgba, (0.5, 0.5, 0.5, 1.0)), axis=1)
     return grey & (model.geom_matid < 0) & (model.body_weldid[model.geom_bodyid] != 0)
 
 
 def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
-    """Return the rgba of each body: of its first geom that is seen and coloured, else of a series; grey of the ground."""
+    """Return the rgba of each body: that of its first visible coloured geom, else of a series; the ground is grey."""
     model = mechanism.model
-    coloured = seen(model) & ~plain_geoms(model) & (model.geom_matid < 0)
+    coloured = visible_geoms(model) & ~plain_geoms(model) & (model.geom_matid < 0)
     colours: dict[int, tuple[float, ...]] = {0: (0.35, 0.35, 0.35, 1.0)}
     for body in range(1, model.nbody):
         own = np.flatnonzero((model.body_weldid[model.geom_bodyid] == body) & coloured)
@@ -66,22 +57,25 @@ def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
 
 
 def coloured_model(mechanism: Mechanism) -> mujoco.MjModel:
-    """Return a mechanism's model to draw: geoms without a colour have their body's, and no light is too weak to see by."""
+    """Return a mechanism's model to draw: geoms without a colour have that of their body, and the headlight is brighter.
+
+    With MuJoCo's own headlight, models without lights are nearly black.
+    """
     model, colours = copy.copy(mechanism.model), body_colours(mechanism)
     for geom in np.flatnonzero(plain_geoms(model)):
         model.geom_rgba[geom] = colours[int(model.body_weldid[model.geom_bodyid[geom]])]
     light = model.vis.headlight
-    light.ambient[:], light.diffuse[:] = np.maximum(light.ambient, _AMBIENT), np.maximum(light.diffuse, _DIFFUSE)
+    light.ambient[:], light.diffuse[:] = np.maximum(light.ambient, 0.42), np.maximum(light.diffuse, 0.48)
     return model
 
 
 def rod_radius(mechanism: Mechanism) -> float:
-    """Return how thick a skeleton's rods are [m]."""
-    return _ROD * mechanism.extent_m
+    """Return the radius of a skeleton's rods [m]."""
+    return 0.009 * mechanism.extent_m
 
 
 def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[Shape, ...]]:
-    """Return the skeleton of what moves at each of the poses (n, n_q)."""
+    """Return the skeleton of the moving bodies at each of the poses (n, n_q)."""
     pins, colours = pins_in_space(mechanism, poses), body_colours(mechanism)
     pins.pop(0, None)
     radius = rod_radius(mechanism)
@@ -89,7 +83,7 @@ def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[Shape, ...]
 
 
 def ground_pins(mechanism: Mechanism) -> tuple[Shape, ...]:
-    """Return where a mechanism is pinned to the ground, as balls."""
+    """Return the pins of a mechanism on the ground as balls."""
     pins = {body: points[0] for body, points in pins_in_space(mechanism, mechanism.home[None]).items() if body == 0}
     return bones(pins, rod_radius(mechanism), body_colours(mechanism))
 
@@ -113,7 +107,7 @@ def film_scenes(motion: Motion, instants: np.ndarray, direction: tuple[float, fl
 
 
 def stroboscopic_scene(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> Scene:
-    """Return several instants (n,) of a motion in one picture, the earlier the fainter; efforts are the last one's."""
+    """Return several instants (n,) of a motion in one picture, earlier ones fainter, with the efforts of the last."""
     mechanism = motion.mechanism
     ground = ground_pins(mechanism)
     alphas = [0.12 + 0.33 * k / max(1, len(instants) - 1) for k in range(len(instants) - 1)] + [1.0]
@@ -129,7 +123,7 @@ def _all_efforts(motion: Motion, instants: np.ndarray, direction: tuple[float, f
     towards = -axes_of(*direction)[2]
     found = []
     for k in instants:
-        stand(mechanism.model, data, mechanism.qpos_of(motion.pose[k]))
+        place_bodies(mechanism.model, data, mechanism.qpos_of(motion.pose[k]))
         found.append(
             tuple(
                 shape
@@ -140,8 +134,8 @@ def _all_efforts(motion: Motion, instants: np.ndarray, direction: tuple[float, f
     return found
 
 
-def stand(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
-    """Put the simulator's bodies, cameras, lights and tendons where a pose has them."""
+def place_bodies(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
+    """Compute the positions of bodies, cameras, lights and tendons at a pose."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
@@ -151,22 +145,23 @@ def stand(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
 
 
 def all_points(motion: Motion, direction: tuple[float, float]) -> np.ndarray:
-    """Return points (n, 3) [m] about all that a motion's pictures are to hold, tracked and planned.
+    """Return points (n, 3) [m] around everything visible in a motion's pictures, tracked and planned.
 
-    Pins, geoms, tendons, and efforts as large as they get, seen along an azimuth and elevation [rad].
+    These are pins, geoms, tendons, and the largest efforts, seen along an azimuth and elevation [rad], at 60 instants. Fixed
+    geoms within 80 % of the moving parts' extent are included; others are cut off at 12 % of the extent.
     """
     mechanism, model = motion.mechanism, motion.mechanism.model
-    instants = np.unique(np.linspace(0, len(motion.time_s) - 1, _LOOKED_AT).astype(int))
+    instants = np.unique(np.linspace(0, len(motion.time_s) - 1, num=60).astype(int))
     poses = np.vstack([motion.pose[instants], motion.reference[instants]])
     points = [points.reshape(-1, 3) for points in pins_in_space(mechanism, poses).values()]
     moves = model.body_weldid[model.geom_bodyid] != 0
-    shown = seen(model) & has_end(model)
+    shown = visible_geoms(model) & bounded_geoms(model)
     data, size, towards = mujoco.MjData(model), mechanism.extent_m, -axes_of(*direction)[2]
     right, up, _ = axes_of(*direction)
     about = np.stack([right, -right, up, -up])
     largest = np.abs(motion.shares).max(axis=0, initial=0.0)
     for pose in poses:
-        stand(model, data, mechanism.qpos_of(pose))
+        place_bodies(model, data, mechanism.qpos_of(pose))
         points.append(corners(model, data, np.flatnonzero(shown & moves)))
         points.append(_tendon_points(data))
         for actuator, share in zip(mechanism.actuators, largest, strict=True):
@@ -178,19 +173,19 @@ def all_points(motion: Motion, direction: tuple[float, float]) -> np.ndarray:
     reach = float(np.max(high - low))
     for geom in np.flatnonzero(shown & ~moves):
         box = corners(model, data, np.array([geom]))
-        near = np.all((box >= low - _BESIDE * reach) & (box <= high + _BESIDE * reach))
-        margin = (_BESIDE if near else _SURROUNDINGS) * reach
+        near = np.all((box >= low - 0.8 * reach) & (box <= high + 0.8 * reach))
+        margin = (0.8 if near else 0.12) * reach
         found = np.vstack([found, np.clip(box, low - margin, high + margin)])
     return found
 
 
-def has_end(model: mujoco.MjModel) -> np.ndarray:
-    """Return which geoms (n_geom,) have an end: not planes and height fields."""
+def bounded_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Return the mask (n_geom,) of bounded geoms: not planes and height fields."""
     return ~np.isin(model.geom_type, (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)))
 
 
 def _tendon_points(data: mujoco.MjData) -> np.ndarray:
-    """Return the points (n, 3) [m] along which tendons run."""
+    """Return the points (n, 3) [m] of the tendons' paths."""
     paths = np.array(data.wrap_xpos).reshape(-1, 3)
     each = [paths[first : first + n] for first, n in zip(data.ten_wrapadr, data.ten_wrapnum, strict=True)]
     return np.vstack([np.zeros((0, 3)), *each])

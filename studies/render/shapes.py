@@ -1,4 +1,4 @@
-"""What a picture is made of beside the model's own geoms: capsules in space, with colours."""
+"""The shapes of a picture besides the model's geoms: coloured capsules in space."""
 
 import itertools
 from collections.abc import Sequence
@@ -8,15 +8,14 @@ import numpy as np
 
 from linkplan.studies.output.drawing import SERIES
 
-# An effort's colour runs from the first at none to the second at its limit; they differ in lightness too.
+# The colours of zero effort and of an effort at its limit; they also differ in lightness.
 _IDLE, _AT_LIMIT = np.array([0.62, 0.62, 0.62]), np.array([0.78, 0.02, 0.09])
-_TIP = 0.05  # an arrow's tip, as a share of its head's base
 GHOST = (0.50, 0.16, 0.78, 0.32)  # rgba of the reference
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Shape:
-    """A capsule from `start` to `end` (3,) [m]; one without length is a ball."""
+    """A capsule from `start` to `end` (3,) [m]; with zero length it is a ball."""
 
     start: np.ndarray
     end: np.ndarray
@@ -25,10 +24,10 @@ class Shape:
 
 
 def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[float, ...]]) -> tuple[Shape, ...]:
-    """Return a skeleton at one instant: rods between a body's pins, balls where pins stand on the ground (body 0).
+    """Return a skeleton at one instant: rods between a body's pins, and balls at the pins on the ground (body 0).
 
     Args:
-        pins: where each body is pinned to others, by body (n_pins, 3) [m].
+        pins: the positions (n_pins, 3) [m] of each body's pins, by body.
         radius: of the rods [m].
         colours: rgba by body.
     """
@@ -45,15 +44,15 @@ def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[f
 def arrow(
     points: np.ndarray, radius: float, rgba: tuple[float, float, float, float], head: int, base: float
 ) -> tuple[Shape, ...]:
-    """Return an arrow along points (n, 3) [m], its last `head` stretches a head that tapers from the radius `base` [m]."""
+    """Return an arrow along points (n, 3) [m]; its last `head` segments taper from the radius `base` [m]."""
     n = len(points) - 1
-    thick = np.append(np.full(n - head, radius), np.linspace(base, _TIP * base, head))
+    thick = np.append(np.full(n - head, radius), np.linspace(base, 0.05 * base, head))
     pairs = zip(points[:-1], points[1:], thick, strict=True)
     return tuple(Shape(start=a, end=b, radius=float(r), rgba=rgba) for a, b, r in pairs)
 
 
 def faded(shapes: Sequence[Shape], alpha: float) -> tuple[Shape, ...]:
-    """Return shapes as translucent as `alpha` says, from 0, not to be seen, to 1, as they are."""
+    """Return shapes with their opacity multiplied by `alpha`, from 0 to 1."""
     return tuple(replace(shape, rgba=(*shape.rgba[:3], alpha * shape.rgba[3])) for shape in shapes)
 
 
@@ -63,14 +62,14 @@ def ghostly(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
 
 
 def load_colour(share: float) -> tuple[float, float, float, float]:
-    """Return the rgba of an effort that is `share` of its limit, of either sign: grey at none, red from the limit on."""
+    """Return the rgba of an effort as a share of its limit, of either sign: from grey at 0 to red at 1 and above."""
     part = min(abs(share), 1.0)
     red, green, blue = (1 - part) * _IDLE + part * _AT_LIMIT
     return float(red), float(green), float(blue), 1.0
 
 
 def series_colour(k: int) -> tuple[float, float, float, float]:
-    """Return the rgba of the k-th body of a mechanism that has no colours of its own."""
+    """Return the rgba of the k-th body of a mechanism without colours."""
     digits = SERIES[k % len(SERIES)].removeprefix("#")
     red, green, blue = (int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4))
     return red, green, blue, 1.0

@@ -1,4 +1,4 @@
-"""A mechanism in motion as a block: its bodies as sticks, flat where all of them move in parallel planes."""
+"""The animation of a mechanism: its bodies as sticks, drawn in a plane if all of them move in parallel planes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,31 +10,27 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.joint_frames import joint_frames
 from linkplan.models.poses.skeleton import Stick, sticks, view
 from linkplan.models.tree.coordinates import joint_label
-from linkplan.studies.output.directions import direction_said
+from linkplan.studies.output.directions import direction_name
 from linkplan.studies.report.document import Animation, Body, Ghost
 from linkplan.studies.report.drives import drives_of
 from linkplan.studies.report.numbers import rounded, times
 
-# Frames of an animation: between them the page goes in straight lines.
-FRAMES = 201
-# Of mechanisms with many bodies there are fewer frames, so that an animation keeps to about so many numbers.
-_NUMBERS, _FEWEST_FRAMES = 120_000, 41
-# Depths that change by less than this share of the mechanism's extent do not change: a motion in a plane.
-_FLAT = 1e-6
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Run:
-    """A motion as it was tracked: poses (n, n_q), and the efforts (n, n_u) [N.m or N] that acted."""
+    """A tracked motion: poses (n, n_q) and the applied efforts (n, n_u) [N.m or N]."""
 
     poses: np.ndarray
     effort: np.ndarray
 
 
 def frames_of(mechanism: Mechanism, runs: int = 1) -> int:
-    """Return how many frames an animation of a mechanism has, which is drawn `runs` times."""
-    each = 9 * mechanism.model.nbody * runs
-    return int(np.clip(_NUMBERS // each, _FEWEST_FRAMES, FRAMES))
+    """Return the number of frames of an animation that draws a mechanism `runs` times.
+
+    The page interpolates linearly between frames. An animation has at most about 120,000 numbers, to keep the page small.
+    """
+    numbers_per_frame = 9 * mechanism.model.nbody * runs
+    return int(np.clip(120_000 // numbers_per_frame, 41, 201))
 
 
 def animation(
@@ -55,18 +51,18 @@ def animation(
     """Return the animation of a mechanism.
 
     Args:
-        mechanism: what moves.
+        mechanism: to draw.
         title: of the block.
-        group: whose cursor is the animation's instant.
+        group: of the cursor that sets the animation's instant.
         time_s: (n,) [s].
         poses: (n, n_q), closed.
         effort: (n, n_u) [N.m or N] of the actuators.
-        effort_limit: (n_u, 2) of them.
+        effort_limit: (n_u, 2), the actuators' limits.
         ghosts: other runs at the same instants, by name.
-        sites: MuJoCo's sites by name, whose paths are drawn.
-        period: of a motion that repeats [s].
-        planned: what the solid drawing is called beside ghosts.
-        unit: of `time_s`, where the mechanism is drawn over another quantity than time.
+        sites: indices of the MuJoCo sites whose paths are drawn, by name.
+        period: of a periodic motion [s].
+        planned: name of the solid drawing in the legend.
+        unit: of `time_s`, if it is another quantity than time.
     """
     drawn = sticks(mechanism, poses)
     right, up = view(mechanism.model)
@@ -82,7 +78,7 @@ def animation(
         title=title,
         group=group,
         dimension=2 if flat else 3,
-        axes=(direction_said(right), direction_said(up)),
+        axes=(direction_name(right), direction_name(up)),
         times=times(time_s),
         bodies=_bodies(drawn, frame),
         ghosts=[
@@ -103,8 +99,8 @@ def animation(
 
 
 def _is_flat(mechanism: Mechanism, drawn: tuple[Stick, ...], across: np.ndarray) -> bool:
-    """Return whether no pin's depth changes along the motion."""
-    return all(float(np.ptp(stick.places @ across, axis=0).max()) <= _FLAT * mechanism.extent_m for stick in drawn)
+    """Tell if every pin keeps its depth along the motion, to a millionth of the mechanism's extent."""
+    return all(float(np.ptp(stick.places @ across, axis=0).max()) <= 1e-6 * mechanism.extent_m for stick in drawn)
 
 
 def _bodies(drawn: tuple[Stick, ...], frame: np.ndarray) -> list[Body]:

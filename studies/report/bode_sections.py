@@ -1,4 +1,4 @@
-"""A loop's part of a report: margins, responses predicted and measured, Nyquist curves, margins along the reach."""
+"""The sections of a feedback loop: margins, responses predicted and measured, Nyquist curves, margins along the reach."""
 
 from collections.abc import Sequence
 
@@ -24,28 +24,22 @@ from linkplan.studies.report.document import (
     Table,
     Text,
 )
-from linkplan.studies.report.lines import LOOKS, Line, plots
-from linkplan.studies.report.numbers import kept, rounded
+from linkplan.studies.report.lines import Line, line_style, plots
+from linkplan.studies.report.numbers import drawn_rows, rounded, significant
 
-# Samples of a curve over frequency, before its peaks are added.
-_SAMPLES = 220
-# Rows of a map of |S|: every so manyth frequency of the grid.
-_EVERY = 16
-# What is drawn of a Nyquist curve, in units of the critical point's distance.
-_NYQUIST = 2.5
-_DECIBELS = (-12.0, 12.0)
+# Half the width of the Nyquist plane in units of |L|; the critical point is at -1.
+_NYQUIST_HALF_WIDTH = 2.5
 _FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
-_COLOURS = 6
 
 
 def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool = True) -> list[Section]:
     """Return the sections of a bode study.
 
     Args:
-        study: predicted, and measured or not.
+        study: with predicted responses, and measured ones if there are any.
         name: of this loop in the report, for titles and its cursor.
         depth: of the first section.
-        verdict: whether it is said here; not where the page's header says it.
+        verdict: whether the first section starts with the verdict; False if the page's header shows it.
     """
     group, below = f"frequency:{name}", depth + 1
     sections = [
@@ -97,14 +91,9 @@ def _margins(study: BodeStudy) -> Table:
         of = [mechanism.independent_joints[entry.channel].name] if several else []
         inertia = float(entry.point.inertia[entry.channel, entry.channel])
         verdicts = [bool(m.stable), bool(entry.settles_in_mujoco)]
-        pole = known(m.spectral_radius, 6)
-        rows.append([entry.point.name, *of, known(inertia), *verdicts, pole, *(known(x) for x in figures)])
+        pole = significant(m.spectral_radius, 6)
+        rows.append([entry.point.name, *of, significant(inertia), *verdicts, pole, *(significant(x) for x in figures)])
     return Table(title="Margins at every pose", columns=columns(*heads), rows=rows)
-
-
-def known(value: float | None, digits: int = 4) -> float | None:
-    """Return a number to so many digits, None where it is none."""
-    return float(f"{value:.{digits}g}") if value is not None and np.isfinite(value) else None
 
 
 def _name(entry: BodePoint) -> str:
@@ -112,7 +101,7 @@ def _name(entry: BodePoint) -> str:
 
 
 def _responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> list[Block]:
-    """Return gain and phase of the open loop and of the reference to the position, and what was measured less predicted."""
+    """Return gain and phase of the open loop and of the reference to the position, and measured less predicted values."""
     reference = "reference" if study.law == "pd" else "reference+ff"
     titles = {"loop": "Open loop L", reference: f"{reference.replace('+', ' with ')} to position"}
     blocks: list[Block] = []
@@ -123,13 +112,13 @@ def _responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> li
         gain, phase, off_db, off_deg = [], [], [], []
         for k, entry in enumerate(entries):
             frequency, db, deg = _curve(entry, quantity)
-            look = {"look": LOOKS[k // _COLOURS % len(LOOKS)], "colour": k % _COLOURS}
+            look = line_style(k)
             gain.append((_name(entry), frequency, db, look))
             phase.append((_name(entry), frequency, deg, look))
             response = entry.measured.get(quantity)
             if response is None:
                 continue
-            dots = {"look": "points", "colour": k % _COLOURS}
+            dots = {**look, "look": "points"}
             gain.append((f"{entry.point.name}, measured", response.frequency_hz, response.db, dots))
             phase.append(
                 (f"{entry.point.name}, measured", response.frequency_hz, measured_phase(response, frequency, deg), dots)
@@ -152,7 +141,7 @@ def _curve(entry: BodePoint, quantity: str) -> tuple[np.ndarray, np.ndarray, np.
     shown = curve.frequency_hz >= lowest_hz(entry)
     frequency, db = curve.frequency_hz[shown], curve.db[shown]
     phase = shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
-    rows = kept(np.column_stack([db, phase]), _SAMPLES)
+    rows = drawn_rows(np.column_stack([db, phase]), most=220)
     return frequency[rows], db[rows], phase[rows]
 
 
@@ -184,19 +173,14 @@ def _sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
         curves, unit = [], "dB"
         for k, entry in enumerate(entries):
             frequency, db, _ = _curve(entry, quantity)
-            curves.append((_name(entry), frequency, db, {"look": LOOKS[k // _COLOURS % len(LOOKS)], "colour": k % _COLOURS}))
+            look = line_style(k)
+            curves.append((_name(entry), frequency, db, look))
             if quantity == "control":
                 unit = f"dB of {entry.sampled.response(quantity, np.array([frequency[0]]), entry.channel).unit}"
             if quantity in entry.measured:
                 response = entry.measured[quantity]
-                curves.append(
-                    (
-                        f"{entry.point.name}, measured",
-                        response.frequency_hz,
-                        response.db,
-                        {"look": "points", "colour": k % _COLOURS},
-                    )
-                )
+                dots = {**look, "look": "points"}
+                curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.db, dots))
         ends = None if quantity == "control" else (-50.0, 25.0)
         found.append(
             _plot(
@@ -218,32 +202,32 @@ def _nyquist(entries: Sequence[BodePoint], study: BodeStudy) -> Plane:
     stable = [entry for entry in entries if entry.margins.disk_margin is not None]
     if stable:
         alpha = min(min(entry.margins.disk_margin for entry in stable), 1.999)
-        disk = 1.0 / (0.5 + turn / alpha) - 1.0  # what L keeps out of: |S - 1/2| = 1 / alpha
+        disk = 1.0 / (0.5 + turn / alpha) - 1.0  # the disk that L does not enter: |S - 1/2| = 1 / alpha
         name = f"least disk margin {alpha:.3g}"
         curves.append(Curve(name=name, x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
     for k, entry in enumerate(entries):
         gain = entry.sampled.gains("loop", frequency_grid(study.timing.period_s)[::3], entry.channel)
-        gain = np.where(np.abs(gain) < 4 * _NYQUIST, gain, np.nan)
-        colour, look = k % _COLOURS, LOOKS[k // _COLOURS % len(LOOKS)]
-        curves.append(Curve(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), look=look, colour=colour))
+        gain = np.where(np.abs(gain) < 4 * _NYQUIST_HALF_WIDTH, gain, np.nan)
+        curves.append(Curve(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
         if "loop" in entry.measured:
             points = entry.measured["loop"].gain
-            points = points[np.abs(points) < 4 * _NYQUIST]
-            curves.append(Curve(name="", x=rounded(points.real), y=rounded(points.imag), look="points", colour=colour))
+            points = points[np.abs(points) < 4 * _NYQUIST_HALF_WIDTH]
+            dots = {**line_style(k), "look": "points"}
+            curves.append(Curve(name="", x=rounded(points.real), y=rounded(points.imag), **dots))
     curves.append(Curve(name="critical point -1", x=[-1.0], y=[0.0], look="cross", colour=None, width=2.0))
     return Plane(
         title="Nyquist curves of the open loop; dots measured"
         if any(entry.measured for entry in entries)
         else "Nyquist curves of the open loop",
-        x_axis=Axis(label="real part of L", unit="1", ends=(-_NYQUIST, _NYQUIST)),
-        y_axis=Axis(label="imaginary part of L", unit="1", ends=(-_NYQUIST, _NYQUIST)),
+        x_axis=Axis(label="real part of L", unit="1", ends=(-_NYQUIST_HALF_WIDTH, _NYQUIST_HALF_WIDTH)),
+        y_axis=Axis(label="imaginary part of L", unit="1", ends=(-_NYQUIST_HALF_WIDTH, _NYQUIST_HALF_WIDTH)),
         curves=curves,
         equal=True,
     )
 
 
 def _along_plots(scan: Scan, name: str) -> list[Plot]:
-    """Return the margins over a line of positions, the worst place among their limits."""
+    """Return the margins over a line of positions; the title names the position of the worst margin."""
     line = scan.line
     x = np.array([line.shown(position) for position in scan.positions])
     axis = Axis(label=line.name if line.name != "t" else "time", unit=line.unit)
@@ -266,7 +250,7 @@ def _along_plots(scan: Scan, name: str) -> list[Plot]:
 def _map(study: BodeStudy, scan: Scan) -> Plane:
     """Return the map of the sensitivity over position and frequency."""
     line = scan.line
-    grid, heat = sensitivity_along(study, scan, every=_EVERY)
+    grid, heat = sensitivity_along(study, scan, every=16)
     x = np.array([line.shown(position) for position in scan.positions])
     return Plane(
         title="Sensitivity |S| over position and frequency",
@@ -283,6 +267,6 @@ def _map(study: BodeStudy, scan: Scan) -> Plane:
             x=rounded(x),
             y=rounded(grid, log=True),
             values=rounded(heat, digits=3),
-            ends=_DECIBELS,
+            ends=(-12.0, 12.0),
         ),
     )

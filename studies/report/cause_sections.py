@@ -1,4 +1,4 @@
-"""What errors are made of and owe to what, as bar charts: of the records of a decomposition and of a sensitivity."""
+"""Bar charts of the causes of tracking errors, from the records of a decomposition and of a sensitivity study."""
 
 import math
 from collections.abc import Mapping
@@ -6,16 +6,12 @@ from collections.abc import Mapping
 from linkplan.studies.decompose.decomposition_text import whole_column
 from linkplan.studies.report.document import Axis, Bar, Bars, Block, Section, Span, Text
 
-# Colours of what raises a figure and of what lowers it, as in the figures.
-_RAISES, _LOWERS, _WITH_OTHERS = 1, 0, 5
-# Imperfections that are drawn, the most important ones of any tracker.
-_MOST = 12
-# Digits of a number beside a bar.
-_DIGITS = 3
+# Indices of the colours of causes that raise a figure, lower it, or act together with others; the same in all figures.
+_RAISING_COLOUR, _LOWERING_COLOUR, _TOTAL_COLOUR = 1, 0, 5
 
 
 def decomposition_charts(record: Mapping) -> list[Bars]:
-    """Return a chart for each tracker and unit of a decomposition's record: each part begins where the one before ends.
+    """Return a chart for each tracker and unit of a decomposition's record; each part starts at the end of the last one.
 
     The record has "parts" (name to words) and, by tracker and unit, "rms_error" with its "parts" in that unit.
     """
@@ -28,22 +24,22 @@ def decomposition_charts(record: Mapping) -> list[Bars]:
             *notes, whole_note = whole_column([*shares["parts"].values(), shares["rms_error"]])
             for (name, part), note in zip(shares["parts"].items(), notes, strict=True):
                 begin, end = end, end + part
-                sign, colour = ("adds to it", _RAISES) if part >= 0 else ("takes away", _LOWERS)
+                sign, colour = ("adds to it", _RAISING_COLOUR) if part >= 0 else ("takes away", _LOWERING_COLOUR)
                 span = Span(name=sign, start=begin, end=end, colour=colour)
                 rows.append(Bar(label=words[name].partition(":")[0], spans=[span], note=note))
             whole = Span(name="rms error", start=0.0, end=shares["rms_error"], colour=None)
             rows.append(Bar(label="rms error", spans=[whole], note=whole_note))
             axis = Axis(label="part of the rms error", unit=unit)
-            title = f"{tracker}: what the rms error is made of"
+            title = f"{tracker}: parts of the rms error"
             found.append(Bars(title=title, axis=axis, rows=rows, note_name=f"[{unit}]"))
     return found
 
 
 def sensitivity_section(record: Mapping, *, depth: int = 2) -> Section:
-    """Return the section of a sensitivity's record: for each tracker what its rms error owes to each imperfection.
+    """Return the section of a sensitivity's record: the influence of each imperfection on each tracker's rms error.
 
-    The record is "sensitivity" of an experiment: by tracker and metric "effects" of imperfections, each with its importance,
-    its interval and the parts that its design gives, and "middle".
+    The record is "sensitivity" of an experiment. By tracker and metric it has "middle" and "effects": the importance of each
+    imperfection, its interval, and the values specific to the design.
     """
     mains = [name for name in record["metrics"] if name.startswith("rms_error")]
     machines = record["groups"] * record["group_size"]
@@ -53,7 +49,7 @@ def sensitivity_section(record: Mapping, *, depth: int = 2) -> Section:
         for tracker, by_metric in record["trackers"].items():
             draw = _CHARTS[record["design"]]
             axis, rows, line = draw(record, metric, by_metric[metric], shown)
-            title = f"{tracker}: what the {record['metrics'][metric]['text']} owes to each imperfection"
+            title = f"{tracker}: what the {record['metrics'][metric]['text']} due to each imperfection"
             name = "" if line == 0 else f"all in the middle, {_said(line)}"
             beside = "total" if record["design"] == "sobol" else f"change [{axis.unit}]"
             chart = Bars(title=title, axis=axis, rows=rows, line=line, line_name=name, note_name=beside)
@@ -62,19 +58,19 @@ def sensitivity_section(record: Mapping, *, depth: int = 2) -> Section:
 
 
 def _foremost(record: Mapping, metric: str) -> list[str]:
-    """Return the imperfections that matter most for some tracker, in the order of the first tracker's ranking."""
+    """Return the twelve imperfections that matter most for any tracker, in the order of the first tracker's ranking."""
     rankings = [by_metric[metric]["ranking"] for by_metric in record["trackers"].values()]
     places = {label: min(ranking.index(label) for ranking in rankings) for label in record["imperfections"]}
-    kept = set(sorted(places, key=lambda label: places[label])[:_MOST])
+    kept = set(sorted(places, key=lambda label: places[label])[:12])
     return [label for label in rankings[0] if label in kept]
 
 
 def _ends(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
-    """Return the change that each end of a range makes, all else in the middle."""
+    """Return the change due to each end of an imperfection's range, with all others in the middle of theirs."""
     middle, rows = found["middle"] or 0.0, []
     for label in shown:
         effect = found["effects"][label]
-        ends = (("low", effect.get("at_low"), _LOWERS), ("high", effect.get("at_high"), _RAISES))
+        ends = (("low", effect.get("at_low"), _LOWERING_COLOUR), ("high", effect.get("at_high"), _RAISING_COLOUR))
         spans = [
             Span(name=f"at the {name} end", start=middle, end=value, colour=colour)
             for name, value, colour in ends
@@ -87,7 +83,7 @@ def _ends(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tup
 
 
 def _effects(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
-    """Return Morris' mean size of the effects, as the mean of those that raise the figure and of those that lower it."""
+    """Return Morris' mean absolute effect, split into the effects that raise the figure and those that lower it."""
     rows = []
     for label in shown:
         effect = found["effects"][label]
@@ -96,8 +92,8 @@ def _effects(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> 
             rows.append(Bar(label=_named(record, label), spans=[], note="unknown"))
             continue
         spans = [
-            Span(name="raises it, from the low to the high end", start=0.0, end=(size + mean) / 2, colour=_RAISES),
-            Span(name="lowers it", start=0.0, end=-(size - mean) / 2, colour=_LOWERS),
+            Span(name="raises it, from the low to the high end", start=0.0, end=(size + mean) / 2, colour=_RAISING_COLOUR),
+            Span(name="lowers it", start=0.0, end=-(size - mean) / 2, colour=_LOWERING_COLOUR),
         ]
         rows.append(Bar(label=_named(record, label), spans=spans, note=_with_interval(effect)))
     text = record["metrics"][metric]
@@ -105,14 +101,14 @@ def _effects(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> 
 
 
 def _shares(record: Mapping, _metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
-    """Return Sobol's indices: shares of the variance, by itself and together with others."""
+    """Return Sobol's first-order and total indices as shares of the variance."""
     rows = []
     for label in shown:
         effect = found["effects"][label]
         spans = []
         for name, value, low, high, colour in (
-            ("by itself or with others (total index)", effect["importance"], *effect["interval95"], _WITH_OTHERS),
-            ("by itself (first-order index)", effect["first_order"], *_about(effect), _LOWERS),
+            ("by itself or with others (total index)", effect["importance"], *effect["interval95"], _TOTAL_COLOUR),
+            ("by itself (first-order index)", effect["first_order"], *_about(effect), _LOWERING_COLOUR),
         ):
             if value is not None:
                 ends = [None if x is None else 100 * x for x in (low, high)]
@@ -147,4 +143,4 @@ def _with_interval(effect: Mapping) -> str:
 
 
 def _said(value: float | None) -> str:
-    return "" if value is None or not math.isfinite(value) else f"{value:.{_DIGITS}g}"
+    return "" if value is None or not math.isfinite(value) else f"{value:.3g}"

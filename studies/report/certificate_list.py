@@ -1,10 +1,9 @@
-"""A certificate as a checklist: every limit with its worst number and the instant at which it is worst."""
+"""A certificate as a checklist: every limit with its worst value and the instant of that value."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.certificate import (
     BOUNDARY_SHARE,
     CLOSURE_M,
@@ -18,15 +17,15 @@ from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Checklist, Item
 from linkplan.studies.report.motion import Motion
+from linkplan.studies.report.numbers import significant
 
-# Digits of a residual: its size is what is known of it.
-_RESIDUAL = 2
-# What a certificate's sentence on the velocity begins with: its verdict looks at the integrated velocity, too.
+# The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
+# residual alone does not decide it.
 _NOT_ITS_VELOCITY = "the planned velocity is not"
 
 
 def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
-    """Return the checklist of a plan's certificate, its instants those of the cursor `group`."""
+    """Return the checklist of a plan's certificate; its instants move the cursor of `group`."""
     certificate = plan.certificate
     items = [
         *_efforts(plan, motion),
@@ -35,7 +34,7 @@ def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
         *_numerics(plan, certificate),
         *_contacts(plan, certificate),
     ]
-    return Checklist(title="What holds between the nodes", group=group, items=items)
+    return Checklist(title="Checks between the nodes", group=group, items=items)
 
 
 def _efforts(plan: Plan, motion: Motion) -> list[Item]:
@@ -53,7 +52,7 @@ def _efforts(plan: Plan, motion: Motion) -> list[Item]:
 
 
 def _ranges(plan: Plan, motion: Motion) -> list[Item]:
-    """Return the joints' ranges and speed limits: the value that comes nearest to its limit, and that limit."""
+    """Return the joints' ranges and speed limits: the value nearest to its limit, and that limit."""
     problem, certificate, items = plan.problem, plan.certificate, []
     kinds = (
         ("range", "", motion.pose, problem.limits.position, certificate.position_margin),
@@ -71,12 +70,9 @@ def _ranges(plan: Plan, motion: Motion) -> list[Item]:
             passed = bool(margins[k] >= -RANGE_SLACK)
             when = certificate.worst_time_s.get(f"{what} of {joint.name}")
             unit = f"{joint.unit}{per}"
-            items.append(_item(f"{what} of {joint.name}", passed, _shown(joint, value), _shown(joint, limit), unit, when))
+            shown = [joint.shown(float(x)) for x in (value, limit)]
+            items.append(_item(f"{what} of {joint.name}", passed, *shown, unit, when))
     return items
-
-
-def _shown(joint: Joint, value: float) -> float:
-    return joint.shown(float(value))
 
 
 def _margins(certificate: Certificate) -> list[Item]:
@@ -87,31 +83,20 @@ def _margins(certificate: Certificate) -> list[Item]:
 
 
 def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
-    """Return what makes the motion one of the mechanism: dynamics, closure, ends, and the integrated state."""
-    mechanism, when, residual = plan.problem.mechanism, certificate.worst_time_s, certificate.dynamics_residual
-    share = float(certificate.residual_share.max(initial=0.0))
-    units = " or ".join(dict.fromkeys("N.m" if joint.kind == "hinge" else "N" for joint in mechanism.independent_joints))
-    dynamics = _item(
-        "effort by inverse dynamics less the planned one",
-        share <= 1.0,
-        residual,
-        residual / share if share > 0 else None,
-        units,
-        when.get("dynamics_residual"),
-    )
-    stray = any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures)
+    """Return the numerical checks of the motion: dynamics, velocity, ends, closure, and the integrated state."""
+    mechanism, when = plan.problem.mechanism, certificate.worst_time_s
     items = [
-        dynamics,
+        _dynamics(plan, certificate),
         _item(
             "velocity less the position's slope, of the largest speed",
-            not stray,
+            not any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures),
             100 * certificate.velocity_residual,
             100 * VELOCITY_SHARE,
             "%",
             when.get("velocity_residual"),
         ),
         _item(
-            "ends of the motion, off what is asked, of its range or largest speed",
+            "error at start and goal, relative to the range or the largest speed",
             certificate.boundary_error <= BOUNDARY_SHARE,
             certificate.boundary_error,
             BOUNDARY_SHARE,
@@ -123,26 +108,54 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
         allowed = BOUNDARY_SHARE * mechanism.extent_m
         error = certificate.site_error_m
-        items.append(_item("sites, off where they are asked to be", error <= allowed, error, allowed, "m", None))
-    if mechanism.closures:
-        allowed = max(CLOSURE_M, mechanism.closed_m)
-        held, at = certificate.closure_gap_m <= allowed, when.get("closure_gap_m")
-        for unit, gap in certificate.closure_gaps.items():
-            one = allowed / max(closure.per_unit for closure in mechanism.closures if closure.unit == unit)
-            items.append(_item("gap of the kinematic loops", held, gap, one, unit, at))
-    kinds = {joint.kind for joint in mechanism.independent_joints}
-    for kind, error, allowed, unit in (
-        ("hinge", certificate.integration_error_deg, INTEGRATION_DEG, "deg"),
-        ("slide", certificate.integration_error_m, INTEGRATION_M, "m"),
-    ):
-        if kind in kinds:
-            what = "state integrated under the planned effort, off the planned one"
-            items.append(_item(what, bool(error <= allowed), error, allowed, unit, None))
-    items = [replace(item, worst=_known(item.worst, _RESIDUAL), limit=_known(item.limit, _RESIDUAL)) for item in items]
+        items.append(_item("error of sites at start, waypoints and goal", error <= allowed, error, allowed, "m", None))
+    items += [*_closure_gaps(plan, certificate), *_integration_errors(plan, certificate)]
+    items = [replace(item, worst=significant(item.worst, 2), limit=significant(item.limit, 2)) for item in items]
     if mechanism.closures:
         what = "least det J_z, relative to home (0 at a singular pose)"
         items.append(_item(what, True, certificate.singularity_ratio, None, "", None))
     return items
+
+
+def _dynamics(plan: Plan, certificate: Certificate) -> Item:
+    mechanism, residual = plan.problem.mechanism, certificate.dynamics_residual
+    share = float(certificate.residual_share.max(initial=0.0))
+    units = " or ".join(dict.fromkeys("N.m" if joint.kind == "hinge" else "N" for joint in mechanism.independent_joints))
+    return _item(
+        "effort by inverse dynamics less the planned one",
+        share <= 1.0,
+        residual,
+        residual / share if share > 0 else None,
+        units,
+        certificate.worst_time_s.get("dynamics_residual"),
+    )
+
+
+def _closure_gaps(plan: Plan, certificate: Certificate) -> list[Item]:
+    mechanism = plan.problem.mechanism
+    if not mechanism.closures:
+        return []
+    allowed = max(CLOSURE_M, mechanism.closed_m)
+    held, at = certificate.closure_gap_m <= allowed, certificate.worst_time_s.get("closure_gap_m")
+    items = []
+    for unit, gap in certificate.closure_gaps.items():
+        limit = allowed / max(closure.per_unit for closure in mechanism.closures if closure.unit == unit)
+        items.append(_item("gap of the kinematic loops", held, gap, limit, unit, at))
+    return items
+
+
+def _integration_errors(plan: Plan, certificate: Certificate) -> list[Item]:
+    kinds = {joint.kind for joint in plan.problem.mechanism.independent_joints}
+    return [
+        _item(
+            "state integrated under the planned effort, less the planned state", error <= allowed, error, allowed, unit, None
+        )
+        for kind, error, allowed, unit in (
+            ("hinge", certificate.integration_error_deg, INTEGRATION_DEG, "deg"),
+            ("slide", certificate.integration_error_m, INTEGRATION_M, "m"),
+        )
+        if kind in kinds
+    ]
 
 
 def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
@@ -163,15 +176,11 @@ def _item(label: str, passed: bool, worst: float, limit: float | None, unit: str
     return Item(
         label=label,
         passed=bool(passed),
-        worst=_known(worst, 5),
-        limit=_known(limit),
+        worst=significant(worst, 5),
+        limit=significant(limit, 6),
         unit=unit,
         instant_s=None if at is None else _instant(at),
     )
-
-
-def _known(value: float | None, digits: int = 6) -> float | None:
-    return float(f"{value:.{digits}g}") if value is not None and np.isfinite(value) else None
 
 
 def _instant(time: float) -> float:

@@ -1,9 +1,10 @@
-"""A check's part of a report: what is found, and the mechanism along its motion or over the reach of its coordinates."""
+"""The sections of a check: its findings, and the mechanism along its motion or over the reach of its coordinates."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit, unheld_sentences, weight_sentences
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
 from linkplan.studies.check.inspection_text import gaps_text
@@ -11,35 +12,42 @@ from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck
 from linkplan.studies.report.animation import animation, frames_of
-from linkplan.studies.report.bode_sections import known
 from linkplan.studies.report.document import Axis, Block, Code, Facts, Plot, Section, Table, Text
 from linkplan.studies.report.lines import TIME, Line, plots
+from linkplan.studies.report.numbers import significant
 
-# Of more coordinates than this the paths are folded, and a path's plots are of its own coordinate.
-_DRAWN = 6
-# Of what grows without bound next to a singular pose, what lies between these shares of the samples is shown, where the
-# whole would be so many times as high.
-_INNER, _GROWN = (0.05, 0.95), 3.0
-# An inertia that changes by more than this factor is drawn on a logarithmic axis.
-_LOGARITHMIC = 5.0
-# Springs that take less than this share of what is held are not drawn: rounding.
-_NO_SPRING = 1e-9
+# With more coordinates, the paths are folded, and the plots of a path show its own coordinate only.
+_MAX_COORDINATES_DRAWN = 6
 
 
 def check_sections(whole: WholeCheck, *, depth: int = 1) -> list[Section]:
-    """Return the sections of all that a check finds."""
+    """Return the sections of a check."""
     found = whole.found
     first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(found), depth=depth)
-    several = len(whole.paths) > _DRAWN  # then each is opened by its title
+    several = len(whole.paths) > _MAX_COORDINATES_DRAWN
     return [first, *(path_section(path, whole.name, depth=depth + 1, folded=several) for path in whole.paths)]
 
 
 def inspection_blocks(found: Inspection) -> list[Block]:
-    """Return what is found of an assembled mechanism: its problems first."""
+    """Return the findings on an assembled mechanism, its problems first."""
     mechanism = found.mechanism
     verdict = [Text(text=problem, tone="bad") for problem in found.problems] or [
         Text(text="No problems found.", tone="good")
     ]
+    drives = Table(
+        title="Actuators",
+        columns=[("actuator", ""), ("acts on", ""), ("least effort", ""), ("most effort", ""), ("unit", "")],
+        rows=[[a.name, a.target, significant(a.lower), significant(a.upper), a.unit] for a in mechanism.actuators],
+    )
+    places = [[name, *(significant(float(x)) for x in place)] for name, place in sites_at_home(mechanism).items()]
+    columns = [("site", ""), *((axis, "m") for axis in "xyz")]
+    sites = [Table(title="Sites at home", columns=columns, rows=places)] if places else []
+    notes = [Text(text=note, tone="note") for note in found.notes]
+    return [*verdict, _facts(found), _reaches(found), drives, *sites, *_poses(found), *notes]
+
+
+def _facts(found: Inspection) -> Facts:
+    mechanism = found.mechanism
     n_rows = mechanism.n_closure_rows
     rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
     rows = [
@@ -49,7 +57,12 @@ def inspection_blocks(found: Inspection) -> list[Block]:
     ]
     if mechanism.closures:
         rows.append(("det J_z at home, in SI units", ", ".join(f"{x:.4g}" for x in branch(mechanism))))
-    reaches = Table(
+    return Facts(rows=rows)
+
+
+def _reaches(found: Inspection) -> Table:
+    mechanism = found.mechanism
+    return Table(
         title="Reach, the other coordinates at home",
         columns=[
             ("coordinate", ""),
@@ -63,9 +76,9 @@ def inspection_blocks(found: Inspection) -> list[Block]:
         rows=[
             [
                 joint.name,
-                known(joint.shown(float(mechanism.home[index]))),
-                known(joint.shown(can.lower.position)),
-                known(joint.shown(can.upper.position)),
+                significant(joint.shown(float(mechanism.home[index]))),
+                significant(joint.shown(can.lower.position)),
+                significant(joint.shown(can.upper.position)),
                 joint.unit,
                 can.lower.reason,
                 can.upper.reason,
@@ -73,23 +86,10 @@ def inspection_blocks(found: Inspection) -> list[Block]:
             for index, joint, can in zip(mechanism.independent, mechanism.independent_joints, found.reaches, strict=True)
         ],
     )
-    drives = Table(
-        title="Actuators",
-        columns=[("actuator", ""), ("acts on", ""), ("least effort", ""), ("most effort", ""), ("unit", "")],
-        rows=[[a.name, a.target, known(a.lower), known(a.upper), a.unit] for a in mechanism.actuators],
-    )
-    places = [[name, *(known(float(x)) for x in place)] for name, place in sites_at_home(mechanism).items()]
-    sites = (
-        [Table(title="Sites at home", columns=[("site", ""), *((axis, "m") for axis in "xyz")], rows=places)]
-        if places
-        else []
-    )
-    notes = [Text(text=note, tone="note") for note in found.notes]
-    return [*verdict, Facts(rows=rows), reaches, drives, *sites, *_poses(found), *notes]
 
 
 def _poses(found: Inspection) -> list[Table]:
-    """Return the table of the poses that were asked for."""
+    """Return the table of the poses given with the command."""
     if not found.points:
         return []
     mechanism = found.mechanism
@@ -102,12 +102,12 @@ def _poses(found: Inspection) -> list[Table]:
     for point in found.points:
         positions = [joint.shown(x) for joint, x in zip(mechanism.joints, point.pose, strict=True)]
         figures = [*positions, *point.reduced_inertia.diagonal(), *point.gravity_effort, *point.holding_effort]
-        rows.append([known(float(x)) for x in figures])
+        rows.append([significant(float(x)) for x in figures])
     return [Table(title="At the poses asked for", columns=columns, rows=rows)]
 
 
 def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, folded: bool = False) -> Section:
-    """Return the section of a mechanism along a path: animated, with its ratios, inertias, efforts and forces."""
+    """Return the section of a path: an animation, and plots of ratios, inertias, efforts and forces."""
     axis, x = _over(path)
     group = f"path:{name}:{path.title}"
     rising = bool(np.all(np.diff(x) > 0))
@@ -133,7 +133,7 @@ def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, folded: 
 
 
 def _over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
-    """Return the axis that a path is drawn over, and its values (n,): the coordinate, or time of a motion."""
+    """Return the horizontal axis of a path and its values (n,): the coordinate, or the time of a motion."""
     if path.coordinate is None and path.time_s is not None:
         return Axis(label="time of the path", unit="s") if path.mechanism.dof > 1 else TIME, path.time_s
     column = path.coordinate or 0
@@ -143,35 +143,28 @@ def _over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
 
 def _path_plots(path: KinematicLoopPath, axis: Axis, x: np.ndarray, order: np.ndarray, group: str) -> list[Plot]:
     mechanism = path.mechanism
-    joints, actuators = list(enumerate(mechanism.independent_joints)), list(enumerate(mechanism.actuators))
-    if path.coordinate is not None and mechanism.dof > _DRAWN:
-        joints = [joints[path.coordinate]]  # of many coordinates its own alone
-    dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent]
-    at_all = acts(path) if mechanism.actuators else np.zeros((mechanism.dof, 0), dtype=bool)
+    joints = list(enumerate(mechanism.independent_joints))
+    if path.coordinate is not None and mechanism.dof > _MAX_COORDINATES_DRAWN:
+        joints = [joints[path.coordinate]]
+
+    def own(values: np.ndarray, unit, suffix: str = "") -> list[Line]:
+        return [_line(f"{joint.name}{suffix}", values[:, i], unit(joint)) for i, joint in joints]
+
     needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
-    sprung = np.abs(needed - path.gravity_effort).max() > _NO_SPRING * max(np.abs(needed).max(), np.finfo(float).tiny)
-    i_own, closures = [i for i, _ in joints], list(enumerate(mechanism.closure_names))
-
-    def own(values: np.ndarray, unit, said: str = "") -> list[Line]:
-        return [_line(f"{joint.name}{said}", values[:, i], unit(joint)) for i, joint in joints]
-
-    acting = [(j, a) for j, a in actuators if at_all[i_own, j].any()]
-    ratios = [
-        _line(f"{a.name} to {joint.name}", path.ratio[:, i, j], ratio_unit(joint, a.unit))
-        for i, joint in joints
-        for j, a in acting
-        if at_all[i, j]
-    ]
-    felt = [_line(a.name, path.reflected_inertia[:, j], "kg m2" if a.unit == "N.m" else "kg") for j, a in acting]
-    weights = own(needed, effort_unit) + (own(path.gravity_effort, effort_unit, ", weight alone") if sprung else [])
+    weights = own(needed, effort_unit)
+    # Springs that hold less than this share of the effort are rounding errors.
+    if np.abs(needed - path.gravity_effort).max() > 1e-9 * max(np.abs(needed).max(), np.finfo(float).tiny):
+        weights += own(path.gravity_effort, effort_unit, ", weight alone")
     available: list[Line] = []
-    if actuators:
+    if mechanism.actuators:
         available += own(path.available_effort[:, :, 0], effort_unit, ", least")
         available += own(path.available_effort[:, :, 1], effort_unit, ", most")
         available += own(needed, effort_unit, ", holds it still")
-    singular = [_line("least of J_z's blocks", path.singularity, "1")] if closures else []
+    ratios, felt = _actuator_lines(path, joints)
+    dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent]
+    singular = [_line("least of J_z's blocks", path.singularity, "1")] if mechanism.closure_names else []
     followers = [_line(j.name, j.shown(1.0) * path.poses[:, k], j.unit) for k, j in dependent]
-    forces = [_line(name, path.closure_force[:, c], "N") for c, name in closures]
+    forces = [_line(name, path.closure_force[:, c], "N") for c, name in enumerate(mechanism.closure_names)]
     kinds: Sequence[tuple[str, str, list[Line], bool]] = (
         ("Dependent joints", "position", followers, False),
         ("Transmission ratio", "ratio", ratios, False),
@@ -192,33 +185,54 @@ def _path_plots(path: KinematicLoopPath, axis: Axis, x: np.ndarray, order: np.nd
     return found
 
 
+def _actuator_lines(path: KinematicLoopPath, joints: list[tuple[int, Joint]]) -> tuple[list[Line], list[Line]]:
+    """Return the transmission ratios to the numbered joints and the reflected inertias of the actuators that act on them."""
+    mechanism = path.mechanism
+    if not mechanism.actuators:
+        return [], []
+    acting = acts(path)
+    drivers = [(j, a) for j, a in enumerate(mechanism.actuators) if acting[[i for i, _ in joints], j].any()]
+    ratios = [
+        _line(f"{a.name} to {joint.name}", path.ratio[:, i, j], ratio_unit(joint, a.unit))
+        for i, joint in joints
+        for j, a in drivers
+        if acting[i, j]
+    ]
+    inertias = [_line(a.name, path.reflected_inertia[:, j], "kg m2" if a.unit == "N.m" else "kg") for j, a in drivers]
+    return ratios, inertias
+
+
 def _line(name: str, values: np.ndarray, unit: str) -> Line:
     return Line(name=name, values=values, unit=unit)
 
 
 def _spans_much(lines: Sequence[Line]) -> bool:
+    """Tell if the values are positive and some line changes by more than a factor of five."""
     rows = [line.values[np.isfinite(line.values)] for line in lines]
-    return all(len(row) and row.min() > 0 for row in rows) and any(row.max() > _LOGARITHMIC * row.min() for row in rows)
+    return all(len(row) and row.min() > 0 for row in rows) and any(row.max() > 5 * row.min() for row in rows)
 
 
 def inner_ends(lines: Sequence[Line]) -> tuple[float, float] | None:
-    """Return the ends of an axis that shows lines' inner part where an end of them grows without bound; None elsewhere."""
+    """Return the ends of an axis for the inner 90 % of the values if the whole range is three times as high; else None.
+
+    Quantities grow without bound next to a singular pose. The whole range would press the rest of the line flat.
+    """
     if len({line.unit for line in lines}) != 1:
         return None
     known_rows = [row for line in lines if len(row := line.values[np.isfinite(line.values)])]
     if not known_rows:
         return None
     low, high = min(float(row.min()) for row in known_rows), max(float(row.max()) for row in known_rows)
-    inner = [np.quantile(row, _INNER) for row in known_rows]
+    inner = [np.quantile(row, (0.05, 0.95)) for row in known_rows]
     least, most = float(np.min(inner)), float(np.max(inner))
-    if not high - low > _GROWN * (most - least) > 0:
+    if not high - low > 3 * (most - least) > 0:
         return None
     room = 0.3 * (most - least)
     return least - room, most + room
 
 
 def refused_section(found: RefusedModel) -> Section:
-    """Return the section of a model that is no mechanism as it stands."""
+    """Return the section of a model that is not a valid mechanism."""
     blocks: list[Block] = [Text(text=problem, tone="bad") for problem in found.problems]
-    blocks.append(Code(title="What there is to know", text=found.text()))
+    blocks.append(Code(title="Further information", text=found.text()))
     return Section(title=f"Model: {found.name}", blocks=blocks)

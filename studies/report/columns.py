@@ -1,8 +1,8 @@
-"""Columns of a table, written as people read them."""
+"""Columns of a table from heads with units."""
 
 
 def columns(*heads: str) -> list[tuple[str, str]]:
-    """Return columns (head, unit) of heads like "phase margin [deg]"; for heads of this program's own, not for names."""
+    """Return columns (head, unit) of heads like "phase margin [deg]". Names of a model are not heads."""
     found = []
     for head in heads:
         text, bracket, unit = head.partition(" [")

@@ -1,4 +1,4 @@
-"""A decomposition's part of a report: the parts of every tracker's error as a table and as bars, and what each is."""
+"""The section of a decomposition: the parts of every tracker's error as a table and as bars, with their explanation."""
 
 from linkplan.studies.decompose.decompose import Decomposition, decomposition_record
 from linkplan.studies.decompose.decomposition_text import notes, whole_column
@@ -8,7 +8,7 @@ from linkplan.studies.report.document import Section, Table, Text
 
 
 def decomposition_section(found: Decomposition, *, depth: int = 1) -> Section:
-    """Return the section of where the errors come from: causes down, trackers across."""
+    """Return the section of a decomposition: causes in rows, trackers in columns."""
     tables = []
     for unit in dict.fromkeys(unit for one in found.trackers for unit in one.shares):
         ours = {one.name: one.shares[unit] for one in found.trackers if unit in one.shares}

@@ -1,6 +1,6 @@
-"""A report as a document: sections of blocks, plain values that JSON has, and nothing of how they are shown.
+"""A report as a document: sections of blocks of JSON values, independent of their presentation.
 
-Every number is in the unit that stands beside it. Names come from models and are text, whatever they hold.
+Every number has the unit given with it. Names come from models and are always treated as text.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,14 +10,14 @@ Numbers = Sequence[float | None]  # None where there is no value
 
 
 def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None:
-    """Refuse what does not fit: a programming error, not a user's."""
+    """Raise a ValueError if the lengths differ, which is a programming error."""
     if len(values) != len(others):
         raise ValueError(f"{what} has {len(values)} values for {len(others)} {of}")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Text:
-    """A paragraph. `tone` is "plain", "good", "bad", "note" or, for lines as they stand on a terminal, "lines"."""
+    """A paragraph. `tone` is "plain", "good", "bad", "note" or, for preformatted lines of a terminal, "lines"."""
 
     text: str
     tone: str = "plain"
@@ -48,7 +48,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Item:
-    """One line of a checklist: the worst number against its limit, in a unit, and the instant [s] at which it is worst."""
+    """One line of a checklist: the worst value, its limit, their unit, and the instant [s] of the worst value."""
 
     label: str
     passed: bool
@@ -70,7 +70,7 @@ class Checklist:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Axis:
-    """An axis: what it shows, its unit ("1" for none), whether it is logarithmic, its ends where they are not the data's."""
+    """An axis: label, unit ("1" for none), logarithmic or linear, and its ends if they differ from those of the data."""
 
     label: str
     unit: str
@@ -80,9 +80,9 @@ class Axis:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Series:
-    """A line over a plot's x, or over its own. `look` is "line", "dash", "dots" or "points"; `colour` counts from 0.
+    """A line over the x of a plot or over its own x. `look` is "line", "dash", "dots" or "points"; `colour` counts from 0.
 
-    Without a colour it is drawn in the colour of text.
+    Without a colour, the line has the colour of text.
     """
 
     name: str
@@ -103,9 +103,9 @@ class Limit:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Plot:
-    """Quantities over a common x (n,), increasing. Plots of one `group` share a cursor; an empty group is of no other plot.
+    """Quantities over a common increasing x (n,). Plots of one `group` share a cursor; a plot without a group shares none.
 
-    Of a motion that repeats, `period` is what the cursor's place is taken modulo of.
+    For a periodic motion, the cursor's position is taken modulo `period`.
     """
 
     title: str
@@ -125,7 +125,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Curve:
-    """A curve in a plane through points (n,), (n,). `look` as of `Series`, or "cross", "star", "area" (filled, closed)."""
+    """A curve in a plane through points (n,), (n,). `look` as for `Series`, or "cross", "star", "area" (filled, closed)."""
 
     name: str
     x: Numbers
@@ -140,7 +140,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Heat:
-    """Values (n_y, n_x) over a grid: low ones blue, high ones red, between `ends`; None is left blank."""
+    """Values (n_y, n_x) over a grid: low values are blue, high values red, between `ends`; None is left blank."""
 
     name: str
     unit: str
@@ -178,7 +178,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Span:
-    """A part of a bar, from `start` to `end`; `low` and `high` are the ends of an interval about its end, if it has one."""
+    """A part of a bar, from `start` to `end`; `low` and `high` are the ends of the interval around `end`, if any."""
 
     name: str
     start: float
@@ -190,7 +190,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Bar:
-    """A line of a bar chart: its name, its parts below one another, and a word beside it."""
+    """A line of a bar chart: its name, its parts below one another, and a note at its end."""
 
     label: str
     spans: Sequence[Span]
@@ -199,7 +199,7 @@ class Bar:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Bars:
-    """Bars beside their names, on one axis; they stand on `line`; `note_name` says what the words beside them are."""
+    """Horizontal bars on one axis. They start at `line`; `note_name` is the heading of their notes."""
 
     title: str
     axis: Axis
@@ -222,10 +222,10 @@ class Body:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Mark:
-    """Where and how an actuator's effort is drawn: an "arc" about an axis, an "arrow" along one, or a "line" (a tendon).
+    """The drawing of an actuator's effort: an "arc" about an axis, an "arrow" along an axis, or a "line" (a tendon).
 
-    `at` (n_frames, dimension) [m], of a line its points one after another; `axis` the same, unit vectors (of an arc in a
-    plane its third component alone), empty of a line.
+    `at` is the position (n_frames, dimension) [m]; for a line, each row holds all its points. `axis` holds unit vectors of
+    the same shape; an arc in a plane has the third component only, and a line has no axis.
     """
 
     shape: str
@@ -235,7 +235,7 @@ class Mark:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Drive:
-    """An actuator of an animation: its effort (n_frames,) [`unit`] against its limits, and its marks, if it has any."""
+    """An actuator of an animation: its effort (n_frames,) [`unit`], its limits, and its marks, if it has any."""
 
     name: str
     unit: str
@@ -246,7 +246,7 @@ class Drive:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Ghost:
-    """The same bodies as they moved otherwise, as a tracker moved them, on the same frames, and what then drove them."""
+    """The same bodies in another motion on the same frames, such as a tracked one, and the actuators in that motion."""
 
     name: str
     bodies: Sequence[Body]
@@ -257,8 +257,8 @@ class Ghost:
 class Animation:
     """A mechanism in motion over times (n_frames,) [`unit`]: in its plane (`dimension` 2) or in space (3).
 
-    `labels` are joints' names and where they stand, (n_frames, dimension) each; `paths` the ways of named sites;
-    `axes` what the two directions of a plane are called.
+    `labels` are the joints' names and positions, (n_frames, dimension) each; `paths` are the positions of named sites;
+    `axes` are the names of the two directions of the plane.
     """
 
     title: str
@@ -279,7 +279,7 @@ class Animation:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Code:
-    """Text to copy as it stands, a problem's TOML say."""
+    """Text to copy, for example a problem file."""
 
     title: str
     text: str
@@ -291,7 +291,7 @@ Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Cod
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Section:
-    """Blocks under a title. One of `depth` 2 belongs to the one of depth 1 before it; one that is folded opens on demand."""
+    """Blocks under a title. A section of `depth` 2 belongs to the last section of depth 1. A folded one opens on demand."""
 
     title: str
     blocks: Sequence[Block]
@@ -301,10 +301,10 @@ class Section:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Report:
-    """A whole document: what it is about, the versions that made it, and its sections in order."""
+    """A whole document: title, verdict, software versions, and its sections in order."""
 
     title: str
     verdict: str
-    passed: bool | None  # None where there is no verdict
+    passed: bool | None  # None without a verdict
     versions: Mapping[str, str]
     sections: Sequence[Section]

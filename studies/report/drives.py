@@ -1,4 +1,4 @@
-"""Where actuators act along a motion, for an animation: arcs about axes, arrows along them, tendons as lines."""
+"""Marks of the actuators in an animation: arcs about axes, arrows along axes, tendons as lines."""
 
 import itertools
 
@@ -13,23 +13,21 @@ from linkplan.models.tree.tendons import is_fixed, path_of
 from linkplan.studies.report.document import Drive, Mark
 from linkplan.studies.report.numbers import rounded
 
-# Of an axis seen along the drawing's normal, a component below this is none.
-_NONE = 1e-6
-# What stands for a pulley among the objects that a tendon's path goes by.
-_PULLEY = -2
+# MuJoCo's value of `wrap_obj` for a pulley.
+_PULLEY_OBJECT = -2
 
 
 def drives_of(
     mechanism: Mechanism, poses: np.ndarray, effort: np.ndarray, limit: np.ndarray | None, frame: np.ndarray
 ) -> list[Drive]:
-    """Return the actuators of a mechanism at poses (n, n_q), each with its effort and where it acts.
+    """Return the actuators of a mechanism at poses (n, n_q), each with its effort and marks.
 
     Args:
-        mechanism: whose actuators they are.
+        mechanism: with the actuators.
         poses: (n, n_q).
         effort: (n, n_u) [N.m or N].
-        limit: (n_u, 2) of them; the actuators' own where it is None.
-        frame: the drawing's directions as rows: right and up of a plane, or all three of space.
+        limit: effort limits (n_u, 2); if None, those of the actuators.
+        frame: the drawing's directions as rows: right and up in a plane, or all three in space.
     """
     places: list[list] = [[] for _ in mechanism.actuators]
     data = mujoco.MjData(mechanism.model)
@@ -56,7 +54,7 @@ def drives_of(
 
 
 def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:
-    """Return the k-th mark of an actuator over all frames; None for an arc that a plane's drawing sees from the side."""
+    """Return the k-th mark of an actuator over all frames; None for an arc whose axis lies in the plane of the drawing."""
     shape = places[0][k][0]
     at = np.array([marks[k][1] for marks in places]) @ frame.T
     axis = np.array([marks[k][2] for marks in places])
@@ -64,7 +62,7 @@ def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:
         return Mark(shape=shape, at=rounded(at.reshape(len(at), -1)), axis=[])
     if len(frame) == 2 and shape == "arc":
         axis = axis @ np.cross(frame[0], frame[1])[:, None]
-        if np.abs(axis).max() < _NONE:
+        if np.abs(axis).max() < 1e-6:
             return None
     elif len(frame) == 2:
         axis = axis @ frame.T
@@ -72,9 +70,9 @@ def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:
 
 
 def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Return an actuator's marks where the mechanism stands: shape, place (3,) or (n, 3), direction (3,).
+    """Return an actuator's marks at the current pose: shape, position (3,) or (n, 3), direction (3,) of a positive effort.
 
-    The direction is that of a positive effort. A tendon through sites is a line: its force pulls its ends together.
+    A tendon through sites is a line: its force pulls its ends together.
     """
     kind, (on, other) = int(model.actuator_trntype[actuator.index]), (int(i) for i in model.actuator_trnid[actuator.index])
     gear = gear_of(model, actuator.index)
@@ -86,7 +84,7 @@ def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> li
     if kind == TRN_TENDON:
         first, n = int(data.ten_wrapadr[on]), int(data.ten_wrapnum[on])
         points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
-        pulleys = np.flatnonzero(np.array(data.wrap_obj).ravel()[first : first + n] == _PULLEY)
+        pulleys = np.flatnonzero(np.array(data.wrap_obj).ravel()[first : first + n] == _PULLEY_OBJECT)
         return [("line", part, np.zeros(3)) for part in _between(points, pulleys)]
     if kind == TRN_CRANK:  # along the slider's axis, which is its site's z
         axis = np.array(data.site_xmat[other]).reshape(3, 3)[:, 2] * np.sign(gear[0])
@@ -98,7 +96,7 @@ def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> li
 
 
 def _between(points: np.ndarray, pulleys: np.ndarray) -> list[np.ndarray]:
-    """Return the branches of a tendon's points (n, 3), parted where its pulleys stand among them."""
+    """Return the branches of a tendon's points (n, 3), split at its pulleys."""
     ends = [-1, *pulleys.tolist(), len(points)]
     return [points[a + 1 : b] for a, b in itertools.pairwise(ends) if b - a > 2]
 

@@ -1,4 +1,4 @@
-"""An experiment's part of a report: trackers on many machines, in pairs, how their figures lie, the worst cases."""
+"""The sections of an experiment: trackers on many machines, pairs of trackers, distributions of metrics, worst cases."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -15,20 +15,15 @@ from linkplan.studies.experiment.study import Outcome
 from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS
 from linkplan.studies.report.cause_sections import sensitivity_section
 from linkplan.studies.report.document import Axis, Block, Code, Facts, Plot, Section, Series, Table, Text
-from linkplan.studies.report.numbers import rounded
+from linkplan.studies.report.lines import overlaid_width
+from linkplan.studies.report.numbers import rounded, significant
 
 # The command that runs a tracker's sample again.
 Again = Callable[[str, int], str]
-# Distributions that are drawn beside the trackers' table, of metrics that begin so; those of the others are folded away.
+# The distributions of metrics with these first words are shown; those of the others are folded.
 _FIRST = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
-# Places of a distribution's line: shares of the machines, from none to all.
-_PLACES = 101
-# A figure that grows by more than this factor from its fifth percentile on is drawn on a logarithmic axis.
-_LOGARITHMIC, _LOW = 20.0, 0.05
 _WORDS = (("rms", "rms"), ("max", "largest"), ("final", "final"))
-# Widths of the first tracker's lines and of the last one's [px]: what lies beneath is still seen.
-_WIDEST, _THINNEST = 3.4, 1.2
-# The columns that a table of trackers has beside the errors: metric, head, unit, factor.
+# The columns of the second table of trackers: metric, head, unit, factor.
 _OTHERS = (
     ("peak_effort", "peak effort", "", 1.0),
     ("rms_effort", "rms effort", "", 1.0),
@@ -41,12 +36,12 @@ _OTHERS = (
 
 
 def experiment_sections(outcome: Outcome, again: Again | None, *, depth: int = 1) -> list[Section]:
-    """Return the sections of an experiment; `again` says how a sample is run again, where there is a way to say it."""
+    """Return the sections of an experiment; `again` returns the command that runs a sample again, if there is one."""
     experiment, below = outcome.experiment, depth + 1
-    sensitivity = outcome.record.get("sensitivity")  # of a design that tells imperfections' influences apart
+    sensitivity = outcome.record.get("sensitivity")  # of a design of sensitivity analysis
     drawn = [name for start in _FIRST for name in outcome.summary.metrics if name.startswith(start)]
     others = [name for name in outcome.summary.metrics if name not in drawn]
-    lie = [  # means and distributions are those of machines that lie as the imperfections do
+    distributions = [  # meaningful only if the machines are drawn from the distributions of the imperfections
         Section(title="How the figures are distributed", blocks=_plots(outcome, drawn), depth=below),
         Section(title="Distributions of the other figures", blocks=_plots(outcome, others), depth=below, folded=True),
     ]
@@ -58,7 +53,7 @@ def experiment_sections(outcome: Outcome, again: Again | None, *, depth: int = 1
             blocks=[_facts(outcome), *tables, *_failures(outcome)],
             depth=depth,
         ),
-        *([*pairs, *lie] if outcome.distributed else []),
+        *([*pairs, *distributions] if outcome.distributed else []),
         *([sensitivity_section(sensitivity, depth=below)] if sensitivity else []),
         *([Section(title="Worst cases", blocks=_worst(outcome, again), depth=below)] if outcome.distributed else []),
         Section(title="Imperfections of the machines", blocks=[_imperfections(experiment)], depth=below),
@@ -88,10 +83,10 @@ def _tables(outcome: Outcome) -> list[Block]:
         rows=[
             [
                 one.name,
-                _known(100 * one.success.value, 3),
+                significant(100 * one.success.value, 3),
                 _interval(one.success),
                 *(estimated(one.means[name]) for name, _, _ in errors),
-                *(_known(one.percentile95[name], 3) for name, _, _ in errors if name.startswith("max")),
+                *(significant(one.percentile95[name], 3) for name, _, _ in errors if name.startswith("max")),
             ]
             for one in summary.trackers
         ],
@@ -100,7 +95,7 @@ def _tables(outcome: Outcome) -> list[Block]:
         title="Efforts, energy and closure, means",
         columns=[("tracker", ""), *((head, unit or summary.metrics[name].unit) for name, head, unit, _ in _OTHERS)],
         rows=[
-            [one.name, *(_known(factor * one.means[name].value, 3) for name, _, _, factor in _OTHERS)]
+            [one.name, *(significant(factor * one.means[name].value, 3) for name, _, _, factor in _OTHERS)]
             for one in summary.trackers
         ],
     )
@@ -133,7 +128,7 @@ def _pairs(outcome: Outcome) -> Table:
                 pair.first,
                 pair.second,
                 estimated(pair.difference),
-                _known(100 * pair.wins.value, 3),
+                significant(100 * pair.wins.value, 3),
                 _interval(pair.wins),
                 _decided(pair),
             ]
@@ -163,29 +158,32 @@ def _plots(outcome: Outcome, names: list[str]) -> list[Block]:
 
 
 def _distribution(results: Mapping[str, np.ndarray], trackers: tuple[str, ...], name: str, metric: Metric) -> Plot | None:
-    """Return the share of machines whose figure is at most so large, by tracker; None where there is but one figure."""
+    """Return the cumulative distribution of a metric for every tracker; None if all values are equal.
+
+    The axis is logarithmic if the largest value is more than 20 times the fifth percentile.
+    """
     columns = {tracker: results[name][results["tracker"] == tracker].astype(float) for tracker in trackers}
     known = {tracker: np.sort(values[np.isfinite(values)]) for tracker, values in columns.items()}
     some = [values for values in known.values() if len(values)]
     if not some or np.ptp(np.concatenate(some)) == 0:
         return None
-    low, high = min(float(values[int(_LOW * len(values))]) for values in some), max(float(values[-1]) for values in some)
-    log = low > 0 and high > _LOGARITHMIC * low
+    low, high = min(float(values[int(0.05 * len(values))]) for values in some), max(float(values[-1]) for values in some)
+    log = low > 0 and high > 20 * low
     series = []
     for k, (tracker, values) in enumerate(known.items()):
         if not len(values):
             continue
-        rows = np.unique(np.linspace(0, len(values) - 1, _PLACES).astype(int))
+        rows = np.unique(np.linspace(0, len(values) - 1, num=101).astype(int))
         share = 100 * (rows + 1) / len(columns[tracker])
         x = values[rows]
-        last = np.append(np.diff(x) > 0, x[-1] < high) & ((x > 0) | (not log))  # of equal figures the largest share
+        last = np.append(np.diff(x) > 0, x[-1] < high) & ((x > 0) | (not log))  # equal values: the largest share
         series.append(
             Series(
                 name=tracker,
                 x=rounded(np.append(x[last], high), log=log),
                 y=rounded(np.append(share[last], share[-1])),
                 colour=_colour(tracker, k),
-                width=round(_WIDEST - (_WIDEST - _THINNEST) * k / max(1, len(known) - 1), 2),
+                width=overlaid_width(k, len(known)),
             )
         )
     ends = [x for one in series for x in (one.x[0], one.x[-1])]
@@ -212,7 +210,7 @@ def _worst(outcome: Outcome, again: Again | None) -> list[Block]:
         for sample in one.worst:
             (row,) = np.flatnonzero((results["tracker"] == one.name) & (results["sample"] == sample))
             failure = results["failure"][row]
-            error = _known(float(results[largest][row]), 4)
+            error = significant(float(results[largest][row]))
             rows.append([one.name, sample, error, bool(results["success"][row]), failure])
             commands += [] if again is None else [again(one.name, sample)]
     heads = [("tracker", ""), ("sample", ""), ("largest error", outcome.summary.metrics[largest].unit), ("success", "")]
@@ -220,24 +218,24 @@ def _worst(outcome: Outcome, again: Again | None) -> list[Block]:
     found: list[Block] = [Table(title=title, columns=[*heads, ("failed", "")], rows=rows)]
     if commands:
         text = "\n".join(commands)
-        found.append(Code(title="To run them again, to the same bits, each with its whole log", text=text))
+        found.append(Code(title="Commands that repeat these runs exactly, with their whole logs", text=text))
     return found
 
 
 def machine_section(sample: Mapping) -> Section:
-    """Return the section of one sample's machine: what was wrong with it; `sample` is the record of its run."""
+    """Return the section of one sample's machine with its imperfections; `sample` is the record of its run."""
     units = [QUANTITIES[name.partition(".")[0]].unit for name in sample["imperfections"]]
     rows = [
         [name, float(f"{value:.6g}"), None if unit == "1" else unit]
         for (name, value), unit in zip(sample["imperfections"].items(), units, strict=True)
     ]
-    table = Table(title="What is wrong with it", columns=[("imperfection", ""), ("value", ""), ("unit", "")], rows=rows)
+    table = Table(title="Imperfections", columns=[("imperfection", ""), ("value", ""), ("unit", "")], rows=rows)
     return Section(title=f"Machine {sample['sample']}", blocks=[table])
 
 
 def _imperfections(experiment: Experiment) -> Table:
     return Table(
-        title="What is drawn from where; the rest is as modelled",
+        title="Distributions of the imperfections; all else is as modelled",
         columns=[("imperfection", ""), ("distribution", ""), ("unit", "")],
         rows=[
             [factor.label, _spread(factor), factor.quantity.unit if factor.quantity.unit != "1" else None]
@@ -253,7 +251,3 @@ def _spread(factor: Factor) -> str:
     if spread.kind == "normal":
         return f"normal about {spread.first:.4g}, standard deviation {spread.second:.4g}"
     return f"{spread.first:.4g}"
-
-
-def _known(value: float, digits: int) -> float | None:
-    return float(f"{value:.{digits}g}") if math.isfinite(value) else None

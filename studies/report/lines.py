@@ -1,4 +1,4 @@
-"""Lines over time or another common axis, a plot for each unit."""
+"""Lines over time or another common axis, one plot for each unit."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -6,26 +6,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.studies.report.document import Axis, Limit, Plot, Series
-from linkplan.studies.report.numbers import kept, rounded, times
+from linkplan.studies.report.numbers import drawn_rows, rounded, times
 
-# A limit further away than so many times the largest value is not drawn: it would press the lines flat.
-_NEAR = 2.0
-LOOKS = ("line", "dash", "dashdot")
-_COLOURS = 6
-# Lines in one plot: of more there are several plots.
-_MOST_LINES = 9
+# More lines of one unit are divided among several plots.
+_MAX_LINES_PER_PLOT = 9
+
+
+def line_style(index: int) -> dict[str, str | int]:
+    """Return look and colour of line `index` of a plot: six colours, first with full lines, then with dashed ones."""
+    looks, n_colours = ("line", "dash", "dashdot"), 6
+    return {"look": looks[index // n_colours % len(looks)], "colour": index % n_colours}
+
+
+def overlaid_width(index: int, n_lines: int) -> float:
+    """Return the width [px] of line `index` of `n_lines`: later lines are thinner, so that all remain visible."""
+    widest, thinnest = 3.4, 1.2
+    return round(widest - (widest - thinnest) * index / max(1, n_lines - 1), 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Line:
-    """A quantity over the common axis: name, values (n,), unit, and its limits [low, high] if it has any."""
+    """A quantity over the common axis: name, values (n,), unit, and its limits [low, high], if it has any."""
 
     name: str
     values: np.ndarray
     unit: str
     limits: tuple[float, float] = (-np.inf, np.inf)
-    look: str = ""  # "" for one by its place
-    colour: int | None = -1  # -1 for one by its place
+    look: str = ""  # "": that of `line_style`
+    colour: int | None = -1  # -1: that of `line_style`
     width: float = 1.6
 
 
@@ -41,23 +49,18 @@ def plots(
     period: float | None = None,
     ends: tuple[float, float] | None = None,
 ) -> list[Plot]:
-    """Return a plot for each unit among lines over x (n,), thinned and rounded, several of many lines; none of no lines."""
+    """Return the plots of lines over x (n,), thinned and rounded: one or more for each unit."""
     found, units = [], list(dict.fromkeys(line.unit for line in lines))
     for unit, of_it in _readable(units, lines):
         columns = np.column_stack([line.values for line in of_it])
-        rows = kept(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
+        rows = drawn_rows(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
         values = np.column_stack([line.values[rows] for line in of_it])
         shown = [rounded(row, log=log) for row in values.T]
-        series = [
-            Series(
-                name=line.name,
-                y=y,
-                look=line.look or LOOKS[k // _COLOURS % len(LOOKS)],
-                colour=k % _COLOURS if line.colour == -1 else line.colour,
-                width=line.width,
-            )
-            for k, (line, y) in enumerate(zip(of_it, shown, strict=True))
-        ]
+        series = []
+        for k, (line, y) in enumerate(zip(of_it, shown, strict=True)):
+            style = line_style(k)
+            look, colour = line.look or style["look"], style["colour"] if line.colour == -1 else line.colour
+            series.append(Series(name=line.name, y=y, look=look, colour=colour, width=line.width))
         found.append(
             Plot(
                 title=_title(title, units, of_it, lines),
@@ -74,10 +77,10 @@ def plots(
 
 
 def _readable(units: Sequence[str], lines: Sequence[Line]) -> Iterator[tuple[str, list[Line]]]:
-    """Yield the lines of each unit, as many at a time as can be told apart."""
+    """Yield the lines of each unit in groups of at most `_MAX_LINES_PER_PLOT`."""
     for unit in units:
         of_it = [line for line in lines if line.unit == unit]
-        parts = -(-len(of_it) // _MOST_LINES)
+        parts = -(-len(of_it) // _MAX_LINES_PER_PLOT)
         for k in range(parts):
             yield unit, of_it[k * len(of_it) // parts : (k + 1) * len(of_it) // parts]
 
@@ -89,13 +92,16 @@ def _title(title: str, units: Sequence[str], drawn: Sequence[Line], lines: Seque
 
 
 def _limits(lines: Sequence[Line], values: np.ndarray) -> list[Limit]:
-    """Return the limits that lines come near, equal ones of several lines once."""
+    """Return the limits of lines; limits that several lines share appear once.
+
+    A limit of more than twice the line's largest value is left out: it would press the lines flat.
+    """
     named: dict[float, list[str]] = {}
     for line, row in zip(lines, values.T, strict=True):
         known = np.abs(row[np.isfinite(row)])
         peak = float(known.max(initial=0.0))
         for bound in line.limits:
-            if np.isfinite(bound) and abs(bound) <= _NEAR * peak:
+            if np.isfinite(bound) and abs(bound) <= 2 * peak:
                 named.setdefault(float(f"{bound:.6g}"), []).append(line.name)
     return [Limit(name=_of(names, len(lines)), value=value) for value, names in named.items()]
 

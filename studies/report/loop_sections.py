@@ -1,4 +1,4 @@
-"""What else a report says of a loop: the map of stable gains, large signals, the loop along a motion, gains found."""
+"""Further sections of a feedback loop: map of stable gains, large signals, the loop along a motion, tuned gains."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,6 @@ import numpy as np
 from linkplan.studies.bode.along_motion import AlongMotion, along_text
 from linkplan.studies.bode.large_study import LargeStudy, large_text
 from linkplan.studies.bode.map_study import MapStudy, agreement
-from linkplan.studies.report.bode_sections import known
 from linkplan.studies.report.columns import columns
 from linkplan.studies.report.document import (
     Axis,
@@ -26,21 +25,19 @@ from linkplan.studies.report.document import (
     Text,
 )
 from linkplan.studies.report.lines import TIME, Line, plots
-from linkplan.studies.report.numbers import rounded
+from linkplan.studies.report.numbers import rounded, significant
 from linkplan.studies.report.plan_sections import group_of
 from linkplan.studies.tune.tune import Tuning
 from linkplan.studies.tune.tune_report import motor_gains, tracking_table
 
-_CONTOURS_DEG = (15.0, 30.0, 45.0, 60.0)
-_PHASE_ENDS_DEG = (90.0, 0.0)
-# What is left of a disturbance is not drawn below this: the simulator cannot show it.
-_ROUNDING = 1e-12
+# Smaller shares of a disturbance are drawn at this share: they are rounding errors of the simulator.
+_LEAST_SHARE = 1e-12
 
 Marked = Sequence[tuple[str, float, float]]
 
 
 def map_section(study: MapStudy, marked: Marked = (), *, depth: int = 2) -> Section:
-    """Return the section of a stability map; `marked` are gains (name, kp, kd), the study's own without any."""
+    """Return the section of a stability map; `marked` are gains (name, kp, kd), by default those of the study."""
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
     right, tried = agreement(found)
@@ -82,7 +79,7 @@ def _gains(study: MapStudy, marked: Marked, joint) -> Plane:
     curves = [
         Curve(name="predicted stability boundary, worst position", colour=4, width=2.2, **_contour(kd, kp, radius, 1.0))
     ]
-    for k, level in enumerate(_CONTOURS_DEG):
+    for k, level in enumerate((15.0, 30.0, 45.0, 60.0)):
         line = _contour(found.kd, found.kp, found.phase_margin_deg, level)
         if line["x"]:
             curves.append(Curve(name=f"phase margin {level:g} deg", colour=0, width=0.8 + 0.4 * k, look="dash", **line))
@@ -105,13 +102,13 @@ def _gains(study: MapStudy, marked: Marked, joint) -> Plane:
             x=rounded(found.kd, log=True),
             y=rounded(found.kp, log=True),
             values=rounded(found.phase_margin_deg, digits=3),
-            ends=_PHASE_ENDS_DEG,
+            ends=(90.0, 0.0),
         ),
     )
 
 
 def _contour(x: np.ndarray, y: np.ndarray, values: np.ndarray, level: float) -> dict:
-    """Return the lines (x, y) on which values (n_y, n_x) have a level, parted by None."""
+    """Return the contour lines (x, y) of values (n_y, n_x) at a level, separated by None."""
     lines = contourpy.contour_generator(x, y, np.ma.masked_invalid(values)).lines(level)
     gap = np.array([[np.nan, np.nan]])
     rows = np.vstack([part for line in lines for part in (line, gap)]) if lines else np.empty((0, 2))
@@ -119,7 +116,7 @@ def _contour(x: np.ndarray, y: np.ndarray, values: np.ndarray, level: float) -> 
 
 
 def along_section(found: AlongMotion, *, depth: int = 2) -> Section:
-    """Return the section of a loop frozen along a motion, and of how a disturbance dies away where it repeats."""
+    """Return the section of a loop frozen along a motion and, for a periodic motion, of the decay of a disturbance."""
     time = found.reference.time_s[found.instants]
 
     def figure(name: str) -> np.ndarray:
@@ -135,15 +132,20 @@ def along_section(found: AlongMotion, *, depth: int = 2) -> Section:
     if cycle is not None:
         clear = slice(None, cycle.last_visible_sample + 1)
         decay = [
-            Line(name="predicted", values=np.maximum(cycle.size[clear], _ROUNDING), unit="1"),
-            Line(name="measured in MuJoCo", values=np.maximum(cycle.measured_size[clear], _ROUNDING), unit="1", look="dash"),
+            Line(name="predicted", values=np.maximum(cycle.size[clear], _LEAST_SHARE), unit="1"),
+            Line(
+                name="measured in MuJoCo",
+                values=np.maximum(cycle.measured_size[clear], _LEAST_SHARE),
+                unit="1",
+                look="dash",
+            ),
         ]
-        blocks += plots("What is left of the worst disturbance", "share", TIME, cycle.time_s[clear], decay, log=True)
+        blocks += plots("Remaining share of the worst disturbance", "share", TIME, cycle.time_s[clear], decay, log=True)
     return Section(title=f"Along the motion {found.plan.problem.name}", blocks=blocks, depth=depth)
 
 
 def large_section(study: LargeStudy, *, depth: int = 2) -> Section:
-    """Return the section of large signals: gain past the limit, the describing function, feasible amplitudes."""
+    """Return the section of large signals: gain at saturation, the describing function, feasible amplitudes."""
     signals, curve = study.signals, study.curve
     joint = curve.point.mechanism.independent_joints[curve.channel]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -217,9 +219,9 @@ def tune_sections(found: Tuning) -> list[Section]:
     points = list(zip(found.points, found.best.bounds, strict=True))
     cells = [
         [
-            known(joint.shown(p.state[0])),
+            significant(joint.shown(p.state[0])),
             bool(m.stable),
-            *(known(x) for x in (m.bandwidth_hz, m.phase_margin_deg, m.gain_margin_db, m.sensitivity_peak)),
+            *(significant(x) for x in (m.bandwidth_hz, m.phase_margin_deg, m.gain_margin_db, m.sensitivity_peak)),
         ]
         for p, m in points
     ]
@@ -233,7 +235,7 @@ def tune_sections(found: Tuning) -> list[Section]:
 
 
 def _tuned_plots(found: Tuning, joint) -> list[Plot]:
-    """Return bandwidth and phase margin over the position, with what is wanted."""
+    """Return bandwidth and phase margin over the position, with the requirements."""
     order = np.argsort([float(point.state[0]) for point in found.points])
     at = np.array([joint.shown(found.points[k].state[0]) for k in order])
     shown = []
@@ -241,7 +243,8 @@ def _tuned_plots(found: Tuning, joint) -> list[Plot]:
         ("bandwidth_hz", "bandwidth", "Hz", found.wanted.bandwidth_hz),
         ("phase_margin_deg", "phase margin", "deg", found.wanted.phase_margin_deg),
     ):
-        values = [getattr(found.best.bounds[k], name) for k in order]
+        bounds = [getattr(found.best.bounds[k], name) for k in order]
+        values = rounded(np.array([np.nan if value is None else value for value in bounds]))
         shown.append(
             Plot(
                 title=f"{what[:1].upper()}{what[1:]} over the position",
@@ -250,10 +253,8 @@ def _tuned_plots(found: Tuning, joint) -> list[Plot]:
                 y_axis=Axis(label=what, unit=unit),
                 x=rounded(at),
                 series=[
-                    Series(name=what, y=rounded(np.array([np.nan if v is None else v for v in values]))),
-                    Series(
-                        name="looked at", y=rounded(np.array([np.nan if v is None else v for v in values])), look="points"
-                    ),
+                    Series(name=what, y=values),
+                    Series(name="looked at", y=values, look="points"),
                 ],
                 limits=[Limit(name="wanted at least", value=float(wanted))],
             )

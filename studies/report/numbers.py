@@ -1,20 +1,25 @@
-"""Numbers as a page shows them: samples thinned to what a screen has room for, digits to what is known."""
+"""Numbers on a page: curves thinned to the resolution of a screen, values rounded to significant digits."""
 
 import math
 from itertools import pairwise
 
 import numpy as np
 
-# Samples of a line: more than a screen's width has pixels for two.
-MOST = 800
-# Digits of a value, counted from the largest of its kind; on a logarithmic axis each value has its own.
-_DIGITS, _OWN_DIGITS = 5, 4
-# What a sample is off a line by, as a share of the line's range, below which nobody sees it.
-_SEEN = 0.01
+# Samples of a line: about half the width of a screen in pixels.
+MAX_SAMPLES = 800
 
 
-def rounded(values: np.ndarray, *, log: bool = False, digits: int = _DIGITS) -> list:
-    """Return values (n,) or (n, m) as lists, rounded; None where a value is not finite or, with `log`, not positive."""
+def significant(value: float | None, digits: int = 4) -> float | None:
+    """Return a number rounded to `digits` significant digits; None for None and for a number that is not finite."""
+    return float(f"{value:.{digits}g}") if value is not None and math.isfinite(value) else None
+
+
+def rounded(values: np.ndarray, *, log: bool = False, digits: int = 5) -> list:
+    """Return values (n,) or (n, m) as lists, rounded.
+
+    The digits are counted from the largest value; with `log`, every value has four significant digits of its own. Values
+    that are not finite or, with `log`, not positive become None.
+    """
     values = np.asarray(values, dtype=float)
     if values.ndim > 1:
         scale = _scale(values)
@@ -29,7 +34,7 @@ def _scale(values: np.ndarray) -> float:
 
 def _rounded(row: np.ndarray, scale: float, log: bool, digits: int) -> list[float | int | None]:
     if log:
-        return [float(f"{x:.{_OWN_DIGITS}g}") if math.isfinite(x) and x > 0 else None for x in row.tolist()]
+        return [significant(x) if x > 0 else None for x in row.tolist()]
     places = digits - 1 - math.floor(math.log10(scale)) if scale > 0 else 0
     return [_plain(round(x, places)) if math.isfinite(x) else None for x in row.tolist()]
 
@@ -44,11 +49,11 @@ def times(values: np.ndarray) -> list:
     return rounded(values, digits=7)
 
 
-def kept(columns: np.ndarray, most: int = MOST) -> np.ndarray:
-    """Return the indices of the rows of columns (n, k) that lines of them need: all, or so many even ones and the peaks.
+def drawn_rows(columns: np.ndarray, most: int = MAX_SAMPLES) -> np.ndarray:
+    """Return the indices of the drawn rows of columns (n, k): all up to `most`, else `most / 2` even ones and the peaks.
 
-    Of the rows between two even ones that one stays, for every column, which is furthest from the straight line between
-    them, where that is more than a screen shows: a peak of one sample is still drawn.
+    Between two even rows, each column keeps the row furthest from the straight line between them if the distance is more
+    than 1 % of the column's range. Therefore a peak of one sample is still drawn.
     """
     columns = np.asarray(columns, dtype=float)
     n = len(columns)
@@ -57,10 +62,10 @@ def kept(columns: np.ndarray, most: int = MOST) -> np.ndarray:
     even = np.linspace(0, n - 1, most // 2).astype(int)
     found = set(even.tolist())
     for values in np.nan_to_num(columns.T):
-        off = np.abs(values - np.interp(np.arange(n), even, values[even]))
-        least = _SEEN * float(np.ptp(values))
+        distance = np.abs(values - np.interp(np.arange(n), even, values[even]))
+        visible = 0.01 * float(np.ptp(values))
         for a, b in pairwise(even.tolist()):
-            k = a + int(np.argmax(off[a:b]))
-            if off[k] > least:
+            k = a + int(np.argmax(distance[a:b]))
+            if distance[k] > visible:
                 found.add(k)
     return np.array(sorted(found))

@@ -1,4 +1,4 @@
-"""The phase plane of a motion of one freedom: its path, full effort from start and into goal, and the speed limits."""
+"""The phase plane of a motion with one degree of freedom: its path, full effort at start and goal, and speed limits."""
 
 import numpy as np
 
@@ -8,24 +8,20 @@ from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Axis, Curve, Plane
 from linkplan.studies.report.motion import Motion
-from linkplan.studies.report.numbers import kept, rounded, times
-
-_CELLS = 600
-# Limit curves are drawn up to so many times the motion's largest speed: next to singular poses they have no end.
-_SEEN = 2.5
+from linkplan.studies.report.numbers import drawn_rows, rounded, times
 
 
 def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) -> Plane | None:
-    """Return the phase plane of a plan; None for several freedoms."""
+    """Return the phase plane of a plan; None for several degrees of freedom."""
     mechanism = plan.problem.mechanism
     if mechanism.dof != 1:
         return None
     joint = mechanism.independent_joints[0]
     unit = joint.shown(1.0)
     s, v = motion.position[:, 0], motion.velocity[:, 0]
-    rows = kept(np.column_stack([s, v]))
+    rows = drawn_rows(np.column_stack([s, v]))
     path = Curve(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
-    most = _SEEN * float(np.abs(v).max()) or 1.0
+    most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded next to singular poses
     limits = [] if not np.all(np.isfinite(plan.problem.limits.effort)) else _limit_curves(plan, motion, most)
     curves = [
         Curve(name=name, x=rounded(unit * x), y=rounded(unit * y), look=look, colour=colour)
@@ -44,11 +40,11 @@ def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) ->
 
 
 def _limit_curves(plan: Plan, motion: Motion, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
-    """Return curves: name, positions, speeds (signed), look, colour; none where the grid is not open along the motion."""
+    """Return curves: name, positions, speeds (signed), look, colour; none if the grid cannot cover the motion."""
     problem, s = plan.problem, motion.position[:, 0]
     places = np.array([s[0], s.max(), s.min(), s[-1]])
     try:
-        gridded = grid_of(problem, places, motion.pose[0], _CELLS)
+        gridded = grid_of(problem, places, motion.pose[0], 600)
     except LinkplanError:
         return []
     if gridded is None:
@@ -70,7 +66,7 @@ def _limit_curves(plan: Plan, motion: Motion, most: float) -> list[tuple[str, np
 
 
 def _speed_limits(grid: PhaseGrid, s: np.ndarray, most: float) -> list:
-    """Return the curves of the speeds from which full effort keeps the joints' speed limits, where there are any."""
+    """Return the curves of the largest speeds from which full effort keeps the joints' speed limits, if there are any."""
     near = (grid.s >= s.min()) & (grid.s <= s.max())
     found = []
     for way in (1, -1):
@@ -82,6 +78,6 @@ def _speed_limits(grid: PhaseGrid, s: np.ndarray, most: float) -> list:
 
 
 def _cut(speed: np.ndarray, most: float) -> np.ndarray:
-    """Return speeds up to where they first go beyond what is seen."""
+    """Return speeds; NaN from the first speed above `most` on."""
     beyond = np.flatnonzero(np.abs(speed) > most)
     return np.where(np.arange(len(speed)) < (beyond[0] if len(beyond) else len(speed)), speed, np.nan)

@@ -1,4 +1,4 @@
-"""A plan's part of a report: verdict, motion, limits, certificate, the solves that led to it, its problem."""
+"""The sections of a plan: verdict, motion, limits, certificate, the solves before it, its problem."""
 
 from collections.abc import Sequence
 
@@ -15,15 +15,13 @@ from linkplan.studies.report.columns import columns
 from linkplan.studies.report.document import Block, Code, Facts, Plot, Section, Table, Text
 from linkplan.studies.report.lines import TIME, Line, plots
 from linkplan.studies.report.motion import Motion, motion_of
+from linkplan.studies.report.numbers import significant
 from linkplan.studies.report.phase import phase_plane
 from linkplan.studies.report.robust_sections import robust_section
 
-# Dependent joints are drawn in plots of their own up to so many coordinates in all.
-_SEVERAL = 12
-
 
 def group_of(plan: Plan) -> str:
-    """Return the name of the cursor of a plan's times."""
+    """Return the name of the cursor of a plan's time axis."""
     return f"time:{plan.problem.name}"
 
 
@@ -32,36 +30,25 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
 
     Args:
         plan: to show, with or without a motion.
-        depth: of the first section's title; the others are below it where it is 1.
-        animated: whether the motion is animated here; not where a comparison animates it.
-        verdict: whether it is said here; not where the page's header says it.
+        depth: of the first section; the others are one level below.
+        animated: whether the motion is animated; False if a comparison animates it.
+        verdict: whether the first section starts with the verdict; False if the page's header shows it.
     """
+    title, first = f"Plan: {plan.problem.name}", _verdict(plan, said=verdict)
     if plan.trajectory is None or plan.certificate is None:
-        return [
-            Section(
-                title=f"Plan: {plan.problem.name}",
-                blocks=[*_verdict(plan, said=verdict), *_solves(plan), *_problem(plan)],
-                depth=depth,
-            )
-        ]
+        return [Section(title=title, blocks=[*first, *_solves(plan), *_problem(plan)], depth=depth)]
     try:
         motion = motion_of(plan)
     except AssemblyError as error:
         lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
-        return [
-            Section(
-                title=f"Plan: {plan.problem.name}",
-                blocks=[*_verdict(plan, said=verdict), lost, *_problem(plan)],
-                depth=depth,
-            )
-        ]
+        return [Section(title=title, blocks=[*first, lost, *_problem(plan)], depth=depth)]
     group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
     below = depth + 1
     robust = robust_section(plan, motion, group, period, depth=below)
     return [
-        Section(title=f"Plan: {plan.problem.name}", blocks=[*_verdict(plan, said=verdict), *seen], depth=depth),
+        Section(title=title, blocks=[*first, *seen], depth=depth),
         Section(title="Motion and effort", blocks=_time_plots(plan, motion, group, period), depth=below),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
         *([] if robust is None else [robust]),
@@ -83,7 +70,7 @@ def _verdict(plan: Plan, *, said: bool) -> list[Block]:
         rows += [
             (f"largest effort of {actuator.name}", f"{peak:.4g} {actuator.unit}, limit {low:g} to {high:g} {actuator.unit}")
             for actuator, peak, (low, high) in zip(
-                problem.mechanism.actuators[:_SEVERAL], certificate.peak_effort, problem.limits.effort, strict=False
+                problem.mechanism.actuators[:12], certificate.peak_effort, problem.limits.effort, strict=False
             )
         ]
     notes = [Text(text=text, tone="note") for text in (*problem.notes, *not_honoured(plan))]
@@ -103,7 +90,7 @@ def _animation(plan: Plan, group: str, period: float | None) -> Block:
     mechanism = problem.mechanism
     dense = trajectory.dense_times(10)
     shown = np.linspace(trajectory.breaks_s[0], trajectory.breaks_s[-1], frames_of(mechanism))
-    shown[-1] = dense[-1]  # a periodic motion's end, not its beginning again
+    shown[-1] = dense[-1]  # the end of a periodic motion, which would else be mapped to its start
     every, back = np.unique(np.concatenate([dense, shown]), return_inverse=True)
     poses = follow(mechanism, trajectory.position_at(every), trajectory.start_pose)[back[len(dense) :]]
     return animation(
@@ -188,9 +175,7 @@ def _passed(plan: Plan) -> Block:
 
 def _solves(plan: Plan) -> list[Block]:
     if not plan.history:
-        return [
-            Text(text="No solves are known: the motion was worked out without any, or not saved with them.", tone="note")
-        ]
+        return [Text(text="There is no history of solves: the motion needed none, or was saved without it.", tone="note")]
     heads = columns("what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]")
     heads += columns("integration error [deg]", "time to build [s]", "time to solve [s]")
     rows = [
@@ -201,26 +186,22 @@ def _solves(plan: Plan) -> list[Block]:
             step.segments,
             step.converged,
             step.solver_status,
-            _number(step.objective, 9),
-            _number(step.integration_error_deg, 3),
-            _number(step.build_s, 3),
-            _number(step.solve_s, 3),
+            significant(step.objective, 9),
+            significant(step.integration_error_deg, 3),
+            significant(step.build_s, 3),
+            significant(step.solve_s, 3),
         ]
         for step in plan.history
     ]
     return [Table(title="Attempts in their order, each with its mesh", columns=heads, rows=rows)]
 
 
-def _number(value: float | None, digits: int) -> float | None:
-    return float(f"{value:.{digits}g}") if value is not None and np.isfinite(value) else None
-
-
 def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
     """Return the final mesh as the widths of its intervals over time."""
     breaks = plan.trajectory.breaks_s
     width = np.diff(breaks)
-    hair = 1e-6 * width
-    x = np.column_stack([breaks[:-1] + hair, breaks[1:] - hair]).ravel()
+    offset = 1e-6 * width  # the plot needs increasing instants on both sides of a break
+    x = np.column_stack([breaks[:-1] + offset, breaks[1:] - offset]).ravel()
     (found,) = plots(
         f"Final mesh: {plan.scheme}, {plan.intervals} intervals",
         "width of the interval",
@@ -242,7 +223,7 @@ def _problem(plan: Plan) -> list[Block]:
 
 
 def _without_none(value: object) -> object:
-    """Return tables without what has no value: infinite limits, say."""
+    """Return tables without the keys whose value is None, such as infinite limits."""
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item is not None}
     return value

@@ -1,4 +1,4 @@
-"""The report of a folder that linkplan wrote: its own document, a plan made anew, or what its record says."""
+"""The report of a folder that linkplan wrote: its saved document, or a report made from its plan or record."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -19,22 +19,19 @@ from linkplan.studies.report.document import Block, Facts, Report, Section, Tabl
 from linkplan.studies.report.reports import experiment_report, plan_report, report_of
 from linkplan.studies.report.saving import DOCUMENT, read_document
 
-# Rows of a record's table that are shown, and letters of a fact.
-_ROWS, _LETTERS = 500, 300
-
 
 def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = None) -> Report:
     """Return the report of a saved folder: of a plan, a check, a comparison, an experiment, a feedback loop, gains, a batch.
 
     Args:
-        folder: that was saved.
-        again: the command that runs a tracker's sample of an experiment's folder again, where there is one to say.
+        folder: saved by linkplan.
+        again: returns the command that runs a tracker's sample of an experiment's folder again, if there is one.
 
     Raises:
-        PlanFileError: when it is none, or damaged.
+        PlanFileError: if the folder is not a result, or is damaged.
     """
     if not folder.is_dir():
-        raise PlanFileError(f"'{folder}' is no folder; a report is made of a folder that linkplan wrote")
+        raise PlanFileError(f"'{folder}' is not a folder; a report needs a folder that linkplan wrote")
     complete(folder)
     if (folder / DOCUMENT).is_file():
         return read_document(folder / DOCUMENT)
@@ -49,17 +46,17 @@ def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = 
 
 
 def saved_plan(folder: Path) -> Plan:
-    """Return a saved plan, certified anew whether it passes or not, with the solves that led to it.
+    """Return a saved plan with a new certificate, passed or not, and with the history of its solves.
 
     Raises:
-        PlanFileError: when the folder is damaged, or its model has changed.
+        PlanFileError: if the folder is damaged, or its model has changed.
     """
     plan, note = read_plan(folder, anyway=True), unchecked(folder)
     return plan if note is None else replace(plan, problem=replace(plan.problem, notes=(*plan.problem.notes, note)))
 
 
 def _record_report(path: Path) -> Report:
-    """Return what a record's figures say, of a folder without a document: written by an earlier version, or a batch's."""
+    """Return the report of a record without a document: from an earlier version, or of a batch."""
     said = read_batch_record(path) if path.name == BATCH else read_record(path, dict[str, Any])
     lacks = Text(
         text=f"This folder has no {DOCUMENT}: shown are the figures of {path.name}; animation and curves need the command"
@@ -74,7 +71,7 @@ def _record_report(path: Path) -> Report:
 
 
 def _blocks(said: Mapping) -> list[Block]:
-    """Return a record as facts and tables: numbers and words are facts, what has several of a kind is a table."""
+    """Return a record as blocks: single values as facts, lists of records as tables."""
     facts, tables = [], []
     for key, value in said.items():
         if isinstance(value, dict) and value and all(isinstance(row, dict) for row in value.values()):
@@ -90,7 +87,7 @@ def _blocks(said: Mapping) -> list[Block]:
 
 def _table(title: str, rows: list[dict]) -> Table:
     heads = list(dict.fromkeys(name for row in rows for name, value in row.items() if _is_plain(value)))
-    cells = [[row.get(head) if _is_cell(row.get(head)) else _said(row.get(head)) for head in heads] for row in rows[:_ROWS]]
+    cells = [[row.get(head) if _is_cell(row.get(head)) else _said(row.get(head)) for head in heads] for row in rows[:500]]
     return Table(title=title, columns=[(str(head), "") for head in heads], rows=cells)
 
 
@@ -109,4 +106,5 @@ def _said(value: object) -> str:
         text = f"{value:.6g}"
     else:
         text = "none" if value is None else str(value)
-    return text if len(text) <= _LETTERS else f"{text[:_LETTERS]} ..."
+    longest = 300
+    return text if len(text) <= longest else f"{text[:longest]} ..."

@@ -1,6 +1,6 @@
 """The HTML file of a report: template, style and program of `page/`, uPlot and the document, all in one file.
 
-Nothing is fetched: the page's content security policy admits its own scripts, by their hashes, and no address.
+The page fetches nothing: its content security policy allows its own scripts by their hashes, and no address.
 """
 
 import base64
@@ -18,15 +18,14 @@ from linkplan.models.reading import read_head
 from linkplan.planner.files.new_file import write_over
 from linkplan.studies.report.document import Report
 
-# In the order in which they build on one another.
+# Each script uses only those before it.
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "player", "blocks", "main")
-# By these words an earlier report is known, which a new one may replace.
+# A file with these words in its first 1,000 bytes is a report, which a new one may replace.
 _OURS = b'<meta name="generator" content="linkplan">'
-_HEAD = 1000
 
 
 def as_record(value: object) -> object:
-    """Return a document as JSON's own types: a table for every block, its kind among its keys."""
+    """Return a document in the types of JSON: an object for every block, with its kind."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: as_record(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -39,7 +38,7 @@ def as_record(value: object) -> object:
 def report_html(report: Report) -> str:
     """Return the HTML of a report.
 
-    What the document says stands in it as JSON whose "<" are escaped, so that no name ends a script, and is shown as text.
+    The page contains the document as JSON with "<" escaped, so that no name can end a script. The page shows it as text.
     """
     record = as_record(report)
     said = json.dumps(record, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
@@ -68,27 +67,27 @@ def _hash(text: str) -> str:
 
 
 def write_report(report: Report, path: Path) -> None:
-    """Write a report's HTML file; an earlier report in its place is replaced, and nothing else.
+    """Write a report's HTML file. An earlier report at this path is replaced, any other file is refused.
 
     Raises:
-        PlanFileError: when something else stands there, or the disk refuses.
+        PlanFileError: if another file exists at this path, or the file cannot be written.
     """
     refuse_other_files(path)
     write_over(path, report_html(report).encode("utf-8", "replace"))
 
 
 def refuse_other_files(path: Path) -> None:
-    """Refuse a place that holds something that is no report.
+    """Refuse a path at which a file exists that is not a report.
 
     Raises:
-        PlanFileError: naming it.
+        PlanFileError: with the path.
     """
     if is_folder(path):
         raise PlanFileError(f"a report is one HTML file, and '{path}' is a folder; name a file in it")
     if not is_there(path):
         return
     try:
-        begin = read_head(path, f"'{path}'", _HEAD, PlanFileError)
+        begin = read_head(path, f"'{path}'", 1000, PlanFileError)
     except PlanFileError:
         begin = b""
     if _OURS not in begin:

@@ -28,7 +28,7 @@ Extra = MapStudy | LargeStudy | AlongMotion
 
 
 def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[Section]) -> Report:
-    """Return a report by this linkplan."""
+    """Return a report with the versions of this installation."""
     verdict = verdict[:1].upper() + verdict[1:]
     return Report(title=title, verdict=verdict, passed=passed, versions=versions(), sections=list(sections))
 
@@ -49,18 +49,18 @@ def comparison_report(comparison: Comparison, document: Section | None = None) -
 
 
 def replay_report(comparison: Comparison, sample: Mapping) -> Report:
-    """Return the report of one sample of an experiment that was run again; `sample` is its record."""
+    """Return the report of a repeated sample of an experiment; `sample` is its record."""
     (tracker,) = comparison.nominal
     failure = sample["failure"]
-    came_out = failure or ("success" if sample["success"] else "outside the tube")
-    verdict = f"{tracker} on machine {sample['sample']}: {came_out}"
+    result = failure or ("success" if sample["success"] else "outside the tube")
+    verdict = f"{tracker} on machine {sample['sample']}: {result}"
     sections = [machine_section(sample), *whole_comparison(comparison)]
     passed = bool(sample["success"]) and failure is None
     return report_of(f"A machine of the experiment on {comparison.plan.problem.name}", verdict, passed, sections)
 
 
 def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
-    """Return the report of an experiment, and of its plan; `again` says how a sample is run again."""
+    """Return the report of an experiment and its plan; `again` returns the command that runs a sample again."""
     plan, summary = outcome.experiment.plan, outcome.summary
     best = max(summary.trackers, key=lambda one: one.success.value)
     shares = ", ".join(f"{one.name} {100 * one.success.value:.3g} %" for one in summary.trackers)
@@ -73,7 +73,7 @@ def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
 
 
 def _foremost(outcome: Outcome) -> str:
-    """Return every tracker's foremost imperfection by its influence on the first rms error."""
+    """Return each tracker's imperfection with the largest influence on the first rms error."""
     record = outcome.record["sensitivity"]
     metric = next(name for name in record["metrics"] if name.startswith("rms_error"))
     first = {tracker: found[metric]["ranking"][0] for tracker, found in record["trackers"].items()}
@@ -81,7 +81,7 @@ def _foremost(outcome: Outcome) -> str:
 
 
 def decomposition_report(found: Decomposition) -> Report:
-    """Return the report of where trackers' errors on a plan come from."""
+    """Return the report of the causes of trackers' errors on a plan."""
     split = [one.name for one in found.trackers if one.machines]
     lost = [one.name for one in found.trackers if not one.machines]
     verdict = f"split: {', '.join(split) or 'no tracker'}" + (f"; lost: {', '.join(lost)}" if lost else "")
@@ -91,7 +91,7 @@ def decomposition_report(found: Decomposition) -> Report:
 
 
 def bode_report(study: BodeStudy, extras: Sequence[Extra] = (), note: str | None = None) -> Report:
-    """Return the report of a feedback loop, and of the stability map, large signals and motion looked at beside it."""
+    """Return the report of a feedback loop, with the sections of `extras`: stability map, large signals, motion."""
     name = f"{study.mechanism.name}, {study.law}"
     sections = [*bode_sections(study, name, verdict=False), *(extra_section(extra) for extra in extras)]
     verdict = study.message if note is None else f"{study.message}; {note}"
@@ -99,7 +99,7 @@ def bode_report(study: BodeStudy, extras: Sequence[Extra] = (), note: str | None
 
 
 def extra_section(extra: Extra) -> Section:
-    """Return the section of what is asked beside the margins."""
+    """Return the section of a stability map, of large signals, or of the loop along a motion."""
     if isinstance(extra, MapStudy):
         return map_section(extra)
     return large_section(extra) if isinstance(extra, LargeStudy) else along_section(extra)

@@ -1,4 +1,4 @@
-"""A plan's room for feedback and for machines unlike the model, as a part of a report: reserve, corners and their price."""
+"""The section of a robust plan: the effort reserve for feedback, the corners of the model's ranges, and their price."""
 
 import math
 
@@ -13,7 +13,7 @@ from linkplan.studies.report.motion import Motion
 
 
 def robust_section(plan: Plan, motion: Motion, group: str, period: float | None, *, depth: int = 2) -> Section | None:
-    """Return the section of a plan's reserve and corners; None where it has neither."""
+    """Return the section of a plan's reserve and corners; None if it has neither."""
     corners, reserve = plan.problem.robust.corners, plan.problem.limits.reserve
     if not corners and not reserve:
         return None
@@ -39,8 +39,11 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     for name, (low, high) in (("payload", robust.payload_factor), ("torque constant", robust.torque_factor)):
         if low != high or low != 1:
             rows.append((f"factor on the {name}", f"{low:g} to {high:g}"))
-    rubbing = (("viscous friction", robust.viscous, ("N.m.s/rad", "N.s/m")), ("dry friction", robust.coulomb, ("N.m", "N")))
-    for name, ranges, (turning, sliding) in rubbing:
+    friction = (
+        ("viscous friction", robust.viscous, ("N.m.s/rad", "N.s/m")),
+        ("dry friction", robust.coulomb, ("N.m", "N")),
+    )
+    for name, ranges, (turning, sliding) in friction:
         for index, (low, high) in ranges.items():
             unit = turning if joints[index].kind == "hinge" else sliding
             rows.append((f"{name} at {joints[index].name}", f"{low:g} to {high:g} {unit}"))
@@ -48,7 +51,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
 
 
 def _table(plan: Plan) -> Table:
-    """Return the corners with the effort of each that comes nearest to its limit, by the certificate."""
+    """Return the table of corners, each with its effort nearest to a limit, from the certificate."""
     problem, n_u = plan.problem, plan.problem.mechanism.n_u
     joints = tuple(joint.name for joint in problem.mechanism.joints)
     rows = []
@@ -56,7 +59,7 @@ def _table(plan: Plan) -> Table:
         of_it = [one for one in plan.certificate.margins if one.what == "robust" and one.item // n_u == item]
         for worst in sorted(of_it, key=lambda one: one.left)[:1]:
             actuator = problem.mechanism.actuators[worst.item % n_u]
-            places = 4 - math.floor(math.log10(abs(worst.limit) or 1.0))  # of the limit's size: less is rounding
+            places = 4 - math.floor(math.log10(abs(worst.limit) or 1.0))  # five digits of the limit
             figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
             at = float(f"{worst.time_s:.5g}")
             rows.append([corner.description(joints), worst.kept, actuator.name, *figures, actuator.unit, at])
@@ -65,7 +68,7 @@ def _table(plan: Plan) -> Table:
 
 
 def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> list[Plot]:
-    """Return what every corner needs of each actuator over time, beside what the machine as modelled needs."""
+    """Return the plots of the effort that every corner and the model need of each actuator."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     joints = tuple(joint.name for joint in mechanism.joints)
     corners = problem.robust.corners

@@ -1,4 +1,4 @@
-"""Reports on disk: the document, `report.json`, in every result's folder but a plan's, and the page if it is asked for."""
+"""Reports on disk: the document `report.json`, in the folder of every result except plans, and optionally the page."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ _BLOCKS: dict[str, type[Block]] = {kind.__dataclass_fields__["kind"].default: ki
 
 
 def save_report(report: Report, place: Path, *, page: bool) -> None:
-    """Write a report's document into a folder and read it back; write its page where it is asked for."""
+    """Write a report's document into a folder and read it back; write its page if `page`."""
     said = json.dumps(as_record(report), allow_nan=False, separators=(",", ":"))
     (place / DOCUMENT).write_text(f"{said}\n", encoding="utf-8")
     read_document(place / DOCUMENT)
@@ -26,7 +26,7 @@ def save_report(report: Report, place: Path, *, page: bool) -> None:
 
 
 class _SavedSection(Struct):
-    """A section whose blocks are not told apart yet."""
+    """A section whose blocks are not converted yet."""
 
     title: str
     blocks: list[dict[str, Any]]
@@ -35,7 +35,7 @@ class _SavedSection(Struct):
 
 
 class _SavedReport(Struct):
-    """A document whose blocks are not told apart yet."""
+    """A document whose blocks are not converted yet."""
 
     title: str
     verdict: str
@@ -48,7 +48,7 @@ def read_document(path: Path) -> Report:
     """Return a saved document.
 
     Raises:
-        PlanFileError: when the file is none, or a block of it lacks a value or has one of another type.
+        PlanFileError: if the file is not a document, or a block lacks a value or has a value of another type.
     """
     said = read_record(path, _SavedReport)
     try:
@@ -65,7 +65,7 @@ def _block(said: dict[str, Any]) -> Block:
     """Return a block of a saved document.
 
     Raises:
-        ValueError: when it is none, or its values do not fit together.
+        ValueError: if its kind is unknown, or its values do not fit together.
     """
     kind = said.get("kind")
     if not isinstance(kind, str) or kind not in _BLOCKS:

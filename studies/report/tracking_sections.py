@@ -1,4 +1,4 @@
-"""A comparison's part of a report: the motion with its ghosts, trackers side by side, their errors and efforts over time."""
+"""The sections of a comparison: animation of the tracked motions, table of trackers, errors and efforts over time."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,22 +11,18 @@ from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS
 from linkplan.studies.report.animation import Run, animation, frames_of
 from linkplan.studies.report.columns import columns
 from linkplan.studies.report.document import Block, Plot, Section, Table, Text
-from linkplan.studies.report.lines import TIME, Line, plots
+from linkplan.studies.report.lines import TIME, Line, overlaid_width, plots
+from linkplan.studies.report.numbers import significant
 from linkplan.studies.report.plan_sections import group_of, plan_sections
 
-# Joints, and actuators, whose lines are drawn at once: of more, those with the largest errors and efforts; the others on
-# demand.
-_DRAWN = 6
-# Peak efforts of more actuators have a table of their own.
-_PEAKS_BESIDE = 3
-# An error below this is drawn as this: the simulator's rounding [deg or m].
-_LEAST_ERROR = 1e-7
-# Widths of the first tracker's lines and of the last one's [px].
-_WIDEST, _THINNEST = 3.4, 1.2
+# With more joints or actuators, those with the largest errors and efforts are shown and the others are folded.
+_MAX_JOINTS_SHOWN = 6
+# The peak efforts of more actuators have a table of their own.
+_MAX_PEAK_COLUMNS = 3
 
 
 def comparison_sections(comparison: Comparison, *, depth: int = 1) -> list[Section]:
-    """Return the sections of trackers' runs on a plan, the plan's own after them."""
+    """Return the sections of trackers' runs on a plan, without those of the plan."""
     plan, below = comparison.plan, depth + 1
     cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
@@ -45,11 +41,11 @@ def whole_comparison(comparison: Comparison) -> list[Section]:
 
 
 def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Table]:
-    """Return the table of trackers side by side, and one of peak efforts where there are many actuators."""
-    plan, conditions = comparison.plan, next(iter(runs.values())).conditions
+    """Return the table of trackers and, for many actuators, a second one of their peak efforts."""
+    plan = comparison.plan
     units = list(dict.fromkeys(joint.unit for joint in plan.problem.mechanism.independent_joints))
     actuators = plan.problem.mechanism.actuators
-    few, (lengths, angles) = actuators if len(actuators) <= _PEAKS_BESIDE else [], gap_units(comparison.plan)
+    few, (lengths, angles) = actuators if len(actuators) <= _MAX_PEAK_COLUMNS else [], gap_units(comparison.plan)
     heads = [
         ("tracker", ""),
         *((f"{which} error", unit) for unit in units for which in ("rms", "largest", "final")),
@@ -67,27 +63,31 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
         gaps = [1e6 * gap for gap, there in zip(run.largest_gaps, (lengths, angles), strict=True) if there]
         peaks = [said["peak_effort"][actuator.name] for actuator in few]
         numbers = [*errors, *peaks, 100 * said["saturated_fraction"], *gaps]
-        rows.append([name, *(_known(x) for x in numbers), said["contacts"], said["stable"]])
+        rows.append([name, *(significant(x) for x in numbers), said["contacts"], said["stable"]])
+    conditions = _conditions_text(next(iter(runs.values())).conditions)
+    found = [Table(title=f"{title[:1].upper()}{title[1:]}: {conditions}", columns=heads, rows=rows)]
+    return found if few else [*found, _peak_table(comparison, title, runs)]
+
+
+def _conditions_text(conditions: Mapping) -> str:
     delay = conditions["delay_periods"]
-    how = (
+    return (
         f"MuJoCo {conditions['mujoco']}, {conditions.get('integrator', '')}, step {conditions['timestep_s']:g} s,"
         f" control period {conditions['control_period_s']:g} s, delay {delay} period{'' if delay == 1 else 's'}"
     )
-    found = [Table(title=f"{title[:1].upper()}{title[1:]}: {how}", columns=heads, rows=rows)]
-    if not few:
-        records = [rollout_record(plan, run)["peak_effort"] for run in runs.values()]
-        rows = [[a.name, *(_known(peaks[a.name]) for peaks in records), a.unit] for a in actuators]
-        columns = [("actuator", ""), *((name, "") for name in runs), ("unit", "")]
-        found.append(Table(title=f"Peak efforts, {title}", columns=columns, rows=rows))
-    return found
 
 
-def _known(value: float | None) -> float | None:
-    return float(f"{value:.4g}") if value is not None and np.isfinite(value) else None
+def _peak_table(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> Table:
+    plan = comparison.plan
+    records = [rollout_record(plan, run)["peak_effort"] for run in runs.values()]
+    actuators = plan.problem.mechanism.actuators
+    rows = [[a.name, *(significant(peaks[a.name]) for peaks in records), a.unit] for a in actuators]
+    columns = [("actuator", ""), *((name, "") for name in runs), ("unit", "")]
+    return Table(title=f"Peak efforts, {title}", columns=columns, rows=rows)
 
 
 def _animation(comparison: Comparison, cases) -> Block:
-    """Return the planned motion over the time that was tracked, every run a ghost."""
+    """Return the animation of the planned motion over the tracked time, with every run as a ghost."""
     plan = comparison.plan
     mechanism, reference = plan.problem.mechanism, tracking_reference(plan)
     n_runs = sum(len(runs) for _, runs in cases)
@@ -110,7 +110,7 @@ def _animation(comparison: Comparison, cases) -> Block:
 
 
 def _run(run: Rollout, frames: np.ndarray) -> Run:
-    """Return a run at control instants; one that blew up stays where it was last seen, without any effort."""
+    """Return a run at control instants; a diverged run keeps its last finite pose, with zero effort."""
     seen = np.flatnonzero(np.isfinite(run.pose).all(axis=1))
     last = int(seen[-1]) if len(seen) else 0
     at = np.minimum(frames, last)
@@ -118,7 +118,7 @@ def _run(run: Rollout, frames: np.ndarray) -> Run:
 
 
 def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout], *, depth: int) -> list[Section]:
-    """Return what happens over time: of many joints and actuators those with the largest figures, the others folded."""
+    """Return the plots over time: joints and actuators with the largest figures, and the others in a folded section."""
     mechanism = comparison.plan.problem.mechanism
     chosen = _largest(np.max([np.abs(run.error).max(axis=0) for run in runs.values()], axis=0))
     pushed = _largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0))
@@ -137,7 +137,8 @@ def _joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: li
         joint, factor = joints[k], joints[k].shown(1.0)
         desired = Line(name="desired", values=factor * longest.reference[:, k], unit=joint.unit, look="dash", colour=None)
         positions = {name: factor * run.position[:, k] for name, run in runs.items()}
-        errors = {name: np.maximum(np.abs(factor * run.error[:, k]), _LEAST_ERROR) for name, run in runs.items()}
+        # On the logarithmic axis, errors below the simulator's rounding, about 1e-7 deg or m, are drawn at that value.
+        errors = {name: np.maximum(np.abs(factor * run.error[:, k]), 1e-7) for name, run in runs.items()}
         title = f"{joint.name}, desired and tracked"
         found += _plots(comparison, runs, title, "position", joint.unit, positions, extra=[desired])
         found += _plots(comparison, runs, f"Size of the error of {joint.name}", "error", joint.unit, errors, log=True)
@@ -193,10 +194,10 @@ def _plots(
             unit=unit,
             colour=_colour(runs, name),
             look="line",
-            width=_width(runs, name),
+            width=overlaid_width(k, len(runs)),
             limits=limits,
         )
-        for name, column in values.items()
+        for k, (name, column) in enumerate(values.items())
     ]
     return plots(title, what, TIME, time, [*lines, *extra], group=group_of(comparison.plan), log=log)
 
@@ -213,12 +214,12 @@ def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> 
 
 
 def _largest(sizes: np.ndarray) -> list[int]:
-    """Return the indices of the largest, in their own order."""
-    return sorted(np.argsort(np.nan_to_num(sizes, nan=np.inf))[::-1][:_DRAWN].tolist())
+    """Return the indices of the largest sizes, in ascending order."""
+    return sorted(np.argsort(np.nan_to_num(sizes, nan=np.inf))[::-1][:_MAX_JOINTS_SHOWN].tolist())
 
 
 def _padded(values: np.ndarray, n: int) -> np.ndarray:
-    """Return values (m,) as (n,), not a number where a run had ended."""
+    """Return values (m,) as (n,), NaN after the end of a run."""
     return np.concatenate([values, np.full(n - len(values), np.nan)])
 
 
@@ -231,19 +232,13 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> int:
     return own[name] if name in own else left[others.index(name) % len(left)]
 
 
-def _width(runs: Mapping[str, Rollout], name: str) -> float:
-    """Return a line's width: the later ones are thinner, and leave to be seen what they lie upon."""
-    place = list(runs).index(name) / max(1, len(runs) - 1)
-    return round(_WIDEST + place * (_THINNEST - _WIDEST), 2)
-
-
 def document_section(runs: Mapping[tuple[str, float], Rollout], rows: list[dict], kp: float, *, depth: int = 1) -> Section:
     """Return the section of the source document's experiment.
 
     Args:
         runs: by (model, KD).
-        rows: their figures, of `document_record`.
-        kp: the gain that all have.
+        rows: their figures, from `document_record`.
+        kp: the common gain [N.m/rad].
         depth: of the section's title.
     """
     heads = columns("model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "closure gap, mean [um]")
@@ -256,11 +251,11 @@ def document_section(runs: Mapping[tuple[str, float], Rollout], rows: list[dict]
                 row["model"],
                 row["kp"],
                 row["kd"],
-                _known(row["rms_error_deg"]),
-                _known(1e6 * row["steady_gap_mean_m"]),
-                _known(1e6 * row["steady_gap_max_m"]),
+                significant(row["rms_error_deg"]),
+                significant(1e6 * row["steady_gap_mean_m"]),
+                significant(1e6 * row["steady_gap_max_m"]),
                 row["contacts"],
-                _known(100 * row["at_limit_fraction"]),
+                significant(100 * row["at_limit_fraction"]),
                 row["stable"],
             ]
             for row in rows

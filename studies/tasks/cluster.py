@@ -1,11 +1,12 @@
-"""The engine of a Dask cluster: its scheduler's address is all that is asked. Loads Dask when it is opened.
+"""The engine of a Dask cluster, given by its scheduler's address. Dask is loaded when the engine is opened.
 
-Dask runs the tasks of a worker that is killed on another one by itself.
+Dask itself repeats the tasks of a killed worker on another worker.
 """
 
 import contextlib
 import gc
 import logging
+import sys
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 
@@ -14,17 +15,15 @@ from linkplan.models.extras import load_extra
 from linkplan.planner.files.plan_folder import versions
 from linkplan.studies.tasks.engine import Engine, Pool, Say
 
-# A scheduler that is there answers within milliseconds.
+# A running scheduler answers within milliseconds.
 _PATIENCE_S = 10
-# More tasks than an experiment has blocks: a cluster may grow, and takes what it can.
-_ALL = 1_000_000
 
 
 def cluster(address: str) -> Engine:
     """Return the engine of the cluster whose scheduler is at an address, such as tcp://head:8786.
 
     Raises:
-        MissingPackageError: when Dask is not installed.
+        MissingPackageError: if Dask is not installed.
     """
     distributed = load_extra("distributed", "a cluster")
 
@@ -41,8 +40,9 @@ def cluster(address: str) -> Engine:
             executor = client.get_executor(pure=False)
             stack.callback(executor.shutdown, wait=False)
             threads = min((worker["nthreads"] for worker in workers.values()), default=1)
-            # Tasks whose scheduler has gone are cancelled.
-            yield Pool(executor=executor, ahead=_ALL, threads=threads, lost=(distributed.KilledWorker, CancelledError))
+            # All tasks are submitted at once, because a cluster may grow. Tasks are cancelled if the scheduler ends.
+            lost = (distributed.KilledWorker, CancelledError)
+            yield Pool(executor=executor, ahead=sys.maxsize, threads=threads, lost=lost)
 
     return opened
 
@@ -52,8 +52,8 @@ def _client(distributed, address: str):
         return distributed.Client(address, timeout=_PATIENCE_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         reason = one_line(error)[:200]
-    # A client that was not connected closes itself when it is collected. Were that while the next client begins, in
-    # the thread of that one's loop, both would wait for one lock.
+    # An unconnected client closes itself when it is collected. If that happened while the next client starts, in the thread
+    # of its loop, both would wait for one lock.
     gc.collect()
     raise LinkplanError(f"no Dask scheduler answers at '{address}' ({reason}); an address is like tcp://head:8786")
 
@@ -62,7 +62,7 @@ def _refuse_unfit(client, address: str) -> None:
     """Refuse a cluster whose workers lack linkplan."""
     try:
         client.run(versions)
-    except Exception as error:  # whatever goes wrong when a worker loads what it has not
+    except Exception as error:  # any error of a worker without linkplan
         raise LinkplanError(
             f"workers at {address} cannot run linkplan: {type(error).__name__}: {one_line(error)}"
         ) from error
@@ -70,7 +70,7 @@ def _refuse_unfit(client, address: str) -> None:
 
 @contextlib.contextmanager
 def _quiet(name: str) -> Iterator[None]:
-    """Keep what a library logs off stderr: what went wrong is said here in one line."""
+    """Keep a library's log off stderr: errors are reported in one line instead."""
     names = [other for other in logging.root.manager.loggerDict if other == name or other.startswith(f"{name}.")]
     before = [(logger, logger.level) for logger in map(logging.getLogger, (name, *names))]
     for logger, _ in before:

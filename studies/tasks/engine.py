@@ -1,7 +1,7 @@
-"""What runs tasks: an engine opens a pool with the interface of `concurrent.futures`. This process, or processes beside it.
+"""Engines that run tasks in this process or in further processes.
 
-Another engine is one more function of this shape: of the number of tasks and of what is told the progress, to a context
-with a `Pool`. No result may depend on the engine.
+An engine is a function of the number of tasks and a progress function; it returns a context with a `Pool`, which has the
+interface of `concurrent.futures`. No result may depend on the engine.
 """
 
 import concurrent.futures
@@ -18,15 +18,15 @@ from dataclasses import dataclass
 from linkplan.models.errors import one_line
 
 Say = Callable[[str], None]
-# More processes than this are a slip of the hand.
+# A larger number of processes is a typing error.
 MOST_WORKERS = 1000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Pool:
-    """An executor that is open: tasks to hand it ahead of results, and the simulator's threads that each has for its own.
+    """An open executor, the number of tasks submitted ahead of results, and the simulator's threads for each task.
 
-    `lost` are the errors of a task whose worker was killed, or went away.
+    `lost` are the errors of a task whose worker was killed or disconnected.
     """
 
     executor: concurrent.futures.Executor
@@ -39,7 +39,7 @@ Engine = Callable[[int, Say], AbstractContextManager[Pool]]
 
 
 class _Here(concurrent.futures.Executor):
-    """An executor that runs each task in this thread, at once."""
+    """An executor that runs each task immediately in this thread."""
 
     def submit(self, fn, /, *args, **kwargs) -> concurrent.futures.Future:
         future = concurrent.futures.Future()
@@ -52,13 +52,13 @@ class _Here(concurrent.futures.Executor):
 
 @contextlib.contextmanager
 def here(n: int, say: Say) -> Iterator[Pool]:
-    """Open this process itself: one task after the other, with all cores for the simulator's threads."""
+    """Open this process as the pool: one task after the other, with all cores for the simulator's threads."""
     del n, say
     yield Pool(executor=_Here(), ahead=1, threads=os.cpu_count() or 1)
 
 
 def processes(workers: int) -> Engine:
-    """Return the engine of a pool of processes, each begun anew: nothing is shared with this one."""
+    """Return the engine of a pool of newly started processes, which share nothing with this process."""
     if workers == 1:
         return here
 
@@ -72,8 +72,8 @@ def processes(workers: int) -> Engine:
             executor = concurrent.futures.ProcessPoolExecutor(
                 max_workers=min(workers, n), mp_context=multiprocessing.get_context("spawn"), initializer=_begin
             )
-        except (OSError, ImportError, NotImplementedError) as error:  # some containers have no /dev/shm for their locks
-            say(f"no processes beside this one can be begun ({one_line(error)}): this one does it all")
+        except (OSError, ImportError, NotImplementedError) as error:  # some containers have no /dev/shm for locks
+            say(f"no further process can be started ({one_line(error)}): this process runs all tasks")
             with here(n, say) as pool:
                 yield pool
             return
@@ -87,7 +87,7 @@ def processes(workers: int) -> Engine:
 
 
 def _begin() -> None:
-    """Let a worker leave interrupts to its parent, and end when that is gone."""
+    """Make a worker ignore interrupts, which its parent handles, and end with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.setdefault("MUJOCO_GL", "disable")
     parent = multiprocessing.parent_process()

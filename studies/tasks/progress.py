@@ -1,4 +1,4 @@
-"""How far many tasks have come, and about how long the rest takes."""
+"""The progress of many tasks, with an estimate of the remaining time."""
 
 import time
 from collections.abc import Callable
@@ -7,7 +7,7 @@ Say = Callable[[str], None]
 
 
 class Progress:
-    """Counts what is done of `total` things, and says it with an estimate of what is left. Mutable: it counts."""
+    """Counts the finished of `total` things and reports them with the remaining time. Mutable: it counts."""
 
     def __init__(self, total: int, done: int, things: str, say: Say) -> None:
         self._total, self._done, self._things, self._say = total, done, things, say

@@ -1,4 +1,4 @@
-"""Where a task runs: in the folder and with the versions of the process that asks for it, alone in its own process."""
+"""The environment of a task: folder and versions of the submitting process, and no other task in the same process."""
 
 import contextlib
 import os
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.files.plan_folder import versions
 
-# A worker of a cluster may run several tasks in threads: CasADi's functions and the working folder are one for a process.
-_ALONE = threading.Lock()
+# A worker of a cluster may run tasks in several threads, which would share CasADi's functions and the working folder.
+_ONE_TASK_LOCK = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Site:
-    """The folder that relative paths are from, and the versions that results depend on."""
+    """The folder for relative paths, and the versions on which results depend."""
 
     folder: str
     versions: Mapping[str, str]
@@ -25,7 +25,7 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """What a task was refused with, in words: not every error can be sent from one process to another."""
+    """The text of the error of a task, because not every error can be sent from one process to another."""
 
     text: str
 
@@ -36,9 +36,9 @@ def this_site() -> Site:
 
 
 def at_site(site: Site, work: Callable, *given: object) -> object:
-    """Return what `work` returns at a site, or what it was refused with."""
+    """Return the result of `work` at a site, or its error as `Refused`."""
     try:
-        with _ALONE, _in_folder(site.folder):
+        with _ONE_TASK_LOCK, _in_folder(site.folder):
             _refuse_other_versions(site)
             return work(*given)
     except LinkplanError as error:
@@ -58,7 +58,7 @@ def _refuse_other_versions(site: Site) -> None:
 
 @contextlib.contextmanager
 def _in_folder(folder: str) -> Iterator[None]:
-    """Work in a folder, in which modules are looked for too."""
+    """Change to a folder and import modules from it, too."""
     before = os.getcwd()
     if folder == before:
         yield

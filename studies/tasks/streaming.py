@@ -1,4 +1,4 @@
-"""Tasks on an engine: every result once, as soon as it is there, whatever becomes of single workers."""
+"""Tasks on an engine: every result once, as soon as it is available, even if workers are lost."""
 
 import concurrent.futures
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -9,7 +9,7 @@ from linkplan.models.interrupts import check
 from linkplan.studies.tasks.engine import Engine, Pool, Say
 from linkplan.studies.tasks.site import Refused, at_site, this_site
 
-# Workers that die again and again are no accident.
+# After more losses of workers, the cause is assumed to be permanent.
 _MOST_DEATHS = 3
 
 Result = TypeVar("Result")
@@ -18,19 +18,19 @@ Result = TypeVar("Result")
 def streamed(
     engine: Engine, work: Callable[[int, int], Result], tasks: Sequence[int], say: Say
 ) -> Generator[tuple[int, Result], None, None]:
-    """Yield tasks with their results as they come.
+    """Yield tasks with their results as they arrive.
 
-    Whoever reads them closes the stream when it is left early: workers are waited for then, and an interrupt of that wait
-    is to reach the caller.
+    The caller closes the generator if it stops early. Closing waits for the workers, and an interrupt of that wait reaches
+    the caller.
 
     Args:
-        engine: what runs them.
-        work: of a task's number and the simulator's threads that it may take; pickled where the engine is not this process.
+        engine: that runs the tasks.
+        work: function of a task's number and the number of the simulator's threads; pickled for other processes.
         tasks: numbers, each once.
-        say: is told when a worker was lost.
+        say: called with a line when a worker was lost.
 
     Raises:
-        LinkplanError: when a task is refused, when workers die again and again, or the engine cannot be had.
+        LinkplanError: if a task is refused, workers are lost repeatedly, or the engine is not available.
     """
     left, deaths = dict.fromkeys(tasks), 0
     while left:
@@ -43,13 +43,13 @@ def streamed(
                 deaths += 1
                 if deaths > _MOST_DEATHS:
                     raise LinkplanError(
-                        f"workers were lost {deaths} times; what is done is kept, and the same command goes on from it"
+                        f"workers were lost {deaths} times; finished parts are kept, and the command continues from them"
                     ) from error
                 say("a worker was lost; what it was at is run again")
 
 
 def _once(pool: Pool, work: Callable[[int, int], Result], tasks: Sequence[int]) -> Iterator[tuple[int, Result]]:
-    """Yield tasks with their results from an open pool, until one is lost."""
+    """Yield tasks with their results from an open pool, until a worker is lost."""
     site, queue, asked = this_site(), iter(tasks), {}
     while True:
         while len(asked) < pool.ahead and (task := next(queue, None)) is not None:

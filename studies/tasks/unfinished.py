@@ -1,8 +1,8 @@
-"""Results on disk while they are made: parts that are complete or not there, whatever kills the process.
+"""Unfinished results on disk: every part is complete or absent, even if the process is killed.
 
-Beside the result's folder DIR stands DIR.unfinished with what was asked (asked.json), what all tasks begin from (an
-experiment's plan), and parts/part-00000.NAME and so on, one for each task that is done. Each is written under another name,
-waited for, and renamed. The next run of the same command goes on from there; a run of another one is refused.
+The folder DIR.unfinished, next to the result's folder DIR, has the request (asked.json), the common input of all tasks (an
+experiment's plan), and parts/part-00000.NAME and so on, one for each finished task. Each is written under another name,
+flushed to disk, and renamed. The next run of the same command continues from there; a run of another command is refused.
 """
 
 import contextlib
@@ -21,28 +21,28 @@ from linkplan.planner.files.work_folders import replace_file, sweep
 
 try:
     import fcntl
-except ImportError:  # not POSIX: two runs at once are not told apart
+except ImportError:  # not POSIX: two simultaneous runs are not detected
     fcntl = None
 
 ASKED, PLAN, PARTS, _LOCK = "asked.json", "plan", "parts", "lock"
 
 
 def unfinished(target: Path) -> Path:
-    """Return where the parts of a result stand until it is whole."""
+    """Return the folder of an unfinished result's parts."""
     return target.with_name(f"{target.name}.unfinished")
 
 
 @contextlib.contextmanager
 def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
-    """Hold a folder of parts for this process: made, or taken up where the same was asked.
+    """Lock a folder of parts for this process; the folder is created, or continued if it has the same request.
 
     Args:
         folder: of parts.
-        asked: all that the results depend on.
-        what: is asked, with its article.
+        asked: the request, everything on which the results depend.
+        what: the kind of result, with its article.
 
     Raises:
-        PlanFileError: when it holds the parts of another request, or another process works on it.
+        PlanFileError: if the folder has the parts of another request, or another process uses it.
     """
     lock, held = None, False
     try:
@@ -64,7 +64,7 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
     finally:
         if lock is not None:
             if held and not (folder / PLAN).exists() and not any(folder.glob(f"{PARTS}/part-*")):
-                remove(folder)  # nothing came of it
+                remove(folder)  # no task was finished
             os.close(lock)
 
 
@@ -80,10 +80,10 @@ def _compare(folder: Path, asked: Mapping, what: str) -> None:
 
 
 def refuse_other(path: Path, asked: Mapping, what: str) -> None:
-    """Refuse a folder whose record of what was asked is not this one, with the first thing that differs.
+    """Refuse a folder with another request, with the first difference.
 
     Raises:
-        PlanFileError: when something was asked otherwise.
+        PlanFileError: if the requests differ.
     """
     try:
         held = read_record(path, dict[str, Any])
@@ -105,21 +105,21 @@ def _differences(held: object, asked: object, name: str = "") -> Iterator[str]:
 
 
 def done(folder: Path) -> set[int]:
-    """Return the tasks whose parts are there."""
+    """Return the finished tasks, whose parts exist."""
     parts = (folder / PARTS).glob("part-[0-9][0-9][0-9][0-9][0-9].*")
     return {int(path.stem.removeprefix("part-")) for path in parts}
 
 
 def part(folder: Path, task: int, suffix: str) -> Path:
-    """Return where a task's part stands."""
+    """Return the path of a task's part."""
     return folder / PARTS / f"part-{task:05d}.{suffix}"
 
 
 def finish(folder: Path, target: Path, write: Callable[[Path], None], record: str) -> None:
-    """Write a result whole by `write(place)`, and remove its parts as soon as it stands, though a signal come just then.
+    """Write a result whole by `write(place)`, and remove its parts once it exists, even if a signal arrives meanwhile.
 
     Raises:
-        PlanFileError: when the disk refuses, or something in the result's folder is not linkplan's.
+        PlanFileError: if the result cannot be written, or its folder has files of other programs.
     """
     before = identity_at(target)
     try:
@@ -131,14 +131,14 @@ def finish(folder: Path, target: Path, write: Callable[[Path], None], record: st
 
 
 def remove(folder: Path) -> None:
-    """Remove the parts of a result that is whole, and their folder where nothing else is in it."""
+    """Remove the parts of a finished result, and their folder if it has no other files."""
     sweep(folder)
     for left in (folder / PARTS).glob("part-[0-9]*.*"):
         left.unlink(missing_ok=True)
-    with contextlib.suppress(OSError, PlanFileError):  # somebody put something into it
+    with contextlib.suppress(OSError, PlanFileError):  # the folder has other files
         remove_result(folder / PLAN)
     _remove_empty(folder / PLAN, folder / PARTS)
-    # The record goes last: without it, what a kill leaves is not known for linkplan's.
+    # The request is removed last: without it, the remains of a killed process would not be recognised as linkplan's.
     for left in (folder / ASKED, folder / _LOCK):
         left.unlink(missing_ok=True)
     _remove_empty(folder)
@@ -151,7 +151,7 @@ def _remove_empty(*folders: Path) -> None:
 
 
 def remove_left(folder: Path, asked: Mapping) -> None:
-    """Remove the parts of a result that is whole, where its process was killed before it could: none of another request."""
+    """Remove the parts of a finished result whose process was killed before it could; parts of other requests stay."""
     with contextlib.suppress(PlanFileError, OSError):
         if folder.is_dir():
             with working(folder, asked, "a result"):

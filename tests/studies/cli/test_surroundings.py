@@ -44,14 +44,14 @@ def test_a_check_is_drawn_whatever_matplotlib_is_set_to(tmp_path):
     [MemoryError(), OSError(12, "Cannot allocate memory"), ImportError("x.so: failed to map segment from shared object")],
 )
 def test_memory_that_there_is_not_is_named_whatever_kind_of_error_says_so(error):
-    assert "not enough memory" in faults.told_to_the_makers(error)
+    assert "not enough memory" in faults.saved_fault_report(error)
 
 
 def test_an_error_that_cannot_even_be_told_is_a_line(monkeypatch, capsys):
     def fails(_: BaseException) -> str:
         raise MemoryError
 
-    monkeypatch.setattr(program, "told_to_the_makers", fails)
+    monkeypatch.setattr(program, "saved_fault_report", fails)
     assert program.unforeseen("plan", RuntimeError("x")) == 2
     assert capsys.readouterr().err == "linkplan plan: there is not enough memory for it\n"
 

@@ -9,7 +9,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.new.first_motion import first_motion
-from linkplan.studies.new.hanging import hanging_columns, hanging_pose, hung, is_equilibrium
+from linkplan.studies.new.hanging import at_gravity_equilibrium, hanging_columns, hanging_pose, is_equilibrium
 from tests.support.drawn_by_others import arm, ring
 
 
@@ -42,7 +42,7 @@ def test_links_that_nothing_drives_hang_straight_down_from_those_that_are_held()
 
 def test_a_chain_held_at_its_ends_hangs_lower_than_every_closed_pose_about_it():
     mechanism = load_mechanism(ring(7, 1))
-    other = hung(mechanism)
+    other = at_gravity_equilibrium(mechanism)
     assert other is not None
     assert not is_equilibrium(mechanism, mechanism.home)  # as it is drawn it falls
     assert is_equilibrium(other, other.home)

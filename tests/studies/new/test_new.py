@@ -258,7 +258,7 @@ def test_without_a_file_the_problem_is_printed(ask):
     ("model", "said"),
     [
         ("optimus-kne", "did you mean 'optimus-knee'?"),
-        ("knee-reach", "is a problem already"),
+        ("knee-reach", "is already a problem"),
         ("no/such.xml", "unknown model"),
         ("", "mechanism.model is"),
     ],

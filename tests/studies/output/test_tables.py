@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linkplan.studies.output.tables import WIDTH, described, table
+from linkplan.studies.output.tables import TABLE_WIDTH, described, table
 
 WORD = st.text(st.characters(whitelist_categories=("Lu", "Ll", "Nd"), whitelist_characters="_.-[]"), min_size=1, max_size=50)
 HEADS = st.lists(st.lists(WORD, min_size=1, max_size=4).map(" ".join), min_size=1, max_size=14)
@@ -19,7 +19,7 @@ def test_no_line_of_any_table_exceeds_eighty_columns_and_every_head_is_there(dat
     cell = st.one_of(st.floats(), st.booleans(), st.none(), st.lists(WORD, min_size=1, max_size=6).map(" ".join))
     rows = data.draw(st.lists(st.lists(cell, min_size=len(head), max_size=len(head)), max_size=3))
     shown = table(head, rows)
-    assert max(map(len, shown.splitlines())) <= WIDTH
+    assert max(map(len, shown.splitlines())) <= TABLE_WIDTH
     said = letters(shown)
     for title in head:
         for letter in set(title) - {" "}:
@@ -57,6 +57,6 @@ def test_a_unit_is_never_folded():
 
 def test_what_a_name_is_goes_on_below_itself():
     lines = described({"short": "x " * 60, "a-longer-name": "y"})
-    assert max(map(len, lines[0].splitlines())) <= WIDTH
+    assert max(map(len, lines[0].splitlines())) <= TABLE_WIDTH
     assert lines[0].splitlines()[1].startswith(" " * len("  a-longer-name  x"[:-1]))
     assert lines[1] == "  a-longer-name  y"

@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.render.camera import camera_from
-from linkplan.studies.render.framing import FOOT, SIDE, axes_of, framed, own_direction
+from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of, framed, own_direction
 from tests.support.linkages import RSSR
 
 FOVY = np.radians(45.0)
@@ -26,7 +26,7 @@ def test_all_points_are_in_the_picture_and_one_is_at_its_margin(direction, aspec
     points = np.random.default_rng(7).normal(size=(40, 3)) * [0.3, 0.1, 0.2] + [5.0, 0.0, 1.0]
     eye = framed(points, *np.radians(direction), FOVY, aspect, head=0.2)
     x, y = on_picture(points, eye, aspect).T
-    rooms = [(1 - 2 * SIDE) - np.abs(x).max(), (1 - 2 * 0.2) - y.max(), y.min() + (1 - 2 * FOOT)]
+    rooms = [(1 - 2 * SIDE_MARGIN) - np.abs(x).max(), (1 - 2 * 0.2) - y.max(), y.min() + (1 - 2 * FOOT_MARGIN)]
     assert min(rooms) == pytest.approx(0.0, abs=1e-9)
 
 

@@ -9,7 +9,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.render.efforts import effort_shapes, load_shares
 from linkplan.studies.render.framing import own_direction
-from linkplan.studies.render.scenes import all_points, body_colours, film_scenes, stand, stroboscopic_scene
+from linkplan.studies.render.scenes import all_points, body_colours, film_scenes, place_bodies, stroboscopic_scene
 from linkplan.studies.render.shapes import GHOST, load_colour
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.pictures import N, rods, waved
@@ -52,7 +52,7 @@ def test_the_skeleton_stands_on_the_models_own_sites():
     motion = waved("optimus-knee")
     (scene,) = film_scenes(motion, np.array([7]), (0.0, 0.0))
     data = mujoco.MjData(motion.mechanism.model)
-    stand(motion.mechanism.model, data, motion.mechanism.qpos_of(motion.pose[7]))
+    place_bodies(motion.mechanism.model, data, motion.mechanism.qpos_of(motion.pose[7]))
     ends = rods(scene, -1).reshape(-1, 3)
     for site in ("O", "C", "B_coupler"):
         assert np.linalg.norm(ends - data.site(site).xpos, axis=1).min() < ROUNDING, site
@@ -87,7 +87,7 @@ def arc_of(share: float, source: str = "optimus-knee") -> np.ndarray:
     """Return the points (n, 3) along an arc about the driven hinge at home."""
     mechanism = load_mechanism(source)
     data = mujoco.MjData(mechanism.model)
-    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
     shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], share, 1.0, np.array([0.0, -1.0, 0.0]))
     joint = int(mechanism.model.dof_jntid[mechanism.actuators[0].joint])
     return np.array([shapes[0].start, *[shape.end for shape in shapes]]) - data.xanchor[joint]
@@ -105,7 +105,7 @@ def test_an_arc_goes_round_the_axis_as_far_as_the_share_of_the_limit_and_to_its_
 def test_no_effort_is_no_arrow():
     mechanism = load_mechanism("optimus-knee")
     data = mujoco.MjData(mechanism.model)
-    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
     assert effort_shapes(mechanism.model, data, mechanism.actuators[0], 0.0, 1.0, np.array([0.0, -1.0, 0.0])) == ()
 
 
@@ -114,7 +114,7 @@ def test_a_force_on_a_slide_is_a_straight_arrow_along_it_from_the_body():
     data = mujoco.MjData(mechanism.model)
     pose = mechanism.home.copy()
     pose[0] = 0.7
-    stand(mechanism.model, data, mechanism.qpos_of(pose))
+    place_bodies(mechanism.model, data, mechanism.qpos_of(pose))
     shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], -0.5, 1.0, np.array([0.0, -1.0, 0.0]))
     way = shapes[-1].end - shapes[0].start
     assert way == pytest.approx([-0.225, 0.0, 0.0])
@@ -124,7 +124,7 @@ def test_a_force_on_a_slide_is_a_straight_arrow_along_it_from_the_body():
 def test_a_fixed_tendons_pull_turns_each_of_its_joints_to_its_own_side():
     mechanism = load_mechanism(GRIPPER)
     data = mujoco.MjData(mechanism.model)
-    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
     pull = next(actuator for actuator in mechanism.actuators if actuator.joint is None)
     shapes = effort_shapes(mechanism.model, data, pull, 0.5, 1.0, np.array([0.0, -1.0, 0.0]))
     halves = [np.array([shape.end for shape in shapes[k : k + len(shapes) // 2]]) for k in (0, len(shapes) // 2)]
@@ -154,7 +154,7 @@ def test_every_kind_of_actuator_is_drawn_in_its_loads_colour_and_otherwise_for_t
         <actuator>{motor}</actuator></mujoco>"""
     )
     data = mujoco.MjData(mechanism.model)
-    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
 
     def drawn(share: float):
         return effort_shapes(mechanism.model, data, mechanism.actuators[0], share, 1.0, np.array([0.0, -1.0, 0.0]))

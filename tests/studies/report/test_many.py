@@ -27,7 +27,7 @@ def test_of_many_lines_each_is_drawn_once_in_one_of_several_plots():
 
 
 def test_every_joint_and_actuator_is_drawn_those_of_the_smaller_figures_folded(monkeypatch):
-    for limit in ("_DRAWN", "_PEAKS_BESIDE"):
+    for limit in ("_MAX_JOINTS_SHOWN", "_MAX_PEAK_COLUMNS"):
         monkeypatch.setattr(tracking_sections, limit, 1)  # as eight joints are to six
     motion = 'kind = "reach"\nstart_deg = { J1 = 0.0, J2 = 0.0 }\ngoal_deg = { J1 = 20.0, J2 = 30.0 }\nduration_s = 0.5\n'
     plan = body_plan(arm(0.3, 0.25), motion)

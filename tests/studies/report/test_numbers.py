@@ -2,27 +2,27 @@
 
 import numpy as np
 
-from linkplan.studies.report.numbers import MOST, kept, rounded
+from linkplan.studies.report.numbers import MAX_SAMPLES, drawn_rows, rounded
 
 
 def test_a_peak_of_one_sample_stays():
     values = np.sin(np.linspace(0, 7, 20_000))
     values[12_345] = 3.0
-    rows = kept(values[:, None])
+    rows = drawn_rows(values[:, None])
     assert 12_345 in rows
-    assert len(rows) < MOST
+    assert len(rows) < MAX_SAMPLES
 
 
 def test_a_smooth_line_is_within_what_a_screen_shows_of_all_its_samples():
     time = np.linspace(0, 2, 20_000)
     values = np.sin(2 * np.pi * 4 * time)
-    rows = kept(values[:, None])
+    rows = drawn_rows(values[:, None])
     assert np.abs(np.interp(time, time[rows], values[rows]) - values).max() < 0.01 * np.ptp(values)
     assert (rows[0], rows[-1]) == (0, len(time) - 1)
 
 
 def test_few_samples_are_all_kept():
-    assert len(kept(np.zeros((MOST, 3)))) == MOST
+    assert len(drawn_rows(np.zeros((MAX_SAMPLES, 3)))) == MAX_SAMPLES
 
 
 def test_digits_are_counted_from_the_largest():
