@@ -24,12 +24,6 @@ from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
 
-# A bound is tightened by this multiple of its overrun.
-_TIGHTENING_FACTOR = 1.1
-# The largest integration error, as a share of the state's size, at which an unstable motion is resolved by its mesh. Above
-# it, high degrees follow another motion between the nodes, and the next mesh leads elsewhere.
-_RESOLVED_ERROR = 1.0
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdeCase:
@@ -108,6 +102,8 @@ class OdeCase:
         """Return the errors that a certificate reports; another mesh may remove each of them."""
         size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
         over = (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0)
+        # The largest integration error, as a share of the state's size, at which an unstable motion is resolved by its mesh.
+        # Above it, high degrees follow another motion between the nodes, and the next mesh leads elsewhere.
         return ErrorReport(
             # The objective is to be that of the integrated motion, too.
             exact=certificate.integration_error <= self.asked.tolerance
@@ -119,7 +115,7 @@ class OdeCase:
             overrun=over.reshape(len(certificate.growth)),
             touching=certificate.touching,
             unstable=certificate.integration_restarts > 0,
-            unseen=certificate.integration_restarts > 0 and certificate.integration_error > _RESOLVED_ERROR,
+            unseen=certificate.integration_restarts > 0 and certificate.integration_error > 1.0,
             integration_error=certificate.integration_error,
         )
 
@@ -133,7 +129,8 @@ class OdeCase:
                 share = tightened_share(overrun / (abs(limit[int(upper)]) or 1.0))
                 further.append(Tightening(what="path", item=k, breaks=breaks, share=share, upper=upper))
         inward = np.array([1.0, -1.0])
-        state = self.problem.state_limit + _TIGHTENING_FACTOR * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
+        # A bound is tightened by this multiple of its overrun.
+        state = self.problem.state_limit + 1.1 * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
         return replace(self, problem=replace(self.problem, state_limit=state), tightenings=(*self.tightenings, *further))
 
     def with_scheme(self, name: str) -> "OdeCase":

@@ -83,6 +83,7 @@ class OdeProblem:
     def __post_init__(self) -> None:
         self._freeze_arrays()
         self._name_states_and_efforts()
+        self._check_duration_and_guesses()
         self._check_settings()
         self._check_functions()
 
@@ -113,8 +114,8 @@ class OdeProblem:
                 raise ProblemError(f"{name} has {n} names, got {len(labels)}")
             object.__setattr__(self, name, labels)
 
-    def _check_settings(self) -> None:
-        """Refuse a duration, indices, guesses and tolerances that mean nothing."""
+    def _check_duration_and_guesses(self) -> None:
+        """Refuse a duration, indices of states and guesses that mean nothing."""
         low, high = _duration(self.duration_s)
         if not (0 <= low <= high and high > 0 and np.isfinite(low)):
             raise ProblemError(
@@ -129,6 +130,9 @@ class OdeProblem:
             wrong = guess.state.shape[1] != n_x or (guess.effort is not None and guess.effort.shape[1] != self.n_u)
             if wrong:
                 raise ProblemError(f"a guess has {n_x} states and {self.n_u} efforts, got {guess.state.shape[1]} states")
+
+    def _check_settings(self) -> None:
+        """Refuse tolerances that mean nothing, and a problem without a cost."""
         for name in ("tolerance", "objective_tolerance"):
             value = getattr(self, name)
             if (value is not None or name == "tolerance") and not (_is_number(value) and 0 < value <= 1):

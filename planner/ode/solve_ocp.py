@@ -40,18 +40,6 @@ from linkplan.planner.solvers.outcome import OF_TIME, OUT_OF_TIME, why_stopped
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import broken, uniform
 
-# A first solution whose integrated state ends this share of its size away has wild efforts between the nodes.
-_WILD_ERROR = 1e-3
-# Efforts linear over intervals replace polynomials if they reduce the integration error to this share.
-_LINEAR_EFFORT_GAIN = 0.01
-# Perturbed guesses if the duration is open, or if no other start leads to a solution.
-_PERTURBED_GUESSES = 4
-# Objectives within this relative difference belong to the same motion.
-_SAME_OBJECTIVE = 1e-4
-# Restarts of a motion whose duration ended at the bound of its guess; each is a factor of up to 100.
-_MAX_RESTARTS = 3
-# The duration has no bound if a restart reduces the objective below this share.
-_UNBOUNDED_SHARE = 0.5
 # Iterations and time of starts that are tried beside others or after others failed: at least this time [s], or this
 # multiple of the time of the last solve. Solves that succeeded took less than a second on programs of this size.
 _MAX_ITERATIONS = 200
@@ -114,7 +102,8 @@ def _planned(problem: OdeProblem) -> OdePlan:
     best_first = sorted(found, key=lambda one: (one.found.solution.objective, one.number))
     for one in problem.solver.certificate_deadline.take(best_first):
         objective = one.found.solution.objective
-        if np.any(np.abs(tried - objective) <= _SAME_OBJECTIVE * abs(objective)):
+        # Objectives within this relative difference belong to the same motion.
+        if np.any(np.abs(tried - objective) <= 1e-4 * abs(objective)):
             continue  # the same motion, that did not pass
         tried = np.append(tried, objective)
         plan = _refined(problem, one)
@@ -139,7 +128,8 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess]) -> list[FirstSolution
     patience = min(problem.solver.max_time_s, max(_MIN_PATIENCE_S, _PATIENCE_FACTOR * recorded()[-1].solve_s))
     patient = replace(problem, solver=replace(problem.solver, max_iterations=_MAX_ITERATIONS, max_time_s=patience))
     others = of_other_durations(problem, given[0]) if is_open(problem) else []
-    others += list(perturbed(problem, given, len(given) + _PERTURBED_GUESSES))[len(given) :]
+    # Perturbed guesses if the duration is open, or if no other start leads to a solution.
+    others += list(perturbed(problem, given, len(given) + 4))[len(given) :]
     if np.all(np.isfinite(problem.effort_limit)):
         # If all efforts are limited, starts of other durations may find a better optimum; without a solution the least
         # effort limits give the reason.
@@ -177,7 +167,8 @@ def _first_solutions(
         word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"
         solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word)
         away, times = None, 0
-        while solved is not None and times < _MAX_RESTARTS:
+        # Restarts of a motion whose duration ended at the bound of its guess; each is a factor of up to 100.
+        while solved is not None and times < 3:
             held_at, before = unbounded_duration(problem, solved), solved.solution.objective
             if held_at is None:
                 break
@@ -187,7 +178,8 @@ def _first_solutions(
             durations, what = np.array([rescaled.duration_s]), f"{word}, restarted from the bound on its duration"
             solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what), times + 1
             # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
-            falls = solved is not None and times > 1 and solved.solution.objective < _UNBOUNDED_SHARE * before
+            # The duration has no bound if a restart reduces the objective below this share.
+            falls = solved is not None and times > 1 and solved.solution.objective < 0.5 * before
             away = held_at if falls else None
         if solved is not None:
             found.append(FirstSolution(case=case, found=solved, number=number, away=away))
@@ -200,7 +192,8 @@ def _calmed(first: FirstSolution) -> FirstSolution:
     """Return a first solution whose efforts are no wild polynomials between its nodes."""
     case, motion = first.case, first.found.motion
     before = case.certify(motion).integration_error
-    if before <= _WILD_ERROR:
+    # A first solution whose integrated state ends this share of its size away has wild efforts between the nodes.
+    if before <= 1e-3:
         return first
     durations, what = np.diff(motion.breaks_s[[0, -1]]), "efforts piecewise constant at first"
     solved = attempt(case, piecewise_constant(case, motion), first.found.mesh, durations, what, warm=True)
@@ -224,7 +217,8 @@ def _eased(first: FirstSolution) -> FirstSolution:
     if solved is None:
         return first
     before, after = (case.certify(one).integration_error for one in (motion, solved.motion))
-    return replace(first, found=solved, case=case) if after < _LINEAR_EFFORT_GAIN * before else first
+    # Efforts linear over intervals replace polynomials if they reduce the integration error to this share.
+    return replace(first, found=solved, case=case) if after < 0.01 * before else first
 
 
 def _finest(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTrajectory, OdeCertificate]:

@@ -18,20 +18,14 @@ from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.transcription.formulation import Start
 
-# The smallest number of rows of a guess that is perturbed.
-_MIN_ROWS = 41
 # Factors on the first duration if the problem does not bound the duration: a motion may be quick or slow.
 _DURATION_FACTORS = (4.0, 16.0, 0.25)
-# A free duration whose bounds are further apart than this factor is open.
-_OPEN_DURATION_FACTOR = 20.0
 # Bounds of the least time, as shares of the given duration.
 _LEAST_TIME_BOUNDS = (0.05, 4.0)
 # Rows of a solution that serves as a guess.
 _GUESS_ROWS = 101
 # Constant efforts from which a motion with a free end is integrated, as shares of the range from lower to upper limit.
 _EFFORT_SHARES = (0.5, 0.1)
-# The share of an interval at which an effort is read that is held over the interval: the first node of radau-3.
-_FIRST_NODE_SHARE = 0.155
 
 
 def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[StateGuess]:
@@ -43,7 +37,8 @@ def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[
             yield guess
             continue
         size = np.maximum(np.abs(guess.state).max(axis=0), units_of(problem, guess).state[: problem.n_x])
-        tau = np.linspace(0.0, 1.0, max(_MIN_ROWS, len(guess.state)))
+        # The smallest number of rows of a guess that is perturbed.
+        tau = np.linspace(0.0, 1.0, max(41, len(guess.state)))
         at = np.linspace(0.0, 1.0, len(guess.state))
         state = np.column_stack([np.interp(tau, at, column) for column in guess.state.T])
         tightened_share = perturbation(number, tau, size)
@@ -56,7 +51,8 @@ def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[
 def is_open(problem: OdeProblem) -> bool:
     """True if neither the bounds nor a guess determine the duration roughly."""
     low, high = problem.duration
-    return high > _OPEN_DURATION_FACTOR * low and not problem.guesses
+    # A free duration whose bounds are further apart than this factor is open.
+    return high > 20.0 * low and not problem.guesses
 
 
 def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGuess]:
@@ -167,6 +163,7 @@ def piecewise_constant(case: OdeCase, motion: OdeTrajectory) -> Start:
     def nodes(at: np.ndarray):
         acceleration, rate, algebraic, _ = start.nodes(at)
         k = np.clip(np.searchsorted(breaks, at, side="right") - 1, 0, len(breaks) - 2)
-        return acceleration, rate, algebraic, motion.effort_at(breaks[k] + _FIRST_NODE_SHARE * np.diff(breaks)[k])
+        # The share of an interval at which an effort is read that is held over the interval: the first node of radau-3.
+        return acceleration, rate, algebraic, motion.effort_at(breaks[k] + 0.155 * np.diff(breaks)[k])
 
     return Start(states=start.states, nodes=nodes)

@@ -18,18 +18,6 @@ from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_wit
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
 
-# The largest number of updates of the switch times: an arc that vanishes shrinks from one update to the next.
-_MAX_UPDATES = 8
-# A switching function below this share of its largest value is zero.
-_ZERO_SHARE = 1e-6
-# An effort within this share of its range from a limit is at the limit; the solver is exact to 1e-8.
-_AT_LIMIT_SHARE = 1e-3
-# More successive intervals than this with an effort within its limits are an arc and not a smeared switch.
-_SMEARED_INTERVALS = 3
-# A solution with more switch times than this chatters.
-_MAX_SWITCH_TIMES = 40
-# Switch times within this share of the duration from one another or from an end are one.
-_SAME_TIME_SHARE = 1e-7
 # A solution replaces another one with switch times if its objective is better by this share, and by this multiple of the
 # error of its states. Next to an arc that vanishes the duration changes by the root of the solver's tolerance, 1e-10.
 _MIN_GAIN_SHARE = 1e-6
@@ -44,7 +32,8 @@ def switch_by_costates(first: FirstSolution) -> FirstSolution:
     asked, problem, limit = first.case, first.case.asked, first.case.asked.effort_limit
     if not np.all(np.isfinite(limit)) or not is_affine(problem):
         return first
-    for _ in range(_MAX_UPDATES):
+    # The largest number of updates of the switch times: an arc that vanishes shrinks from one update to the next.
+    for _ in range(8):
         motion, solution = first.found.motion, first.found.solution
         if has_arcs(motion, limit):
             return first
@@ -53,7 +42,8 @@ def switch_by_costates(first: FirstSolution) -> FirstSolution:
             return first
         switch_times = _switch_times(switching)
         promised = _promised(motion, switching, limit)
-        if promised <= _MIN_GAIN_SHARE * abs(solution.objective) or len(switch_times) > _MAX_SWITCH_TIMES:
+        # A solution with more switch times than this chatters.
+        if promised <= _MIN_GAIN_SHARE * abs(solution.objective) or len(switch_times) > 40:
             return first
         boundaries = motion.breaks_s[[0, -1]]
         finer, durations = mesh_with_switches(boundaries, switch_times, asked.problem.mesh.intervals)
@@ -91,12 +81,14 @@ def _replaces(case: OdeCase, tried: Iterate[OdeTrajectory], before: Solution, *,
 
 def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
     """True if an effort stays within its limits for longer than a smeared switch."""
-    slack = np.where(np.isfinite(limit).all(axis=1), _AT_LIMIT_SHARE * np.diff(limit, axis=1).ravel(), np.inf)
+    # An effort within this share of its range from a limit is at the limit; the solver is exact to 1e-8.
+    slack = np.where(np.isfinite(limit).all(axis=1), 1e-3 * np.diff(limit, axis=1).ravel(), np.inf)
     within = (motion.effort.min(axis=0) < limit[:, 1] - slack) & (motion.effort.max(axis=0) > limit[:, 0] + slack)
     for column in within.T:
         padded = np.concatenate([[False], column, [False]]).astype(int)
         lengths = np.flatnonzero(np.diff(padded) < 0) - np.flatnonzero(np.diff(padded) > 0)
-        if lengths.max(initial=0) > _SMEARED_INTERVALS:
+        # More successive intervals than this with an effort within its limits are an arc and not a smeared switch.
+        if lengths.max(initial=0) > 3:
             return True
     return False
 
@@ -104,7 +96,8 @@ def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
 def _signs(switching: Switching) -> np.ndarray:
     """Return the signs (n (steps + 1), n_u) of the switching functions in order of time, zero where they are faint."""
     flat = switching.value.reshape(-1, switching.value.shape[2])
-    return np.where(np.abs(flat) > _ZERO_SHARE * np.abs(flat).max(axis=0), np.sign(flat), 0.0)
+    # A switching function below this share of its largest value is zero.
+    return np.where(np.abs(flat) > 1e-6 * np.abs(flat).max(axis=0), np.sign(flat), 0.0)
 
 
 def _promised(motion: OdeTrajectory, switching: Switching, limit: np.ndarray) -> float:
@@ -129,7 +122,8 @@ def _switch_times(switching: Switching) -> np.ndarray:
             if signs[a, j] != signs[b, j]:
                 share = flat[a, j] / (flat[a, j] - flat[b, j])
                 switch_times.append(float(time[a] + share * (time[b] - time[a])))
-    apart, kept = _SAME_TIME_SHARE * (time[-1] - time[0]), []
+    # Switch times within this share of the duration from one another or from an end are one.
+    apart, kept = 1e-7 * (time[-1] - time[0]), []
     for at in sorted(switch_times):
         if min(at - time[0], time[-1] - at) > apart and (not kept or at - kept[-1] > apart):
             kept.append(at)

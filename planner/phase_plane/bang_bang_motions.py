@@ -20,8 +20,6 @@ from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
-# The largest number of legs of a motion.
-_MAX_LEGS = 24
 # Cells of the grid, and places on it at which a motion may turn.
 _GRID_CELLS, _TURNING_PLACES = 1600, 60
 # The smallest speed in sums of times [rad/s or m/s].
@@ -152,7 +150,8 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
         time, _, legs_so_far, at, legs = heapq.heappop(queue)
         if legs and at == goal:
             return legs
-        if known.get(at, np.inf) <= time or legs_so_far == _MAX_LEGS:
+        # The largest number of legs of a motion.
+        if known.get(at, np.inf) <= time or legs_so_far == 24:
             continue
         known[at] = time
         v = speeds[0] if not legs else 0.0

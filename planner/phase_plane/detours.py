@@ -14,10 +14,6 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 
 # Cells of the grid, and places on it at which a motion may rest.
 _GRID_CELLS, _RESTING_PLACES = 400, 60
-# A bound within this share of a motion's duration is not decisive: five times the error of the grid.
-_BOUND_TOLERANCE = 0.01
-# The time of a path that is blocked [s]: finite, because infinities of both signs have no sum.
-_BLOCKED_PATH_S = 1e300
 
 
 def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s: float) -> bool:
@@ -45,7 +41,8 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
     straight = _legs(plane, start, np.array([goal]), 1 if goal > start else -1)[0] if goal != start else np.inf
     if not np.isfinite(straight):
         return True  # the way straight there is not open: what was found swings already
-    quick = (1 - _BOUND_TOLERANCE) * duration_s
+    # A bound within this share of a motion's duration is not decisive: five times the error of the grid.
+    quick = (1 - 0.01) * duration_s
     if _least_detour(_bounds(plane, places), first, last) >= quick:
         return False
     times = np.full((len(places), len(places)), np.inf)
@@ -94,7 +91,8 @@ def _alone(plane: Plane, places: np.ndarray, way: int, top: int) -> np.ndarray:
         times[:, 1:] = np.cumsum(np.where(number >= at, cells, 0.0), axis=1)
     else:
         times[:, :-1] = np.cumsum(np.where(number < at, cells, 0.0)[:, ::-1], axis=1)[:, ::-1]
-    return np.minimum(times[:, places], _BLOCKED_PATH_S)
+    # The time of a path that is blocked [s]: finite, because infinities of both signs have no sum.
+    return np.minimum(times[:, places], 1e300)
 
 
 def _energies(plane: Plane, place: int, way: int) -> tuple[np.ndarray, np.ndarray]:

@@ -18,12 +18,6 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 _EVEN_SHARE = 0.5
 # How far a crank that turns fully may go beyond start and goal [rad].
 _FULL_TURN = 2.0 * np.pi
-# How far other unlimited joints may go beyond them, in distances between start and goal.
-_DISTANCES_BEYOND = 1.5
-# A difference of two frictions below this share of them is rounding, or the smooth transition at low speeds.
-_FRICTION_ROUNDING_SHARE = 1e-6
-# The distance of the grid from the ends of the reach, as a share of the reach.
-_DISTANCE_TO_REACH_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -127,11 +121,13 @@ def grid_of(
     can = reach(mechanism)
     low, high = limits.position[mechanism.independent[0]]
     if can.turns_fully:
-        beyond = max(_FULL_TURN, _DISTANCES_BEYOND * float(ends[1] - ends[0]))
+        # How far other unlimited joints may go beyond them, in distances between start and goal.
+        beyond = max(_FULL_TURN, 1.5 * float(ends[1] - ends[0]))
         low, high = max(low, ends[0] - beyond), min(high, ends[1] + beyond)
     else:
         low, high = max(low, can.lower.position), min(high, can.upper.position)
-    room = _DISTANCE_TO_REACH_SHARE * (high - low)
+    # The distance of the grid from the ends of the reach, as a share of the reach.
+    room = 1e-3 * (high - low)
     s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), n_cells + 1)
     gridded = _followed(problem, s, places, start_pose)
     if gridded is None:
@@ -212,7 +208,8 @@ def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
     if not rub.any():
         return both
     damped = np.minimum(both + rub, 0.0)
-    return np.where(damped < -_FRICTION_ROUNDING_SHARE * rub, damped, 0.0)
+    # A difference of two frictions below this share of them is rounding, or the smooth transition at low speeds.
+    return np.where(damped < -1e-6 * rub, damped, 0.0)
 
 
 def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:

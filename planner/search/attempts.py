@@ -24,12 +24,6 @@ from linkplan.planner.trajectory import Trajectory
 
 # A relative change of the objective on a finer mesh above this share is reported.
 REPORTED_CHANGE = 1e-4
-# A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
-_MAX_CHANGE_OF_OPTIMUM = 5e-2
-# Efforts constant over intervals are accepted as optimal if they raise the objective by at most this share.
-_MAX_COST_OF_CONSTANT_EFFORTS = 1e-3
-# Efforts that differ by at most this share of the largest effort are the same.
-_SAME_EFFORT_SHARE = 1e-6
 
 
 def plan_from(
@@ -121,7 +115,8 @@ def certified(
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     against = better.against
     moved = change if better.solution is not solved_for else better.moved
-    optimal = not len(against) and moved <= _MAX_CHANGE_OF_OPTIMUM
+    # A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
+    optimal = not len(against) and moved <= 5e-2
     plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)
     said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > REPORTED_CHANGE else ""
     if len(against):
@@ -146,7 +141,8 @@ def without_solving(
     It is "optimal", with the message `best`, if the motion needs exactly the efforts that it carries.
     """
     certificate = certify(problem, motion)
-    optimal = best is not None and certificate.dynamics_residual <= _SAME_EFFORT_SHARE * np.abs(motion.effort).max()
+    # Efforts that differ by at most this share of the largest effort are the same.
+    optimal = best is not None and certificate.dynamics_residual <= 1e-6 * np.abs(motion.effort).max()
     return finished(problem, motion, certificate, objective, best if optimal else said, optimal=optimal)
 
 
@@ -203,7 +199,8 @@ def with_constant_efforts(problem: PlanningProblem, found: Iterate) -> Plan | No
         return None
     freely = found.solution.objective
     cost = (plan.objective - freely) / max(abs(freely), np.finfo(float).tiny)
-    if cost <= _MAX_COST_OF_CONSTANT_EFFORTS:
+    # Efforts constant over intervals are accepted as optimal if they raise the objective by at most this share.
+    if cost <= 1e-3:
         return plan
     why = f"; efforts constant over intervals may cost {cost:.1%} of the objective: a better motion is not excluded"
     return only_feasible(plan, why)

@@ -13,9 +13,6 @@ import numpy as np
 
 Stage = TypeVar("Stage")
 
-# The relative distance at which a parameter counts as at its end: rounding.
-_END_TOLERANCE = 1e-12
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Path(Generic[Stage]):
@@ -59,7 +56,8 @@ def followed(
     stages, value, factor = [stage], steps.begin, steps.factor
     way = np.sign(np.log(steps.factor))
     for _ in range(steps.most):
-        if way * (steps.end * (1 - way * _END_TOLERANCE) - value) <= 0:
+        # The relative distance at which a parameter counts as at its end: rounding.
+        if way * (steps.end * (1 - way * 1e-12) - value) <= 0:
             return Path(stages=tuple(stages), arrived=True)
         following = float(way * min(way * value * factor, way * steps.end))
         found = solve(stages[-1], following)

@@ -32,12 +32,6 @@ from linkplan.planner.transcription.mesh import Mesh, uniform
 # whole way is shorter, the smallest factor is this power of it.
 DURATION_FACTOR, _MIN_FACTOR, _MAX_STEPS = 1.15, 1.03, 40
 _MIN_FACTOR_POWER = 0.25
-# A lost step is tried again on twice as many intervals, up to this number.
-_MAX_INTERVALS = 320
-# Integration error allowed for the motions on the way [deg].
-_ON_THE_WAY_DEG = 0.01
-# Switch times at the ends of their windows are solved for again, at most so often.
-_MAX_WINDOW_MOVES = 5
 # A free duration is long enough if the last step saved less than this share of the objective, or if the motion ends before
 # its limit by more than the second share.
 MIN_SAVING, _MIN_UNUSED_SHARE = 1e-3, 1e-3
@@ -122,7 +116,8 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
 
     def solve(at: Continued, allowed: float) -> Continued | None:
         found = _step(problem, at, allowed)
-        for _ in range(_MAX_WINDOW_MOVES):
+        # Switch times at the ends of their windows are solved for again, at most so often.
+        for _ in range(5):
             if found is None or not found.held:
                 break
             before, found = found, _step(problem, found, allowed) or found
@@ -140,7 +135,8 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
             return None  # near a singular pose no mesh is fine enough
         # Bounds on switch times do not restrict a free duration.
         switches = (np.cumsum(at.shares) * at.start.duration_s)[:-1] if fixed else np.empty(0)
-        mesh, durations = graded_mesh(at.start, switches, min(2 * at.mesh.n_intervals, _MAX_INTERVALS))
+        # A lost step is tried again on twice as many intervals, up to this number.
+        mesh, durations = graded_mesh(at.start, switches, min(2 * at.mesh.n_intervals, 320))
         return replace(at, mesh=mesh, shares=durations / durations.sum())
 
     # Near the least time a motion is nearly bang-bang, and a mesh without its switches may have no solution.
@@ -169,7 +165,8 @@ def _step(problem: PlanningProblem, at: Continued, allowed: float) -> Continued 
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s
     motion = replace(problem.motion, min_duration_s=least if least is not None and least <= allowed else None)
     motion = replace(motion, duration_s=allowed) if fixed else replace(motion, max_duration_s=allowed)
-    mesh = replace(problem.mesh, tolerance_deg=_ON_THE_WAY_DEG, scheme=at.scheme, breaks=None)
+    # Integration error allowed for the motions on the way [deg].
+    mesh = replace(problem.mesh, tolerance_deg=0.01, scheme=at.scheme, breaks=None)
     case = case_of(replace(problem, motion=motion, mesh=mesh, guess=None))
     start = stretched(at.start, allowed) if fixed else at.start
     durations = at.shares * start.duration_s

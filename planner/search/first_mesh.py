@@ -8,8 +8,6 @@ from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
-# Samples of a guess at which its speed is measured.
-_SPEED_SAMPLES = 4001
 # The smallest number of intervals for each swing of a guess, and for each segment between switch times.
 INTERVALS_PER_SWING = 40
 _MIN_INTERVALS_PER_SEGMENT = 3
@@ -36,7 +34,8 @@ def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> t
     """
     boundaries = _boundaries(guess)
     ends = np.sort(np.concatenate([boundaries, switch_times_s]))
-    times = np.linspace(0.0, guess.duration_s, _SPEED_SAMPLES)
+    # Samples of a guess at which its speed is measured.
+    times = np.linspace(0.0, guess.duration_s, 4001)
     progress = np.concatenate([[0.0], np.cumsum(_pace(guess, times))])
     return _spread(times, n_intervals * progress / progress[-1], ends, boundaries)
 

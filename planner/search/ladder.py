@@ -23,11 +23,6 @@ from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_start
 from linkplan.planner.search.solving import Iterate
 from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
 
-# The search stops if less than this time is left [s]: a solver stops a little before or after its limit.
-_MIN_TIME_LEFT_S = 0.01
-# After so many motions that were found and do not pass, further starts are not tried.
-_MAX_MISSED_PLANS = 2
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Budget:
@@ -129,12 +124,14 @@ class Search:
     @property
     def starts_are_worth_it(self) -> bool:
         """Whether a further start may lead to a motion: no plan passes, and not too many plans have missed."""
-        return not self.solved and len(self.plans) < _MAX_MISSED_PLANS
+        # After so many motions that were found and do not pass, further starts are not tried.
+        return not self.solved and len(self.plans) < 2
 
     @property
     def stopped(self) -> str | None:
         """Why the search stops early: time is up, or a number is not finite; None if it goes on."""
-        if self.deadline.left_s < _MIN_TIME_LEFT_S:
+        # The search stops if less than this time is left [s]: a solver stops a little before or after its limit.
+        if self.deadline.left_s < 0.01:
             return OUT_OF_TIME
         steps = recorded()
         if not self.plans and steps and steps[-1].solver_status == INVALID:

@@ -20,8 +20,6 @@ from linkplan.planner.transcription.mesh import Mesh, halved
 _MAX_STARTS, _MAX_GUESSES = 3, 20
 # Finer meshes for a factor that a message names, and the relative change between two of them that ends the refinement.
 _MAX_FINER_MESHES, _SETTLED_CHANGE = 3, 1e-4
-# Relative difference of factors on one mesh that belong to the same motion.
-_SAME_FACTOR_SHARE = 1e-7
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -95,7 +93,8 @@ def least_limit(
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])
-        if best is None and known is not None and abs(factor - known) <= _SAME_FACTOR_SHARE * known:
+        # Relative difference of factors on one mesh that belong to the same motion.
+        if best is None and known is not None and abs(factor - known) <= 1e-7 * known:
             return None
         if best is not None and factor > best.factor * (1 + MESH_ERROR_SHARE):
             break

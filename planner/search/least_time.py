@@ -28,8 +28,6 @@ _RUNGS = (
         budget=HURRIED,
     ),
 )
-# The share of the remaining time for the motion of least time; the search that uses it needs the rest.
-_SHARE_OF_TIME_LEFT = 0.5
 
 
 def shortest_motion(search: Search) -> Plan | None:
@@ -41,7 +39,8 @@ def shortest_motion(search: Search) -> Plan | None:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         # Efforts constant over intervals, as least work has them, would be late.
         mesh = replace(search.problem.mesh, effort="polynomial")
-        hurried = search.within(replace(PATIENT, share_of_time=_SHARE_OF_TIME_LEFT))
+        # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
+        hurried = search.within(replace(PATIENT, share_of_time=0.5))
         free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
         progress("looking for the shortest feasible duration")
         with recording():

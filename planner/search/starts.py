@@ -30,19 +30,9 @@ from linkplan.planner.search.solving import solve_from
 
 # Perturbed guesses among the first starts of a multistart.
 _FIRST_PERTURBED_GUESSES = 3
-# Perturbed guesses tried for each one that closes the loops.
-_MAX_GUESSES_PER_START = 20
-# A least time above that of the phase plane's motion by this factor is a local optimum.
-_LOCAL_OPTIMUM_FACTOR = 1.002
-# A duration below that of the phase plane's motion by this factor is too short: the grid costs swings some percent.
-_TOO_SHORT_FACTOR = 1.3
 # Factors on the number of intervals on which arcs along limits on power are held. Each mesh has a higher degree than the one
 # before: the error of a coarse mesh can make a held arc infeasible.
 _INTERVAL_FACTORS = (1, 2, 4)
-# A solution later than the phase plane's legs by this share has lost them.
-_LATER_THAN_LEGS_SHARE = 1e-6
-# A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
-_WORTH_REFINING_SHARE = 0.999
 
 
 def one_start_is_worth_it(search: Search) -> bool:
@@ -73,7 +63,8 @@ def no_time(search: Search) -> bool:
 
 def far_too_little_time(search: Search) -> bool:
     """True if the given time is too short by more than the error of any local optimum of the phase plane."""
-    return no_time(search) and _TOO_SHORT_FACTOR * longest(search.problem) < search.quickest.duration_s
+    # A duration below that of the phase plane's motion by this factor is too short: the grid costs swings some percent.
+    return no_time(search) and 1.3 * longest(search.problem) < search.quickest.duration_s
 
 
 def enough_time(search: Search) -> bool:
@@ -134,7 +125,8 @@ def along_power(search: Search, budget: Budget) -> Plan | None:
         found = solve_from(problem, guess, mesh, durations, what, warm=True)
         if found is not None:
             plan = certified(problem, found)
-            if plan.passed and plan.trajectory.duration_s <= (1 + _LATER_THAN_LEGS_SHARE) * guess.duration_s:
+            # A solution later than the phase plane's legs by this share has lost them.
+            if plan.passed and plan.trajectory.duration_s <= (1 + 1e-6) * guess.duration_s:
                 return plan
             known = plan if plan.passed else None
             break
@@ -184,16 +176,15 @@ def is_slow(search: Search) -> bool:
         return False
     if not detour_may_pay(search.problem, search.start_pose, search.best.trajectory.duration_s):
         return False
-    return (
-        search.quickest is not None
-        and search.best.trajectory.duration_s > _LOCAL_OPTIMUM_FACTOR * search.quickest.duration_s
-    )
+    # A least time above that of the phase plane's motion by this factor is a local optimum.
+    return search.quickest is not None and search.best.trajectory.duration_s > 1.002 * search.quickest.duration_s
 
 
 def _quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None without one."""
     known = search.best.trajectory.duration_s
-    plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH_REFINING_SHARE * known, mended=False)
+    # A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
+    plan = plan_from(search, budget, "the phase plane", search.quickest, worth=0.999 * known, mended=False)
     passes = plan is not None and plan.passed
     return plan if passes and plan.trajectory.duration_s < known else None
 
@@ -230,7 +221,8 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
     problem, wanted = search.within(budget), search.problem.solver.starts
     perturbed = perturbed_guesses(problem, search.start_pose)
     few = itertools.islice(_every_start(search, budget), wanted)
-    more = itertools.islice(perturbed, _FIRST_PERTURBED_GUESSES, _MAX_GUESSES_PER_START * wanted)
+    # Perturbed guesses tried for each one that closes the loops.
+    more = itertools.islice(perturbed, _FIRST_PERTURBED_GUESSES, 20 * wanted)
     closed = (start for start in itertools.chain(few, more) if closes(problem, start[1]))
     found = []
     for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, wanted)), start=1):

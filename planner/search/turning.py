@@ -10,10 +10,6 @@ from linkplan.models.poses.reach import Reach
 from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
-# Poses examined in each turn.
-_POSES_PER_TURN = 181
-# A joint has returned after whole turns if it is this near [rad or m]: a multiple of the tolerance of assembly.
-_RETURN_TOLERANCE = 1e-5
 # The share of the largest effort by which the effort of springs may differ after a turn.
 _SAME_EFFORT_SHARE = 1e-9
 
@@ -40,7 +36,8 @@ def check_turns(problem: PlanningProblem, start_pose: np.ndarray, can: Reach | N
             f" {high} deg ({can.upper.reason})"
         )
     first = start_pose[mechanism.independent]
-    n = int(_POSES_PER_TURN * np.abs(motion.turns).max())
+    # Poses examined in each turn.
+    n = int(181 * np.abs(motion.turns).max())
     try:
         path = first + np.linspace(0.0, 1.0, n)[:, None] * motion.advance
         poses = follow(mechanism, path, start_pose, problem.solver.deadline)
@@ -51,7 +48,8 @@ def check_turns(problem: PlanningProblem, start_pose: np.ndarray, can: Reach | N
     travelled = poses[-1] - poses[0]
     gone = whole_turns(mechanism, travelled)
     worst = int(np.argmax(np.abs(travelled - gone)))
-    if abs(travelled[worst] - gone[worst]) > _RETURN_TOLERANCE:
+    # A joint has returned after whole turns if it is this near [rad or m]: a multiple of the tolerance of assembly.
+    if abs(travelled[worst] - gone[worst]) > 1e-5:
         joint = mechanism.joints[worst]
         raise ProblemError(
             f"motion.turns of joint {names}: after it joint {joint.name} is not back, it has gone on by"
