@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, steady_turn, swinging_guesses
 from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
@@ -46,9 +46,9 @@ def other_limits(problem: PlanningProblem) -> bool:
 
 
 def phase_plane_may_help(search: Search) -> bool:
-    """True if the phase plane has a motion and no plan passes, or if it has a quicker one than the plan that passes."""
+    """True if the phase plane has a motion and no plan passes, or if a quicker one than the plan that passes is known."""
     if search.solved:
-        return is_slow(search) and not other_limits(search.problem)
+        return quicker_guess(search) is not None
     return one_start_is_worth_it(search) and search.quickest is not None and not no_time(search)
 
 
@@ -83,7 +83,7 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     The first start is the motion of least time if it swings and the objective is not time.
     """
     if search.solved:
-        return _quicker_by_the_phase_plane(search, budget)
+        return _quicker_plan(search, budget)
     return _first_of(search, budget, _of_the_phase_plane(search, budget))
 
 
@@ -170,21 +170,29 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
     return missed
 
 
-def is_slow(search: Search) -> bool:
-    """True if a least-time plan is slower than the phase plane's motion: it is a local optimum."""
-    if not search.solved or not search.only_time_counts or search.problem.mechanism.dof > 1:
-        return False
-    if not detour_may_pay(search.problem, search.start_pose, search.best.trajectory.duration_s):
-        return False
-    # A least time above that of the phase plane's motion by this factor is a local optimum.
-    return search.quickest is not None and search.best.trajectory.duration_s > 1.002 * search.quickest.duration_s
+def quicker_guess(search: Search) -> Guess | None:
+    """Return a motion that is quicker than the least-time plan, a local optimum then; None if none is known.
+
+    For a reach it is the phase plane's motion, for a turn one at constant speed.
+    """
+    problem = search.problem
+    if not search.only_time_counts or problem.mechanism.dof > 1 or other_limits(problem):
+        return None
+    duration = search.best.trajectory.duration_s
+    if problem.motion.turns is not None:
+        guess = steady_turn(problem, search.start_pose)
+    else:
+        guess = search.quickest if detour_may_pay(problem, search.start_pose, duration) else None
+    # The error of the phase plane's grid is below a thousandth.
+    return guess if guess is not None and duration > 1.002 * guess.duration_s else None
 
 
-def _quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
+def _quicker_plan(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None without one."""
-    known = search.best.trajectory.duration_s
+    known, guess = search.best.trajectory.duration_s, quicker_guess(search)
+    what = "the phase plane" if search.problem.motion.turns is None else "a steady turn"
     # A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
-    plan = plan_from(search, budget, "the phase plane", search.quickest, worth=0.999 * known, mended=False)
+    plan = None if guess is None else plan_from(search, budget, what, guess, worth=0.999 * known, mended=False)
     passes = plan is not None and plan.passed
     return plan if passes and plan.trajectory.duration_s < known else None
 

@@ -1,6 +1,9 @@
 """Answers do not contradict one another: a certified motion of less time forbids "infeasible", where it can wait at rest."""
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
@@ -35,3 +38,30 @@ def test_a_motion_a_little_longer_than_the_certified_least_time_is_found_and_cos
     assert [plan.status for plan in plans] == ["optimal"] * 3, [plan.message for plan in plans]
     costs = [plan.objective for plan in plans]
     assert costs == sorted(costs, reverse=True)
+
+
+# A rod on a damped hinge: its weight takes most of the motor's torque once a turn, and helps as much half a turn later.
+ROTOR = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0" damping="0.05"/>
+<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+<actuator><motor name="m" joint="J" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+def quickest_turn_s() -> float:
+    """Return the period of the turn under full torque: J w dw/dx = 5 - 0.05 w - m g l sin x, w(2 pi) = w(0)."""
+
+    def turn(speed: float) -> np.ndarray:
+        def rate(x: float, y: np.ndarray) -> list[float]:
+            return [(5.0 - 0.05 * y[0] - 0.5 * 9.81 * np.sin(x)) / (0.26 * y[0]), 1.0 / y[0]]
+
+        return solve_ivp(rate, (0.0, 2 * np.pi), [speed, 0.0], rtol=1e-11, atol=1e-12).y[:, -1]
+
+    return float(turn(brentq(lambda speed: turn(speed)[0] - speed, 60.0, 200.0, xtol=1e-10))[1])
+
+
+@pytest.mark.slow
+def test_the_quickest_turn_is_that_of_full_torque_also_where_a_slower_turn_is_a_local_optimum():
+    motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free"}
+    tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
+    plan = plan_motion(problem_from_tables("rotor", tables))
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(quickest_turn_s(), rel=1e-6)
