@@ -49,7 +49,7 @@ def bode(
 
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either; every degree of freedom has an actuator.
-        tracker: "pd", "pd+ff" or "lqr".
+        tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
         tracking: settings that replace the problem's, by the keys of its [tracking] table: kp [N.m/rad], kd [N.m.s/rad],
             period_s, delay_periods (here it may be a fraction), lqr_position_deg, ...
         at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name; by default five over the problem's
@@ -106,7 +106,7 @@ def tune(
         bandwidth_hz: least bandwidth of the closed loop [Hz].
         phase_margin_deg: least phase margin [deg].
         sensitivity_peak: the largest sensitivity; by default any.
-        tracker: "pd", "pd+ff" or "lqr".
+        tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
         tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
         at_deg: poses, as for `bode`.
         at_m: likewise, for slides [m].
