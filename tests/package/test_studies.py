@@ -115,7 +115,7 @@ class Nameless:
             "a tracker is one of pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc, an object with a name and effort",
         ),
         (lambda plan: linkplan.track(plan, lambda reference: None), "returns an object with a name and effort"),  # noqa: ARG005
-        (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name is a word"),
+        (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name has at most 50 printable characters"),
         (lambda plan: linkplan.track(plan, Idle(value=[0.0, 0.0])), "shape (1,), got shape (2,)"),
         (lambda plan: linkplan.track(plan, Idle(value=0.0)), "(act_O), shape (1,), got shape ()"),
         (lambda plan: linkplan.track(plan, Idle(value="much")), "tracker 'idle' gives an array of one effort"),
@@ -128,7 +128,7 @@ class Nameless:
         (lambda plan: linkplan.track(plan.problem), "what is tracked is a Plan"),
         (lambda plan: linkplan.compare(plan, "lqr"), "trackers are a list"),
         (lambda plan: linkplan.compare(plan, []), "got none"),
-        (lambda plan: linkplan.compare(plan, ["lqr", "lqr"]), "names of their own, got lqr, lqr"),
+        (lambda plan: linkplan.compare(plan, ["lqr", "lqr"]), "trackers with different names, got lqr, lqr"),
     ],
 )
 def test_what_cannot_be_tracked_is_refused_in_one_sentence(plan, use, words):

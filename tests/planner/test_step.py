@@ -119,7 +119,7 @@ def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
 
     def at(x: np.ndarray):
         optimum = Optimum(x=x, rows=np.zeros(0), bounds=np.zeros(0))
-        return motion_step(problem, numbered, NewtonStep(optimum=optimum, left=left, violation=0.0, steps=1), 0.0)
+        return motion_step(problem, numbered, NewtonStep(optimum=optimum, error_bound=left, violation=0.0, steps=1), 0.0)
 
     step, moved = at(begin), at(begin + left)
     change = np.abs(moved.trajectory.effort - step.trajectory.effort).max()

@@ -174,7 +174,7 @@ def test_what_would_be_written_into_a_folder_asks_for_one(argv, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert f"{argv[-1]} writes " in err
-    assert "say -o DIR too" in err
+    assert "add -o DIR" in err
     assert len(err.splitlines()) == 1
 
 

@@ -63,7 +63,7 @@ def test_a_distribution_s_line_is_the_share_of_machines_below(outcome):
 def test_the_worst_machines_are_those_of_the_largest_error_and_each_has_its_command(outcome):
     report = experiment_report(outcome, lambda tracker, sample: f"again {tracker} {sample}")
     table = next(table for table in blocks(report, Table) if table.title.startswith("Each tracker's worst"))
-    commands = next(code.text.splitlines() for code in blocks(report, Code) if code.title.startswith("To run them"))
+    commands = next(code.text.splitlines() for code in blocks(report, Code) if code.title.startswith("Commands that repeat"))
     results = outcome.results
     for name in SETTINGS.trackers:
         rows = [row for row in table.rows if row[0] == name]
