@@ -243,10 +243,13 @@ def steady_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
 
     At high speeds the links store more energy than efforts give in a turn: the quickest turn has nearly constant effort.
     """
-    duration = None
-    if problem.motion.turns is not None:
-        duration = _duration_within_limits(problem, start_pose, lambda effort: effort.mean(axis=0, keepdims=True))
-    return None if duration is None else _guess_along(_smooth_path(problem, duration), duration, start_pose)
+    if problem.motion.turns is None:
+        return None
+    duration = _duration_within_limits(problem, start_pose, lambda effort: effort.mean(axis=0, keepdims=True))
+    if duration is None:
+        return None
+    duration = _within(problem, duration)
+    return _guess_along(_smooth_path(problem, duration), duration, start_pose)
 
 
 def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> float:

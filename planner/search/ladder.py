@@ -43,9 +43,9 @@ class Budget:
 class Search:
     """A search for a motion, as every rung sees it.
 
-    `problem` is as it was asked, with the deadline of the search; `start_pose` (n_q,) is closed. `history` notes every
-    solve, `plans` every plan that a rung came to, in order. The phase plane's motion, the smooth path and the least factor
-    on the effort limits are computed at their first use.
+    `problem` is as it was asked, with the deadline of the search; `start_pose` (n_q,) is closed. `plans` are the
+    plans of the rungs so far, in order. The phase plane's motion, the smooth path and the least factor on the effort limits
+    are computed at their first use.
     """
 
     problem: PlanningProblem

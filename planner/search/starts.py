@@ -46,9 +46,9 @@ def other_limits(problem: PlanningProblem) -> bool:
 
 
 def phase_plane_may_help(search: Search) -> bool:
-    """True if the phase plane has a motion and no plan passes, or if a quicker one than the plan that passes is known."""
+    """True if the phase plane has a motion and no plan passes, or if a quicker one than the plan that passes may exist."""
     if search.solved:
-        return quicker_guess(search) is not None
+        return search.only_time_counts
     return one_start_is_worth_it(search) and search.quickest is not None and not no_time(search)
 
 

@@ -77,6 +77,8 @@ def draw_effort(axes, plan: Plan) -> None:
     time = trajectory.dense_times(10)
     effort, actuators = trajectory.effort_at(time), plan.problem.mechanism.actuators
     sides = sides_by_unit(axes, "effort", [actuator.unit for actuator in actuators])
+    limit_style = {"color": GREY, "linestyle": ":", "linewidth": 1.2}
+    has_limits = False
     for column, actuator in enumerate(actuators):
         side = sides[actuator.unit]
         side.plot(_time_scale(plan) * time, effort[:, column], **_style(column))
@@ -84,6 +86,9 @@ def draw_effort(axes, plan: Plan) -> None:
         peak = np.abs(effort[:, column]).max()
         for bound in plan.problem.limits.effort[column]:
             if np.isfinite(bound) and abs(bound) < 2 * peak:
-                side.axhline(bound, color=GREY, linestyle=":", linewidth=1.2)
+                side.axhline(bound, **limit_style)
+                has_limits = True
+    if has_limits:
+        axes.plot([], [], label="effort limit", **limit_style)
     level_zeros(set(sides.values()))
     outside_legend(axes)

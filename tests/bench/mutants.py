@@ -2,9 +2,9 @@
 
     python -m tests.bench.mutants [--count 60] [--seed 1] [--slow] [--timeout 600]
 
-Each mutant changes one constant, sign, comparison or bound in a copy of the tree. The nearest tests are those of the same
-folder under tests/, the file of the same name first; they run until the first failure. Prints every mutant with "detected"
-or "SURVIVED", and the share detected.
+Each mutant changes one constant, sign, comparison or bound in a copy of the tree. The nearest tests are the file of the same
+name, the files that import the changed one, and the folder of the same name. They run until the first failure. The script
+prints every mutant with "detected" or "SURVIVED", and the share detected.
 """
 
 import argparse
@@ -81,11 +81,14 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
 
 
 def nearest_tests(path: Path) -> list[str]:
-    """Return the tests nearest to a file: those of its own name, then those of its folder."""
+    """Return the tests nearest to a file: that of its own name, those that import it, then those of its folder."""
     folder = Path("tests") / path.parent
     folder = folder if (ROOT / folder).is_dir() else folder.parent
-    own = folder / f"test_{path.name}"
-    return [*([str(own)] if (ROOT / own).is_file() else []), str(folder)]
+    module = "linkplan." + ".".join(path.with_suffix("").parts)
+    importing = [test for test in sorted((ROOT / "tests").rglob("test_*.py")) if module in test.read_text(encoding="utf-8")]
+    own = ROOT / folder / f"test_{path.name}"
+    files = [*([own] if own.is_file() else []), *importing]
+    return [*dict.fromkeys(str(test.relative_to(ROOT)) for test in files), str(folder)]
 
 
 def is_detected(mutant: Mutant, copy: Path, *, slow: bool, timeout_s: float) -> bool:

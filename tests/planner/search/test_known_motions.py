@@ -65,3 +65,12 @@ def test_the_quickest_turn_is_that_of_full_torque_also_where_a_slower_turn_is_a_
     plan = plan_motion(problem_from_tables("rotor", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(quickest_turn_s(), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_turn_that_could_be_quicker_takes_the_least_duration_that_is_allowed():
+    motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free", "min_duration_s": 0.1}
+    tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
+    plan = plan_motion(problem_from_tables("rotor", tables))
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(0.1, rel=1e-8)

@@ -104,4 +104,4 @@ def test_torques_and_forces_have_an_axis_each():
     axes = figure.subplots()
     draw_effort(axes, many())
     assert [side.get_ylabel() for side in figure.axes] == ["effort [N.m]", "effort [N]"]
-    assert axes.get_legend_handles_labels()[1][-1] == "m8 [N]"
+    assert axes.get_legend_handles_labels()[1][-2:] == ["m8 [N]", "effort limit"]
