@@ -238,42 +238,21 @@ def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False)
     return PiecewisePolynomial.through(times, s, v)
 
 
-def steady_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
-    """Return a turn at constant speed in which an actuator's mean effort is its limit; None if no speed needs that much.
-
-    At high speeds the links store more energy than efforts give in a turn: the quickest turn has nearly constant effort.
-    """
-    if problem.motion.turns is None:
-        return None
-    duration = _duration_within_limits(problem, start_pose, lambda effort: effort.mean(axis=0, keepdims=True))
-    if duration is None:
-        return None
-    duration = _within(problem, duration)
-    return _guess_along(_smooth_path(problem, duration), duration, start_pose)
-
-
 def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> float:
-    """Return the duration at which the smooth path needs exactly the effort limit; 1 s if there is none."""
+    """Return the duration at which the smooth path needs exactly the effort limit, by bisection in the log of time.
+
+    1 s if the loops cannot close along it, if no duration will do, or if there is no limit.
+    """
     given = [w.time_s for w in problem.motion.waypoints if w.time_s is not None]
     if given:
         return _LAST_WAYPOINT_STRETCH * given[-1]
-    return _duration_within_limits(problem, start_pose, lambda effort: effort) or 1.0
-
-
-def _duration_within_limits(
-    problem: PlanningProblem, start_pose: np.ndarray, measure: Callable[[np.ndarray], np.ndarray]
-) -> float | None:
-    """Return the shortest duration [s] at which a measure of the smooth path's efforts (n, n_u) is within their limits.
-
-    It is found by bisection in the log of time; None if the loops cannot close along the path or no duration will do.
-    """
     mechanism, limit = problem.mechanism, problem.limits.effort
     unit = _smooth_path(problem, 1.0)
     tau = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
     try:
         poses = follow(mechanism, unit(tau), start_pose, problem.solver.deadline)
     except AssemblyError:
-        return None
+        return 1.0
 
     # With the pace r = 1 / T, speeds are r v_0 + v_1 and accelerations r^2 a_0 + r a_1; the prescribed speeds at the ends
     # give v_1 and a_1. Efforts are quadratic in r except for nonlinear dampers, so three paces determine all others.
@@ -286,12 +265,12 @@ def _duration_within_limits(
 
     def excess(log_duration: float) -> float:
         pace = float(np.exp(-log_duration))
-        effort = measure(still + pace * linear + pace**2 * quadratic)
+        effort = still + pace * linear + pace**2 * quadratic
         return float(np.max(np.maximum(effort - limit[:, 1], limit[:, 0] - effort)))
 
     low, high = np.log(1e-5), np.log(1e4)  # [s]
     if not np.all(np.isfinite(limit)) or excess(high) > 0:
-        return None
+        return 1.0
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if excess(middle) > 0 else (low, middle)

@@ -28,13 +28,55 @@ _MIN_SPEED = 1e-9
 _EFFORT_SHARES = (0.7, 0.4)
 # The largest factor on the effort limits with which a motion is searched, and the halvings of its logarithm.
 _MAX_EFFORT_FACTOR, _FACTOR_HALVINGS = 1024.0, 8
+# Energies at which a turn is tried, as multiples of the energy at which dampers take full effort on average.
+_TURN_ENERGIES, _ENERGY_HALVINGS = np.geomspace(1e-3, 1e3, 25), 40
 # Energies that differ by less than this share are the same.
 _SAME_ENERGY_SHARE = 1e-6
 
 
 def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
-    """Return a reach in the least time that the phase plane knows, whatever duration is asked; None without one."""
+    """Return the reach or turn of least time that the phase plane knows, whatever duration is asked; None without one."""
+    if problem.motion.turns is not None:
+        return _quickest_turn(problem, start_pose)
     return _planes(problem, start_pose)(1.0) if phase_plane_applies(problem) else None
+
+
+def _quickest_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return the turn under full effort after which the energy is as before it; None where dampers do not take that effort.
+
+    The more energy it begins with, the more the dampers take: the energy gained falls through zero, at the quickest turn.
+    """
+    motion, limits = problem.motion, problem.limits
+    if problem.mechanism.dof != 1 or motion.waypoints or motion.goal is not None or not np.all(np.isfinite(limits.effort)):
+        return None
+    first = start_pose[problem.mechanism.independent]
+    places = np.concatenate([first, first + motion.advance])
+    way = int(np.sign(places[1] - places[0]))
+    grid = grid_of(problem, places, start_pose, _GRID_CELLS)
+    if grid is None:
+        return None
+    plane = plane_of(problem, *grid, limits.effort)
+    start, goal = (plane.at(place) for place in places)
+    index = np.arange(start, goal + way, way)
+
+    def turned(w: float) -> np.ndarray:
+        leg = plane.leg(start, w, way, way)[: len(index)]
+        return np.pad(leg, (0, len(index) - len(leg)))
+
+    given = way * (plane.work[way][goal] - plane.work[way][start])
+    taken = -np.sum(plane.drag[:-1] * plane.cells)
+    energies = _TURN_ENERGIES * 0.5 * (given / taken) ** 2 if given > 0 and taken > 0 else np.empty(0)
+    gains = np.array([turned(w)[-1] - w for w in energies])
+    steady = np.flatnonzero((gains[:-1] > 0) & (gains[1:] <= 0))
+    if not len(steady):
+        return None
+    low, high = energies[steady[-1]], energies[steady[-1] + 1]
+    for _ in range(_ENERGY_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if turned(middle)[-1] > middle else (low, middle)
+    w = turned(low)
+    speed = float(way * np.sqrt(2 * low))
+    return _guess(plane, [Part(places=places, speeds=(speed, speed))], [[(index, w, np.full(len(index), way))]], start_pose)
 
 
 def phase_plane_applies(problem: PlanningProblem) -> bool:
@@ -77,16 +119,18 @@ def least_share(problem: PlanningProblem, start_pose: np.ndarray, duration: floa
 
 
 def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest: Guess) -> Guess:
-    """Return a reach by the phase plane whose duration is nearest to a fixed one, stretched to it.
+    """Return a motion by the phase plane whose duration is nearest to a fixed one, stretched to it.
 
     Args:
-        problem: of a reach.
+        problem: of a reach or of turns.
         start_pose: closed, at its start.
         quickest: from `least_time_guess`.
     """
     duration = problem.motion.duration_s
     if duration is None:
         return quickest
+    if problem.motion.turns is not None:
+        return stretched(quickest, duration)
     weaker = _planes(problem, start_pose)
     known = [quickest, *(guess for share in _EFFORT_SHARES if (guess := weaker(share)) is not None)]
     return stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)

@@ -1,9 +1,9 @@
-"""May a motion that rests on its way be quicker than one that does not? A bound from below, before anything is searched.
+"""May another reach be quicker than the one that was found? A bound from below, before anything is searched.
 
 A motion of one degree of freedom consists of legs from rest to rest. Without dampers a leg between two places is
 known in closed form: its energy is the least of what full effort has given since the one and what full effort can take
 until the other, E(s) = min(W_a(s), W_b(s)), and its time the integral of ds / v. Dampers only take energy, and so make legs
-longer. The shortest way over a grid of places, the leg from start to goal left out, bounds all detours from below.
+longer. The leg from start to goal, and the shortest way over a grid of places without that leg, bound all reaches from below.
 """
 
 import numpy as np
@@ -16,8 +16,8 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 _GRID_CELLS, _RESTING_PLACES = 400, 60
 
 
-def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s: float) -> bool:
-    """True if another reach may be quicker than a direct one of least time that takes `duration_s`.
+def quicker_may_exist(problem: PlanningProblem, start_pose: np.ndarray, duration_s: float) -> bool:
+    """True if another reach may be quicker than one that takes `duration_s`, directly or by a detour.
 
     Args:
         problem: of one degree of freedom.
@@ -43,6 +43,8 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
         return True  # the way straight there is not open: what was found swings already
     # A bound within this share of a motion's duration is not decisive: five times the error of the grid.
     quick = (1 - 0.01) * duration_s
+    if straight < quick:
+        return True
     if _least_detour(_bounds(plane, places), first, last) >= quick:
         return False
     times = np.full((len(places), len(places)), np.inf)

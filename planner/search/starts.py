@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, steady_turn, swinging_guesses
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
 from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
-from linkplan.planner.phase_plane.detours import detour_may_pay
+from linkplan.planner.phase_plane.detours import quicker_may_exist
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import knows_pins, power_guess
 from linkplan.planner.plan import Plan
@@ -171,18 +171,12 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
 
 
 def quicker_guess(search: Search) -> Guess | None:
-    """Return a motion that is quicker than the least-time plan, a local optimum then; None if none is known.
-
-    For a reach it is the phase plane's motion, for a turn one at constant speed.
-    """
+    """Return the phase plane's motion if it is quicker than the least-time plan, a local optimum then; else None."""
     problem = search.problem
     if not search.only_time_counts or problem.mechanism.dof > 1 or other_limits(problem):
         return None
     duration = search.best.trajectory.duration_s
-    if problem.motion.turns is not None:
-        guess = steady_turn(problem, search.start_pose)
-    else:
-        guess = search.quickest if detour_may_pay(problem, search.start_pose, duration) else None
+    guess = search.quickest if quicker_may_exist(problem, search.start_pose, duration) else None
     # The error of the phase plane's grid is below a thousandth.
     return guess if guess is not None and duration > 1.002 * guess.duration_s else None
 
@@ -190,9 +184,8 @@ def quicker_guess(search: Search) -> Guess | None:
 def _quicker_plan(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None without one."""
     known, guess = search.best.trajectory.duration_s, quicker_guess(search)
-    what = "the phase plane" if search.problem.motion.turns is None else "a steady turn"
     # A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
-    plan = None if guess is None else plan_from(search, budget, what, guess, worth=0.999 * known, mended=False)
+    plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, mended=False)
     passes = plan is not None and plan.passed
     return plan if passes and plan.trajectory.duration_s < known else None
 

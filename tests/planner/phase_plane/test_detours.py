@@ -6,7 +6,7 @@ import pytest
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.phase_plane import detours
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess, parts_of
-from linkplan.planner.phase_plane.detours import detour_may_pay
+from linkplan.planner.phase_plane.detours import quicker_may_exist
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.fourbar_problems import kind_of, random_case
@@ -16,7 +16,7 @@ NUMBERS = [k for k in range(60) if kind_of(1, k) in ("least time", "weak", "rang
 
 def look(problem, duration):
     pose = start_pose_of(problem)
-    return detour_may_pay(problem, pose, duration), least_time_guess(problem, pose)
+    return quicker_may_exist(problem, pose, duration), least_time_guess(problem, pose)
 
 
 def test_the_sprint_needs_no_closer_look():

@@ -1,0 +1,216 @@
+"""Look for answers that contradict each other: `python -m tests.bench.contradictions [N] [SEED] [--family weak|rotary]`.
+
+weak: four-bars whose effort limit is below the effort that holds their weight. Each is planned for least time, then for least
+effort at multiples of that time. No longer duration may be "infeasible" where the machine can wait at rest at the start or the
+goal, and no longer one may cost more than a shorter one and the wait. A duration below the least time must not have a motion.
+rotary: one turn in least time. No answer may be slower than a turn under constant full effort or at constant speed.
+
+Answers are appended to a file of JSON lines (`--out`); those that are in it already are left out.
+"""
+
+import argparse
+import json
+import multiprocessing
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.planning import plan_motion
+from tests.support.fourbar import FourBar, Lump
+
+# Durations of the least efforts, as multiples of the least time. Below the first one there must be no motion.
+FACTORS = (0.97, 1.0005, 1.002, 1.01, 1.03, 1.1, 1.5)
+# Costs that differ by no more than this are equal, relative.
+EQUAL_COSTS = 1e-4
+# A turn may be slower than the known one by this, relative.
+EQUAL_TIMES = 1e-6
+
+
+def random_fourbar(rng: np.random.Generator, *, crank_turns: bool = False) -> FourBar:
+    """Return a random four-bar that closes at crank angle 0; with a crank that turns fully if asked."""
+    while True:
+        crank, coupler, rocker, ground = rng.uniform((0.06, 0.15, 0.15, 0.15), (0.3, 0.5, 0.5, 0.5))
+        tilt = rng.uniform(-np.pi, np.pi)
+        lumps = {}
+        for name, length in (("crank", crank), ("coupler", coupler), ("rocker", rocker)):
+            mass = float(rng.uniform(0.2, 2.0))
+            centre = (float(length * rng.uniform(-0.2, 0.2)), float(length * rng.uniform(0.2, 0.8)))
+            lumps[name] = (Lump(mass=mass, centre=centre, inertia=float(mass * length**2 * rng.uniform(0.05, 0.3))),)
+        fourbar = FourBar(
+            crank=float(crank),
+            coupler=float(coupler),
+            rocker=float(rocker),
+            ground=(float(ground * np.cos(tilt)), float(ground * np.sin(tilt))),
+            branch=int(rng.choice([-1, 1])),
+            lumps=lumps,
+        )
+        angles = np.linspace(-np.pi, np.pi, 361) if crank_turns else np.zeros(1)
+        with np.errstate(invalid="ignore"):
+            if np.all(np.nan_to_num(fourbar.transmission(angles)) > 0.25):
+                return fourbar
+
+
+def weak_case(seed: int, number: int) -> tuple[FourBar, float, float, float]:
+    """Return a four-bar, its start and goal [rad] and an effort limit [N.m] below the holding torque between them."""
+    rng = np.random.default_rng([seed, number, 7])
+    while True:
+        fourbar = random_fourbar(rng)
+        start, way = rng.uniform(-np.pi, np.pi), rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 3.0)
+        path = np.linspace(start, start + way, 400)
+        with np.errstate(invalid="ignore"):
+            clear = np.nan_to_num(fourbar.transmission(path))
+        if clear.min() > 0.25:
+            holding = np.abs(np.gradient(fourbar.potential(path), path)).max()
+            return fourbar, float(start), float(start + way), float(rng.uniform(0.4, 0.95) * holding)
+
+
+def plan_of(tables: dict) -> dict:
+    """Return the status, message, cost, duration and processor time of one problem's answer."""
+    begun = time.process_time()
+    try:
+        plan = plan_motion(problem_from_tables("contradictions", tables))
+        duration = None if plan.trajectory is None or not plan.passed else plan.trajectory.duration_s
+        answer = {"status": plan.status, "message": plan.message, "objective": plan.objective, "duration_s": duration}
+    except LinkplanError as error:
+        answer = {"status": "refused", "message": str(error), "objective": None, "duration_s": None}
+    return answer | {"cpu_s": time.process_time() - begun}
+
+
+def weak_answer(seed: int, number: int) -> dict:
+    """Return the answers to a weak four-bar's problems, and what contradicts in them."""
+    fourbar, start, goal, limit = weak_case(seed, number)
+
+    def tables(minimize: str, duration: float | str) -> dict:
+        ends = {"start_deg": {"O": float(np.degrees(start))}, "goal_deg": {"O": float(np.degrees(goal))}}
+        return {
+            "mechanism": {"model": fourbar.mjcf(start, limit=limit)},
+            "motion": {"kind": "reach", **ends, "duration_s": duration},
+            "objective": {"minimize": minimize},
+        }
+
+    least = plan_of(tables("time", "free"))
+    answers, wrong = {"time": least}, []
+    if least["duration_s"] is not None:
+        near = np.array([start - 1e-5, start + 1e-5, goal - 1e-5, goal + 1e-5])
+        potential = fourbar.potential(near)
+        hold = min(abs(potential[1] - potential[0]), abs(potential[3] - potential[2])) / 2e-5
+        for factor in FACTORS:
+            answers[str(factor)] = plan_of(tables("effort", factor * least["duration_s"]))
+        wrong = contradictions(answers, least["duration_s"], hold if hold <= limit else None)
+    return {"number": number, "answers": answers, "wrong": wrong}
+
+
+def contradictions(answers: dict, least_s: float, hold: float | None) -> list[str]:
+    """Return what contradicts in the answers to a weak four-bar; `hold` [N.m] holds an end, None where nothing does."""
+    wrong = []
+    if answers[str(FACTORS[0])]["duration_s"] is not None:
+        wrong.append(f"a motion of {FACTORS[0]} of the least time")
+    known = None
+    for factor in FACTORS[1:]:
+        answer = answers[str(factor)]
+        if answer["duration_s"] is None:
+            if hold is not None:
+                wrong.append(f"{answer['status']} at {factor} of the least time")
+            continue
+        if known is not None and hold is not None:
+            most = known[1] + hold**2 * (factor - known[0]) * least_s
+            if answer["objective"] > (1 + EQUAL_COSTS) * most:
+                wrong.append(f"cost {answer['objective']:.6g} at {factor}, {known[1]:.6g} at {known[0]}")
+        if known is None or answer["objective"] < known[1]:
+            known = (factor, answer["objective"])
+    return wrong
+
+
+def rotary_answer(seed: int, number: int) -> dict:
+    """Return the answer to a turn in least time, the durations under constant effort and at constant speed, what is wrong."""
+    rng = np.random.default_rng([seed, number, 8])
+    fourbar = random_fourbar(rng, crank_turns=True)
+    s = np.linspace(-np.pi, np.pi, 721)
+    weight = np.gradient(fourbar.potential(s), s)
+    limit = float(10 ** rng.uniform(-0.6, 1.0) * np.abs(weight).max())
+    damping = float(rng.uniform(0.01, 0.3) * limit / 10.0)
+    model = fourbar.mjcf(0.0, limit=limit).replace('<joint name="O"', f'<joint name="O" damping="{damping}"')
+    motion = {"kind": "periodic", "turns": {"O": 1}, "duration_s": "free"}
+    found = plan_of({"mechanism": {"model": model}, "motion": motion, "objective": {"minimize": "time"}})
+    known = {"constant effort": turn_under_full_effort(fourbar, limit, damping)}
+    known["constant speed"] = turn_at_constant_speed(fourbar, limit, damping)
+    wrong = []
+    for name, duration in known.items():
+        if duration is not None and (found["duration_s"] is None or found["duration_s"] > (1 + EQUAL_TIMES) * duration):
+            wrong.append(f"{found['status']} {found['duration_s']}, {name} takes {duration:.6g} s")
+    return {"number": number, "answers": {"time": found, **known}, "wrong": wrong}
+
+
+def turn_under_full_effort(fourbar: FourBar, limit: float, damping: float) -> float | None:
+    """Return the period [s] of the turn under constant full effort, the same energy before and after; None without one."""
+    s = np.linspace(0.0, 2 * np.pi, 2001)
+    inertia = CubicSpline(s, fourbar.inertia(s))
+    slope = CubicSpline(s, fourbar.potential(s)).derivative()
+
+    def turn(energy: float) -> np.ndarray:
+        def rate(x: float, y: np.ndarray) -> list[float]:
+            speed = np.sqrt(2 * max(y[0], 1e-12) / inertia(x))
+            return [limit - damping * speed - slope(x), 1 / speed]
+
+        return solve_ivp(rate, (0.0, 2 * np.pi), [energy, 0.0], rtol=1e-9, atol=1e-12).y[:, -1]
+
+    energies = np.geomspace(1e-3, 1e4, 29) * limit
+    gains = [turn(energy)[0] - energy for energy in energies]
+    last = max((k for k, gain in enumerate(gains) if gain > 0), default=None)
+    if last is None or last + 1 == len(energies):
+        return None
+    return float(turn(brentq(lambda energy: turn(energy)[0] - energy, energies[last], energies[last + 1]))[1])
+
+
+def turn_at_constant_speed(fourbar: FourBar, limit: float, damping: float) -> float | None:
+    """Return the least period [s] of a turn at constant speed within the effort limit; None where there is none."""
+    s = np.linspace(0.0, 2 * np.pi, 4001)
+    gradient = np.gradient(fourbar.inertia(s), s) / 2
+    weight = np.gradient(fourbar.potential(s), s)
+    speeds = np.geomspace(1e-2, 1e3, 2000)
+    allowed = [w for w in speeds if np.all(np.abs(gradient * w**2 + weight + damping * w) <= limit)]
+    return 2 * np.pi / max(allowed) if allowed else None
+
+
+def main(arguments: list[str]) -> int:
+    """Plan, look for contradictions and sum up; 0 where there are none."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.contradictions", description=__doc__.split(":")[0])
+    parser.add_argument("n", nargs="?", type=int, default=100, help="how many problems (100)")
+    parser.add_argument("seed", nargs="?", type=int, default=1, help="of the random numbers (1)")
+    parser.add_argument("--first", type=int, default=0, help="the number to begin with (0)")
+    parser.add_argument("--family", choices=("weak", "rotary"), default="weak")
+    parser.add_argument("--out", type=Path, default=Path("contradictions.jsonl"), help="file of answers, added to")
+    parser.add_argument("--processes", type=int, default=1, help="how many plan at a time (1)")
+    asked = parser.parse_args(arguments)
+    known = {}
+    if asked.out.exists():
+        known = {r["number"]: r for r in map(json.loads, asked.out.read_text(encoding="utf-8").splitlines())}
+    numbers = range(asked.first, asked.first + asked.n)
+    answer = {"weak": weak_answer, "rotary": rotary_answer}[asked.family]
+    context = multiprocessing.get_context("spawn")
+    with (
+        asked.out.open("a", encoding="utf-8") as out,
+        ProcessPoolExecutor(max_workers=asked.processes, mp_context=context) as pool,
+    ):
+        waiting = [pool.submit(answer, asked.seed, number) for number in numbers if number not in known]
+        for future in as_completed(waiting):
+            record = future.result()
+            known[record["number"]] = record
+            out.write(json.dumps(record) + "\n")
+            out.flush()
+            print(f"number {record['number']}: {'; '.join(record['wrong']) or 'right'}", flush=True)
+    wrong = sum(bool(known[number]["wrong"]) for number in numbers)
+    print(f"{len(numbers)} problems, {wrong} with a contradiction")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
