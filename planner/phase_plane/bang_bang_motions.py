@@ -30,6 +30,8 @@ _EFFORT_SHARES = (0.7, 0.4)
 _MAX_EFFORT_FACTOR, _FACTOR_HALVINGS = 1024.0, 8
 # Energies at which a turn is tried, as multiples of the energy at which dampers take full effort on average.
 _TURN_ENERGIES, _ENERGY_HALVINGS = np.geomspace(1e-3, 1e3, 25), 40
+# A speed at the goal is gathered over a way that is longer than need be by this share.
+_APPROACH_EXCESS = 1e-3
 # Energies that differ by less than this share are the same.
 _SAME_ENERGY_SHARE = 1e-6
 
@@ -139,12 +141,18 @@ def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest
 def _planes(problem: PlanningProblem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:
     """Return the function from a share of the effort limits to the quickest motion; its poses are followed once."""
     parts = parts_of(problem.motion)
-    grid = grid_of(problem, np.concatenate([part.places for part in parts]), start_pose, _GRID_CELLS)
+    places = np.concatenate([part.places for part in parts])
+    grid = grid_of(problem, places, start_pose, _GRID_CELLS)
 
     def guess_with(share: float) -> Guess | None:
         if grid is None:
             return None
-        plane = plane_of(problem, *grid, share * problem.limits.effort)
+        limit = share * problem.limits.effort
+        plane = plane_of(problem, *grid, limit)
+        rests = [place for part in parts for place in _resting_places(plane, part) if place is not None]
+        if rests:
+            finer = grid_of(problem, np.concatenate([places, rests]), start_pose, _GRID_CELLS)
+            plane = plane if finer is None else plane_of(problem, *finer, limit)
         ways = [_legs(plane, part, problem.solver.deadline) for part in parts]
         return None if any(legs is None for legs in ways) else _guess(plane, parts, ways, start_pose)
 
@@ -172,6 +180,36 @@ def parts_of(motion: Motion) -> list[Part]:
     ]
 
 
+def _resting_places(plane: Plane, part: Part) -> tuple[float | None, float | None]:
+    """Return where full effort stops a part that begins at speed, and where one that ends at speed begins from rest.
+
+    None for an end at rest, and where no rest is within the grid. The second place is a little further away than need be.
+    """
+    found: list[float | None] = []
+    for place, v, along in ((part.places[0], part.speeds[0], 1), (part.places[-1], part.speeds[1], -1)):
+        way, at = int(np.sign(v)), plane.at(place)
+        step = along * way
+        leg = plane.leg(at, 0.5 * v**2, step, -step, backwards=along < 0) if way else np.zeros(0)
+        last = at + step * (len(leg) - 1)
+        if not way or not 0 <= last + step < len(plane.s):
+            found.append(None)
+            continue
+        energy = plane.inertia[last] * leg[-1]
+        lost = plane.work[-step][last] - plane.work[-step][last + step]
+        rest = plane.s[last] + min(energy / lost, 1.0) * (plane.s[last + step] - plane.s[last])
+        found.append(float(rest + (_APPROACH_EXCESS * (rest - plane.s[at]) if along < 0 else 0.0)))
+    return found[0], found[1]
+
+
+def _stop(plane: Plane, part: Part, start: int, rest: float):
+    """Return the leg (indices, w, directions of the push) by which full effort stops a part that begins at speed."""
+    v = part.speeds[0]
+    way = int(np.sign(v))
+    index = np.arange(start, plane.at(rest) + way, way)
+    w = plane.leg(start, 0.5 * v**2, way, -way)[: len(index) - 1]
+    return index, np.pad(w, (0, len(index) - len(w))), np.full(len(index), -way)
+
+
 def _legs(plane: Plane, part: Part, deadline: Deadline):
     """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
 
@@ -179,7 +217,9 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
     """
     n, speeds = len(plane.s), part.speeds
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
-    rests = sorted({*np.linspace(0, n - 1, _TURNING_PLACES).round().astype(int).tolist()} - {goal})
+    stop, begin = _resting_places(plane, part)
+    rests = {*np.linspace(0, n - 1, _TURNING_PLACES).round().astype(int).tolist()}
+    rests = sorted((rests if begin is None else rests | {plane.at(begin)}) - {goal})
     ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
     arriving = {}  # braking legs by where and in which direction they arrive
     for place, v in ends:
@@ -189,6 +229,9 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
                 arriving[place, way] = plane.leg(place, 0.5 * v**2, -way, -way, backwards=True)
     ticket = itertools.count(1)  # equal times are never compared further
     queue, known = [(0.0, 0, 0, start, [])], {}
+    if stop is not None and plane.at(stop) != start:
+        stopped = _stop(plane, part, start, stop)
+        queue.append((_duration(plane, stopped), next(ticket), 1, plane.at(stop), [stopped]))
     while queue:
         deadline.require_time()
         time, _, legs_so_far, at, legs = heapq.heappop(queue)
