@@ -3,7 +3,7 @@
 A motion of one degree of freedom consists of legs from rest to rest. Without dampers a leg between two places is
 known in closed form: its energy is the least of what full effort has given since the one and what full effort can take
 until the other, E(s) = min(W_a(s), W_b(s)), and its time the integral of ds / v. Dampers only take energy, and so make legs
-longer. The leg from start to goal, and the shortest way over a grid of places without that leg, bound all reaches from below.
+longer. The leg from start to goal and the shortest way over a grid of places bound all reaches from below.
 """
 
 import numpy as np

@@ -8,7 +8,7 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.collisions import unavoidable
 from linkplan.planner.closed_chain.answer import finished, optimality
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
+from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -39,8 +39,6 @@ def plan_from(
         worth: only solutions with an objective below this are refined.
         mended: whether every repair is tried on a motion that does not pass; it is not before the phase plane's least time.
     """
-    if not closes(search.problem, guess):
-        return None
     problem = search.within(budget)
     missed = None
     for found in _solved(problem, guess, f"start from {what}" if recorded() else "first solve", search):

@@ -39,10 +39,10 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess) -> LeastLimit 
     Further starts are tried while the factor is above 1.
     """
     perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), _MAX_GUESSES)
-    others = (start for _, start in perturbed if closes(problem, start))
+    every = itertools.chain([guess], (start for _, start in perturbed))
+    closed = (start for start in every if closes(problem, start))
     best = None
-    starts = itertools.chain([guess], itertools.islice(others, _MAX_STARTS - 1))
-    for start in problem.solver.deadline.take(starts):
+    for start in problem.solver.deadline.take(itertools.islice(closed, _MAX_STARTS)):
         known = None if best is None else best.first
         found = least_limit(problem, start, *first_mesh(problem, start), known=known)
         if found is not None and (best is None or found.factor < best.factor):

@@ -15,6 +15,7 @@ from linkplan.planner.certificate.site_ends import SITE_SLACK
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.limits.site import site_title
+from linkplan.planner.phase_plane.stopping import no_way_to_stop
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
 from linkplan.planner.search.turning import check_turns
@@ -116,7 +117,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
     contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem)
-    contradiction = contradiction or _site_beyond(problem) or _range_on_the_only_way(problem)
+    contradiction = contradiction or _site_beyond(problem) or _range_on_the_only_way(problem) or no_way_to_stop(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:

@@ -1,8 +1,8 @@
 """Look for answers that contradict each other: `python -m tests.bench.contradictions [N] [SEED] [--family weak|rotary]`.
 
-weak: four-bars whose effort limit is below the effort that holds their weight. Each is planned for least time, then for least
-effort at multiples of that time. No longer duration may be "infeasible" where the machine can wait at rest at the start or the
-goal, and no longer one may cost more than a shorter one and the wait. A duration below the least time must not have a motion.
+weak: four-bars whose effort limit is below the effort that holds their weight. Each is planned for least time, then for
+least effort at multiples of that time. No longer duration may be "infeasible" where the machine can wait at rest at the start
+or the goal, and none may cost more than a shorter one and the wait. Below the least time there must be no motion.
 rotary: one turn in least time. No answer may be slower than a turn under constant full effort or at constant speed.
 
 Answers are appended to a file of JSON lines (`--out`); those that are in it already are left out.

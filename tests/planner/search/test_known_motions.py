@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from tests.bench.contradictions import rotary_answer, weak_case
 
 # A weak four-bar: the smoothest path leads to a local optimum of 0.879 s, swings to the least time. It begins at a stable
 # equilibrium, where it may wait.
@@ -74,3 +75,27 @@ def test_a_turn_that_could_be_quicker_takes_the_least_duration_that_is_allowed()
     plan = plan_motion(problem_from_tables("rotor", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(0.1, rel=1e-8)
+
+
+@pytest.mark.slow
+def test_a_direct_reach_that_the_phase_plane_knows_is_found_where_the_smooth_path_leads_to_a_slower_one():
+    fourbar, start, goal, limit = weak_case(1, 11)
+    ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
+    motion = {"kind": "reach", **ends, "duration_s": "free"}
+    tables = {"mechanism": {"model": fourbar.mjcf(start, limit=limit)}, "motion": motion, "objective": {"minimize": "time"}}
+    plan = plan_motion(problem_from_tables("weak", tables))
+    assert plan.objective == pytest.approx(fourbar.minimum_time(start, goal, -limit, limit), rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 4])
+def test_a_turn_is_no_slower_than_under_constant_full_effort_or_at_constant_speed(number):
+    assert rotary_answer(1, number)["wrong"] == []
+
+
+def test_guesses_along_which_the_loops_open_lead_to_an_answer_and_not_to_an_exception():
+    ends = {"start_deg": {"O1": 10.0, "O2": 170.0}, "goal_deg": {"O1": 100.0, "O2": 80.0}}
+    motion = {"kind": "reach", **ends, "duration_s": 1.0}
+    solver = {"max_time_s": 20.0}
+    tables = {"mechanism": {"model": "five-bar"}, "motion": motion, "objective": {"minimize": "effort"}, "solver": solver}
+    assert plan_motion(problem_from_tables("far", tables)).status in ("infeasible", "failed")
