@@ -154,7 +154,7 @@ def _infeasible(search: Search, sentence: str, details: dict[str, float], *, sho
     """
     problem: PlanningProblem = search.problem
     message = sentence + (shortest_sentence(search, details) if shortest else "")
-    known, asked = details.get("shortest_duration_s"), longest(problem)
+    known, asked = min((motion.duration_s for motion in search.known.motions), default=None), longest(problem)
     if known is not None and known <= asked * (1 + 1e-9):
         return _failed(search, f"a motion of {known:.7g} s keeps every limit, one of {asked:.7g} s was not found", details)
     return Plan(problem=problem, status="infeasible", message=message, history=recorded(), details=details)

@@ -42,7 +42,7 @@ def followed(
     solve: Callable[[Stage, float], Stage | None],
     *,
     enough: Callable[[Stage, Stage, bool], bool] = lambda _before, _after, _whole: False,
-    after_loss: Callable[[Stage], Stage | None] = lambda stage: stage,
+    after_loss: Callable[[Stage], Stage] = lambda stage: stage,
 ) -> Path[Stage]:
     """Return the stages along a parameter.
 
@@ -51,7 +51,7 @@ def followed(
         steps: of the parameter.
         solve: returns the next stage from one and the parameter's next value; None where it is lost.
         enough: whether to end, from a stage, the next, and whether the step between them was a whole one.
-        after_loss: returns the stage from which a lost step is tried again; None where that is not worth it.
+        after_loss: returns the stage from which a lost step is tried again.
     """
     stages, value, factor = [stage], steps.begin, steps.factor
     way = np.sign(np.log(steps.factor))
@@ -62,11 +62,10 @@ def followed(
         following = float(way * min(way * value * factor, way * steps.end))
         found = solve(stages[-1], following)
         if found is None:
-            again = after_loss(stages[-1])
             factor = float(np.sqrt(factor))
-            if again is None or abs(np.log(factor)) < abs(np.log(steps.least)):
+            if abs(np.log(factor)) < abs(np.log(steps.least)):
                 return Path(stages=tuple(stages), arrived=False)
-            stages[-1] = again
+            stages[-1] = after_loss(stages[-1])
             continue
         stages.append(found)
         if enough(stages[-2], found, factor == steps.factor):

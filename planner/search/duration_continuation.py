@@ -21,11 +21,13 @@ from linkplan.planner.search.attempts import certified, only_feasible
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.durations import longest
 from linkplan.planner.search.first_mesh import INTERVALS_PER_SWING, graded_mesh
+from linkplan.planner.search.known_motions import KnownMotions
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
 from linkplan.planner.search.singular_poses import nears_singular
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
 # The factor between successive durations, the smallest factor after lost steps, and the largest number of steps. If the
@@ -50,6 +52,7 @@ class Continued:
     scheme: str
     longest_s: float
     objective: float = np.inf
+    motion: Trajectory | None = None  # certified; None for the first one
     held: bool = False  # whether the windows of switch times hold it
     enough: bool = False  # whether the last step saved less than `MIN_SAVING` of the objective
     lost: bool = False  # whether longer motions were lost
@@ -62,7 +65,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     if swung is None or swung.duration_s > longest(problem):
         return None
     n_intervals = max(2 * problem.mesh.intervals, INTERVALS_PER_SWING * swings)
-    at = continued(problem, swung, n_intervals)
+    at = continued(problem, swung, n_intervals, search.known)
     if at is None:
         return None
     final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
@@ -101,7 +104,7 @@ def _quickest(search: Search, budget: Budget) -> tuple[Guess | None, int]:
     return (None if plan is None else with_switch_times(plan)), 1
 
 
-def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Continued | None:
+def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int, known: KnownMotions) -> Continued | None:
     """Return the best motion of a problem, continued from a motion of least time; None if it is lost.
 
     If the duration is free, every motion on the way solves the problem, and the last one is returned if longer ones are
@@ -111,6 +114,7 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
         problem: of a fixed duration, or of a free one.
         quickest: a motion that keeps the dynamics in less time.
         n_intervals: of the first mesh.
+        known: the motions on the way are added to it.
     """
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s or 0.0
 
@@ -123,6 +127,8 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
             before, found = found, _step(problem, found, allowed) or found
             if _saved_little(before, found):
                 break  # the bounds are not decisive, or nothing more can be gained
+        if found is not None:
+            known.add(found.motion)
         return found
 
     def enough(before: Continued, after: Continued, whole: bool) -> bool:
@@ -130,9 +136,9 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
             return False
         return after.start.duration_s < (1 - _MIN_UNUSED_SHARE) * after.longest_s or (whole and _saved_little(before, after))
 
-    def finer(at: Continued) -> Continued | None:
+    def finer(at: Continued) -> Continued:
         if nears_singular(problem, at.start):
-            return None  # near a singular pose no mesh is fine enough
+            return at  # near a singular pose no mesh is fine enough
         # Bounds on switch times do not restrict a free duration.
         switches = (np.cumsum(at.shares) * at.start.duration_s)[:-1] if fixed else np.empty(0)
         # A lost step is tried again on twice as many intervals, up to this number.
@@ -185,5 +191,6 @@ def _step(problem: PlanningProblem, at: Continued, allowed: float) -> Continued 
         scheme=transcribed.scheme.name,
         longest_s=allowed,
         objective=better.solution.objective,
+        motion=better.motion,
         held=not fixed and mesh.n_segments > 1 and at_bounds(better.solution),
     )

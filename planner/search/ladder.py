@@ -19,6 +19,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import recorded
+from linkplan.planner.search.known_motions import KnownMotions
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
 from linkplan.planner.search.solving import Iterate
 from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
@@ -53,9 +54,7 @@ class Search:
     repairs: Sequence["Repair"] = ()
     plans: list[Plan] = field(default_factory=list)
     verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung can change
-    # The plan of least time, once it was looked for: from the phase plane's motion, and by the first rungs of the ladder.
-    least_times: list[Plan | None] = field(default_factory=list)
-    shortest: list[Plan | None] = field(default_factory=list)
+    known: KnownMotions = field(default_factory=KnownMotions)
 
     @cached_property
     def quickest(self) -> Guess | None:

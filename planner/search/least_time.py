@@ -8,6 +8,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Rung, Search, climb
 from linkplan.planner.search.starts import (
+    PHASE_PLANE_LEAST_TIME,
     along_power,
     from_first_starts,
     from_the_phase_plane,
@@ -32,19 +33,21 @@ _RUNGS = (
 
 def shortest_motion(search: Search) -> Plan | None:
     """Return the certified plan of least time within a reach's limits; None where it was not found."""
-    found = [plan for plan in search.least_times if plan is not None and plan.passed]
     if not np.all(np.isfinite(search.problem.limits.effort)):  # no time is the least then, and none may be asked for
         return None
-    if not found and not search.shortest:
-        motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-        # Efforts constant over intervals, as least work has them, would be late.
-        mesh = replace(search.problem.mesh, effort="polynomial")
-        # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
-        hurried = search.within(replace(PATIENT, share_of_time=0.5))
-        free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
-        progress("looking for the shortest feasible duration")
-        with recording():
-            plan = climb(search.of_another(free), _RUNGS)
-        search.shortest.append(plan if plan is not None and plan.passed else None)
-    found += [plan for plan in search.shortest if plan is not None]
-    return min(found, key=lambda plan: plan.trajectory.duration_s, default=None)
+    plan = search.known.sought.get(PHASE_PLANE_LEAST_TIME)
+    if plan is None or not plan.passed:
+        plan = search.known.once("least time by the ladder", lambda: _by_the_ladder(search))
+    return plan if plan is not None and plan.passed else None
+
+
+def _by_the_ladder(search: Search) -> Plan | None:
+    motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
+    # Efforts constant over intervals, as least work has them, would be late.
+    mesh = replace(search.problem.mesh, effort="polynomial")
+    # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
+    hurried = search.within(replace(PATIENT, share_of_time=0.5))
+    free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
+    progress("looking for the shortest feasible duration")
+    with recording():
+        return climb(search.of_another(free), _RUNGS)

@@ -28,6 +28,8 @@ from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.solving import solve_from
 
+# The words on the least-time plan from the phase plane's motion, among the known motions.
+PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
 # Perturbed guesses among the first starts of a multistart.
 _FIRST_PERTURBED_GUESSES = 3
 # Factors on the number of intervals on which arcs along limits on power are held. Each mesh has a higher degree than the one
@@ -207,14 +209,15 @@ def with_switch_times(plan: Plan) -> Guess:
 
 def least_time_plan(search: Search, budget: Budget) -> Plan | None:
     """Return the plan of least time that the phase plane's motion leads to, solved for once; None without one."""
-    if not search.least_times:
+
+    def look() -> Plan | None:
         problem = search.within(budget)
         motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
         with recording():
-            plan = plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
-        search.least_times.append(plan)
-    return search.least_times[0]
+            return plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
+
+    return search.known.once(PHASE_PLANE_LEAST_TIME, look)
 
 
 def best_of_several(search: Search, budget: Budget) -> Plan | None:

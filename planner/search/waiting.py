@@ -5,6 +5,7 @@ motion, and the best start for the solver. The start uses the mesh of the least-
 rest, and its transcription: a coarser one finds false motions between its nodes.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -84,22 +85,27 @@ def _on_its_scheme(problem: PlanningProblem, quick: Plan) -> PlanningProblem:
 
 
 def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None:
-    """Return the plan of a rest and the best motion beside it that was found; None where its certificate does not pass."""
+    """Return the cheapest plan of a rest and a known motion beside it; None where no certificate of one passes."""
     if not set(search.problem.objective.weights) <= _STILL_TERMS:
         return None
     problem = search.within(budget)
-    moving = _a_little_longer(search, budget, quick) or quick
-    wait = problem.motion.duration_s - moving.trajectory.duration_s
-    for end in ("start", "goal"):
+    asked = problem.motion.duration_s
+    if len(search.known.motions) == 1:
+        longer = _a_little_longer(search, budget, quick)
+        if longer is not None:
+            search.known.add(longer.trajectory)
+    wholes = []
+    for end, motion in itertools.product(("start", "goal"), search.known.shorter_than(asked)):
         effort = _held(problem, end)
-        if effort is None:
-            continue
-        whole = _joined(moving.trajectory, wait, effort, first=end == "start")
-        objective, _ = objective_value(problem, whole)
-        said = (
-            f"motion of {whole.duration_s:.6g} s: {moving.message} and a rest of {wait:.4g} s"
-            f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
-        )
+        if effort is not None:
+            wait = asked - motion.duration_s
+            whole = _joined(motion, wait, effort, first=end == "start")
+            said = (
+                f"motion of {asked:.6g} s: a motion of {motion.duration_s:.6g} s and a rest of {wait:.4g} s"
+                f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
+            )
+            wholes.append((objective_value(problem, whole)[0], whole, said))
+    for objective, whole, said in sorted(wholes, key=lambda one: one[0]):
         plan = without_solving(problem, whole, objective, said)
         if plan.passed:
             return plan

@@ -1,8 +1,8 @@
 """Look for answers that contradict each other: `python -m tests.bench.contradictions [N] [SEED] [--family weak|rotary]`.
 
 weak: four-bars whose effort limit is below the effort that holds their weight. Each is planned for least time, then for
-least effort at multiples of that time. No longer duration may be "infeasible" where the machine can wait at rest at the start
-or the goal, and none may cost more than a shorter one and the wait. Below the least time there must be no motion.
+least effort at multiples of that time. Where the machine can wait at rest at the start or the goal, no longer one may be
+"infeasible" or cost more than a shorter one and the wait. Below the least time there must be no motion.
 rotary: one turn in least time. No answer may be slower than a turn under constant full effort or at constant speed.
 
 Answers are appended to a file of JSON lines (`--out`); those that are in it already are left out.
@@ -130,7 +130,7 @@ def contradictions(answers: dict, least_s: float, hold: float | None) -> list[st
 
 
 def rotary_answer(seed: int, number: int) -> dict:
-    """Return the answer to a turn in least time, the durations under constant effort and at constant speed, what is wrong."""
+    """Return the answer to a turn in least time, the known turns' durations, and what contradicts in them."""
     rng = np.random.default_rng([seed, number, 8])
     fourbar = random_fourbar(rng, crank_turns=True)
     s = np.linspace(-np.pi, np.pi, 721)

@@ -16,6 +16,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import duration_continuation
 from linkplan.planner.search.duration_continuation import MIN_SAVING, continued, from_continuation
+from linkplan.planner.search.known_motions import KnownMotions
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import least_time_motion
@@ -99,7 +100,7 @@ def test_a_least_time_motion_is_lengthened_to_the_fixed_duration_that_is_asked()
         HINGE, f'kind = "reach"\nstart_deg = {{ J = 10.0 }}\ngoal_deg = {{ J = 100.0 }}\nduration_s = {T}\n'
     )
     with recording() as steps:
-        reached = continued(problem, motion_of(quick), 40)
+        reached = continued(problem, motion_of(quick), 40, KnownMotions())
     assert reached is not None
     assert reached.start.duration_s == pytest.approx(T)
     assert not reached.enough
@@ -115,7 +116,7 @@ def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
     quick = body_plan(given, motion, "objective.minimize=time")
     assert quick.status == "optimal", quick.message
     problem = body_problem(given, motion)
-    reached = continued(problem, motion_of(quick.trajectory), 40)
+    reached = continued(problem, motion_of(quick.trajectory), 40, KnownMotions())
     assert reached is not None
     best = plan_motion(problem)
     assert best.status == "optimal", best.message
@@ -140,7 +141,7 @@ def test_a_least_duration_is_kept_by_a_motion_that_is_lengthened():
     T = quick.duration_s
     motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
     problem = body_problem(HINGE, motion + f"min_duration_s = {4 * T}\nmax_duration_s = {6 * T}\n")
-    reached = continued(problem, motion_of(quick), 40)
+    reached = continued(problem, motion_of(quick), 40, KnownMotions())
     assert reached is not None
     assert reached.longest_s >= 4 * T
     assert reached.start.duration_s >= 4 * T * (1 - 1e-9)
@@ -154,7 +155,7 @@ def test_switch_times_that_their_windows_hold_are_freed_on_the_way():
     problem = problem_from_tables("held", tables)
     search = Search(problem=problem, start_pose=start_pose_of(problem))
     quick = least_time_motion(search, PATIENT)
-    reached = continued(problem, quick, 80)
+    reached = continued(problem, quick, 80, KnownMotions())
     assert reached is not None
     assert not reached.lost
     assert reached.longest_s == pytest.approx(1.15 * case.shortest)

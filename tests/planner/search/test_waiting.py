@@ -8,8 +8,8 @@ from scipy.integrate import quad
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.files.problem_file import load_problem
-from linkplan.planner.planning import REPAIRS
+from linkplan.planner.files.problem_file import load_problem, problem_from_tables
+from linkplan.planner.planning import REPAIRS, plan_motion
 from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.least_time import shortest_motion
@@ -81,3 +81,25 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     motion = 'kind = "reach"\nstart_deg = { J = 30.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 4.0\n'
     problem = body_problem(PENDULUM.format(limit=repr(float(limit))), motion)
     assert waiting.may_wait(Search(problem=problem, start_pose=start_pose_of(problem))) is can_wait
+
+
+def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
+    model = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
+<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
+<actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
+
+    def problem(minimize: str, duration: float | str):
+        motion = {"kind": "reach", "start_m": {"x": 0.0}, "goal_m": {"x": 1.0}, "duration_s": duration}
+        tables = {"mechanism": {"model": model}, "motion": motion, "objective": {"minimize": minimize}}
+        return problem_from_tables("cart", tables)
+
+    quick, slow = plan_motion(problem("time", "free")), plan_motion(problem("effort", 1.5))
+    asked = problem("effort", 2.5)
+    search = Search(problem=asked, start_pose=start_pose_of(asked))
+    for plan in (quick, slow):
+        search.known.add(plan.trajectory)
+    joined = waiting._rest_and_motion(search, PATIENT, quick)
+    assert joined.passed
+    assert joined.trajectory.duration_s == pytest.approx(2.5, rel=1e-12)
+    assert joined.objective == pytest.approx(slow.objective, rel=1e-9)
+    assert joined.objective < 0.6 * quick.trajectory.duration_s * 6.0**2
