@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from linkplan.models.deadline import OutOfTimeError
+from linkplan.planner.closed_chain.answer import LOCALLY
 from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
@@ -164,7 +165,15 @@ def _planned(problem: PlanningProblem, rungs: Sequence[Rung], plans: list[Plan])
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose)
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
-    return reasons.contradicted(search) or reasons.too_short(search) or climb(search, rungs) or _diagnosed(search)
+    return reasons.contradicted(search) or reasons.too_short(search) or _climbed(search, rungs) or _diagnosed(search)
+
+
+def _climbed(search: Search, rungs: Sequence[Rung]) -> Plan | None:
+    """Return the plan of the rungs, or None; its message says "locally optimal" unless the phase plane proves more."""
+    plan = climb(search, rungs)
+    if plan is None or plan.status != "optimal" or not starts.judged_by_the_phase_plane(search)[0]:
+        return plan
+    return replace(plan, message=plan.message.removeprefix(LOCALLY))
 
 
 def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:

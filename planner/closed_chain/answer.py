@@ -13,6 +13,9 @@ from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.trajectory import Trajectory
 
+# The first word of an optimal plan's message, unless the phase plane shows that no motion is quicker.
+LOCALLY = "locally "
+
 
 def finished(
     problem: PlanningProblem,
@@ -71,8 +74,8 @@ def finished(
 
 
 def optimality(problem: PlanningProblem) -> str:
-    """Return the first words of an optimal plan's message."""
-    return f"{problem.objective.name.replace('_', ' ')}-optimal "
+    """Return the first words of an optimal plan's message: no solver shows more than a local optimum."""
+    return f"{LOCALLY}{problem.objective.name.replace('_', ' ')}-optimal "
 
 
 def _failure(plan: Plan) -> str | None:

@@ -172,20 +172,24 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
     return missed
 
 
-def quicker_guess(search: Search) -> Guess | None:
-    """Return the phase plane's motion if it is quicker than the least-time plan, a local optimum then; else None."""
+def judged_by_the_phase_plane(search: Search) -> tuple[bool, Guess | None]:
+    """Return whether the phase plane shows that no motion is quicker than the least-time plan, and a quicker one or None."""
     problem = search.problem
     if not search.only_time_counts or problem.mechanism.dof > 1 or other_limits(problem):
-        return None
+        return False, None
     duration = search.best.trajectory.duration_s
-    guess = search.quickest if quicker_may_exist(problem, search.start_pose, duration) else None
+    if not quicker_may_exist(problem, search.start_pose, duration):
+        return True, None
+    if search.quickest is None:
+        return False, None
     # The error of the phase plane's grid is below a thousandth.
-    return guess if guess is not None and duration > 1.002 * guess.duration_s else None
+    as_quick = duration <= 1.002 * search.quickest.duration_s
+    return as_quick, None if as_quick else search.quickest
 
 
 def _quicker_plan(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None without one."""
-    known, guess = search.best.trajectory.duration_s, quicker_guess(search)
+    known, (_, guess) = search.best.trajectory.duration_s, judged_by_the_phase_plane(search)
     # A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
     plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, mended=False)
     passes = plan is not None and plan.passed

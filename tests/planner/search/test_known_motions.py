@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from tests.bench.contradictions import rotary_answer, weak_case
@@ -99,3 +99,11 @@ def test_guesses_along_which_the_loops_open_lead_to_an_answer_and_not_to_an_exce
     solver = {"max_time_s": 20.0}
     tables = {"mechanism": {"model": "five-bar"}, "motion": motion, "objective": {"minimize": "effort"}, "solver": solver}
     assert plan_motion(problem_from_tables("far", tables)).status in ("infeasible", "failed")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("knee-sprint", "time-optimal motion"), ("knee-reach", "locally effort-optimal motion")],
+)
+def test_only_what_the_phase_plane_proves_is_called_more_than_locally_optimal(name, words):
+    assert plan_motion(load_problem(name)).message.startswith(words)
