@@ -125,9 +125,11 @@ def build_parser() -> Parser:
 
     tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle", report=True)
     _loop(tune)
-    tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of the closed loop, at least")
+    tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of the closed loop at -3 dB, at least")
     tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
     tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
+    tune.add_argument("--settling-s", type=float, metavar="T", help="longest settling to 2 %% (default: 5 / bandwidth)")
+    tune.add_argument("--damping-ratio", type=float, metavar="Z", help="least of the closed loop's poles (default: 0.4)")
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
     view.epilog = f"keys in the window: {keys_said()}\n\n{EPILOG}"

@@ -96,13 +96,15 @@ def run_tune(arguments: argparse.Namespace) -> int:
     from linkplan.controllers.sampling import sampling
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.feedback_loops import operating_point
-    from linkplan.studies.tune.tune import Wanted, tune
+    from linkplan.studies.tune.tune import LEAST_DAMPING_RATIO, Wanted, tune
     from linkplan.studies.tune.tune_report import tune_record, tune_text
 
     choose("tracker", arguments.tracker, LINEAR, ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
     wanted = Wanted(
+        settling_s=arguments.settling_s,
+        damping_ratio=LEAST_DAMPING_RATIO if arguments.damping_ratio is None else arguments.damping_ratio,
         bandwidth_hz=arguments.bandwidth_hz,
         phase_margin_deg=arguments.phase_margin_deg,
         sensitivity_peak=np.inf if arguments.sensitivity_peak is None else arguments.sensitivity_peak,

@@ -209,6 +209,16 @@ class FeedbackLoop:
             return bool(np.all(np.linalg.eigvals(self.matrix).real < 0))
         return self.radius < 1.0
 
+    @property
+    def stiffness_at_rest(self) -> float:
+        """The steady effort on the joint of a single freedom over the steady error that it causes [N.m/rad or N/m].
+
+        It is the gain on the position's error with the stiffness of weight and springs about the point.
+        """
+        point = self.point
+        A, B = (m[0] for m in linearise(point.mechanism, point.pose[None], point.velocity[None], point.hold[None]))
+        return float(point.inertia[0, 0] * (B[1] @ self.gain[:, 0] - A[1, 0]))
+
     def system(self) -> control.StateSpace:
         """Return the open loop from commands to K x as python-control's state space."""
         if self.kind == CONTINUOUS:

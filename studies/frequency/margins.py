@@ -14,6 +14,7 @@ import scipy.optimize
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
+from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
 from linkplan.studies.frequency.worst import local_minima
 
 # Phase crossings below this frequency are ignored: a double integrator tends to -180 deg as the frequency tends to zero.
@@ -51,6 +52,8 @@ class Margins:
     sensitivity_peak: float | None = None
     sensitivity_peak_hz: float | None = None
     spectral_radius: float | None = None  # of the sampled closed loop; below one is stable
+    settling_s: float | None = None  # to 2 % of an error, of the sampled closed loop's slowest pole
+    damping_ratio: float | None = None  # least, of its poles below half the Nyquist frequency
 
     def record(self) -> dict:
         """Return the figures by name."""
@@ -73,6 +76,9 @@ def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Mar
     if not loop.stable:
         return Margins(stable=False, spectral_radius=radius)
     found = _bounds(loop, channel, radius)
+    if loop.kind != CONTINUOUS:
+        poles, period = np.linalg.eigvals(loop.matrix), loop.timing.period_s
+        found = replace(found, settling_s=float(settling_time_s(poles, period)), damping_ratio=float(damping_ratio(poles)))
     classical = found.delay_margin_s
     if not refine or loop.kind == CONTINUOUS or classical is None:
         return found

@@ -7,18 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.sampling import Sampling, augmented, closed, spectral_radius
+from linkplan.controllers.sampling import Sampling, augmented, closed
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, channel_effort, feedback_loop
+from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class QuickMargins:
-    """Figures (n,) of n gains: largest pole, smallest phase margin [deg], peak of |S|, bandwidth of T [Hz] or infinite."""
+    """Figures (n,) of n gains, as in `Margins`; the bandwidth of T [Hz] is infinite where T falls by less than 3 dB."""
 
     radius: np.ndarray
     phase_margin_deg: np.ndarray
     sensitivity_peak: np.ndarray
     bandwidth_hz: np.ndarray
+    settling_s: np.ndarray
+    damping_ratio: np.ndarray
 
 
 def quick_margins(point: OperatingPoint, gains: np.ndarray, timing: Sampling, channel: int = 0) -> QuickMargins:
@@ -46,9 +49,12 @@ def quick_margins(point: OperatingPoint, gains: np.ndarray, timing: Sampling, ch
     with np.errstate(invalid="ignore", divide="ignore"):
         part = np.where(k > 0, before / (before - after), 0.0)
     band = np.exp(log[np.maximum(k - 1, 0)] + part * (log[k] - log[np.maximum(k - 1, 0)]))
+    poles = np.linalg.eigvals(closed(A, B, gains))
     return QuickMargins(
-        radius=spectral_radius(closed(A, B, gains)),
+        radius=np.abs(poles).max(axis=-1),
         phase_margin_deg=np.degrees(np.where(crossing, away, np.inf).min(axis=1)),
         sensitivity_peak=np.abs(S).max(axis=1),
         bandwidth_hz=np.where(np.any(drop < 0, axis=1), band, np.inf),
+        settling_s=settling_time_s(poles, timing.period_s),
+        damping_ratio=damping_ratio(poles),
     )

@@ -93,6 +93,8 @@ def tune(
     bandwidth_hz: float,
     phase_margin_deg: float = 60.0,
     sensitivity_peak: float | None = None,
+    settling_s: float | None = None,
+    damping_ratio: float = tuning.LEAST_DAMPING_RATIO,
     tracker: str = "pd",
     tracking: Mapping[str, float] | None = None,
     at_deg: Sequence[Mapping[str, float]] = (),
@@ -103,9 +105,11 @@ def tune(
 
     Args:
         subject: a mechanism of one degree of freedom, a `Problem` of one, or the name or path of either.
-        bandwidth_hz: least bandwidth of the closed loop [Hz].
+        bandwidth_hz: least bandwidth of the closed loop [Hz], at -3 dB of the complementary sensitivity.
         phase_margin_deg: least phase margin [deg].
         sensitivity_peak: the largest sensitivity; by default any.
+        settling_s: the longest time [s] in which an error settles to 2 %; by default 5 over the bandwidth.
+        damping_ratio: the least damping ratio of the closed loop's poles.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
         tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
         at_deg: poses, as for `bode`.
@@ -122,6 +126,8 @@ def tune(
         bandwidth_hz=number(plain(bandwidth_hz), "bandwidth_hz", positive=True),
         phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", at_least_zero=True),
         sensitivity_peak=peak,
+        settling_s=None if settling_s is None else number(plain(settling_s), "settling_s", positive=True),
+        damping_ratio=number(plain(damping_ratio), "damping_ratio", at_least_zero=True),
     )
     mechanism, planning, settings, limit = _loop_of(subject, tracking)
     if mechanism.dof != 1:

@@ -1,9 +1,9 @@
 """Gains from requirements: PD gains or LQR weights for a bandwidth and margins at the worst pose.
 
 Every candidate is evaluated at every pose with the sampled loop in the simulator's steps: stability, bandwidth of the
-complementary sensitivity, phase margin and sensitivity peak. Candidates lie on a grid of natural frequency and damping ratio
-around the required bandwidth, then on finer grids around the best. Among the candidates that meet the requirements, the best
-has the smallest damping gain, because this gain amplifies the noise of measured velocities.
+complementary sensitivity (-3 dB), phase margin, sensitivity peak, settling time and damping ratio. Candidates lie on a grid
+of natural frequency and damping ratio around the required bandwidth, then on finer grids around the best. Among those that
+meet the requirements, the best has the smallest damping gain, because this gain amplifies the noise of measured velocities.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,6 +26,8 @@ from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import effort_map
 from linkplan.studies.frequency.worst import local_minima
 
+# By default an error settles within this many cycles of the bandwidth, and poles have at least this damping ratio.
+SETTLING_CYCLES, LEAST_DAMPING_RATIO = 5.0, 0.4
 # Search range of the natural frequency, in units of the required bandwidth, and of the damping ratio.
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
 _DAMPING_RATIO_RANGE = (0.15, 8.0)
@@ -44,11 +46,22 @@ _SAME_POSE_SHARE = 1e-3
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Wanted:
-    """The requirements at the worst pose: least bandwidth [Hz], least phase margin [deg], largest peak of |S|."""
+    """The requirements at the worst pose.
+
+    The least bandwidth [Hz] of the complementary sensitivity (-3 dB), the least phase margin [deg], the largest peak of |S|,
+    the longest settling time [s] to 2 % of an error (None: `SETTLING_CYCLES` over the bandwidth), the least damping ratio.
+    """
 
     bandwidth_hz: float
     phase_margin_deg: float
     sensitivity_peak: float = np.inf
+    settling_s: float | None = None
+    damping_ratio: float = LEAST_DAMPING_RATIO
+
+    @property
+    def longest_settling_s(self) -> float:
+        """The longest settling time [s]."""
+        return SETTLING_CYCLES / self.bandwidth_hz if self.settling_s is None else self.settling_s
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.bandwidth_hz) and self.bandwidth_hz > 0):
@@ -57,14 +70,19 @@ class Wanted:
             raise LinkplanError(f"the wanted phase margin is from 0 to 180 degrees, got {self.phase_margin_deg:g}")
         if not self.sensitivity_peak > 1:
             raise LinkplanError(f"the sensitivity's peak is wanted above 1, got {self.sensitivity_peak:g}")
+        if self.settling_s is not None and not self.settling_s > 0:
+            raise LinkplanError(f"the settling time is a positive number of seconds, got {self.settling_s:g}")
+        if not 0 <= self.damping_ratio <= 1:
+            raise LinkplanError(f"the damping ratio is from 0 to 1, got {self.damping_ratio:g}")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class EvaluatedGains:
-    """One set of gains with its margins at every pose, and the largest relative shortfall, zero if there is none."""
+    """One set of gains with its margins and stiffness at rest at every pose, and the largest relative shortfall or zero."""
 
     settings: Tracking
     bounds: tuple[Margins, ...]
+    stiffness: tuple[float, ...]  # [N.m/rad or N/m], NaN where there is no gain
     shortfall: float
 
     def worst(self, name: str, largest: bool = False) -> tuple[float | None, int]:
@@ -190,6 +208,8 @@ def _shortfall(found: Margins | None, wanted: Wanted, timing: Sampling) -> float
     short = [float(np.log(wanted.bandwidth_hz / band)), found.sensitivity_peak / wanted.sensitivity_peak - 1.0]
     if wanted.phase_margin_deg and found.phase_margin_deg is not None:
         short.append(1.0 - found.phase_margin_deg / wanted.phase_margin_deg)
+    short.append(float(np.log(found.settling_s / wanted.longest_settling_s)))
+    short.append(wanted.damping_ratio - found.damping_ratio)
     return max(short)
 
 
@@ -258,21 +278,26 @@ def _shortfalls(points, candidates: list[Tracking], wanted: Wanted, timing: Samp
         if wanted.phase_margin_deg:
             short = np.maximum(short, 1.0 - quick.phase_margin_deg / (wanted.phase_margin_deg * _SEARCH_RESERVE))
         short = np.maximum(short, quick.sensitivity_peak * _SEARCH_RESERVE / wanted.sensitivity_peak - 1.0)
+        with np.errstate(invalid="ignore"):
+            short = np.maximum(short, np.log(quick.settling_s * _SEARCH_RESERVE / wanted.longest_settling_s))
+        short = np.maximum(short, wanted.damping_ratio * _SEARCH_RESERVE - quick.damping_ratio)
         total = np.maximum(total, np.where(stable, short, _UNSTABLE_SHORTFALL + quick.radius))
     return total
 
 
 def _evaluated(points, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str) -> EvaluatedGains:
     """Return gains with their margins and the largest relative shortfall."""
-    bounds, shortfall = [], 0.0
+    bounds, stiffness, shortfall = [], [], 0.0
     for point in points:
         try:
-            found = margins(feedback_loop(point, law_gain(point, law, settings, effort_limit), timing))
+            loop = feedback_loop(point, law_gain(point, law, settings, effort_limit), timing)
+            found, stiff = margins(loop), loop.stiffness_at_rest
         except LinkplanError:
-            found = Margins(stable=False)
+            found, stiff = Margins(stable=False), np.nan
         bounds.append(found)
+        stiffness.append(stiff)
         shortfall = max(shortfall, min(_shortfall(found, wanted, timing), _UNSTABLE_SHORTFALL))
-    return EvaluatedGains(settings=settings, bounds=tuple(bounds), shortfall=float(shortfall))
+    return EvaluatedGains(settings=settings, bounds=tuple(bounds), stiffness=tuple(stiffness), shortfall=float(shortfall))
 
 
 def _message(
@@ -291,8 +316,14 @@ def _message(
     if found:
         band, at_band = best.worst("bandwidth_hz")
         phase, at_phase = best.worst("phase_margin_deg")
-        reached = [] if band is None else [f"bandwidth {band:.4g} Hz at the least ({points[at_band].name})"]
+        settling, at_settling = best.worst("settling_s", largest=True)
+        softest = int(np.argmin(best.stiffness))
+        joint = points[0].mechanism.independent_joints[0]
+        unit = "N.m/rad" if joint.kind == "hinge" else "N/m"
+        reached = [] if band is None else [f"bandwidth (-3 dB) {band:.4g} Hz at the least ({points[at_band].name})"]
         reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({points[at_phase].name})"]
+        reached.append(f"an error settles to 2 % within {settling:.3g} s ({points[at_settling].name})")
+        reached.append(f"stiffness at rest {best.stiffness[softest]:.4g} {unit} at the least ({points[softest].name})")
         return f"{LAW_NAMES[law]} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
     # The hold of one period and the delay cost this much phase at the required bandwidth with any gains.
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
@@ -312,9 +343,11 @@ def _reason(points, wanted: Wanted, best: EvaluatedGains) -> str:
         ("bandwidth_hz", "a bandwidth of", " Hz", wanted.bandwidth_hz),
         ("phase_margin_deg", "a phase margin of", " deg", wanted.phase_margin_deg),
         ("sensitivity_peak", "a peak of |S| of", "", wanted.sensitivity_peak),
+        ("settling_s", "a settling time of", " s", wanted.longest_settling_s),
+        ("damping_ratio", "a damping ratio of", "", wanted.damping_ratio),
     ):
-        is_peak = name == "sensitivity_peak"
-        value, index = best.worst(name, largest=is_peak)
-        if value is not None and (value > limit if is_peak else value < limit):
+        is_bound_above = name in ("sensitivity_peak", "settling_s")
+        value, index = best.worst(name, largest=is_bound_above)
+        if value is not None and (value > limit if is_bound_above else value < limit):
             violated.append(f"{words} {value:.4g}{unit} at {points[index].name}")
     return f"the nearest has {' and '.join(violated)}"

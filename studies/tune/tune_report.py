@@ -33,11 +33,13 @@ def tune_record(tuning: Tuning) -> dict:
             "bandwidth_hz": tuning.wanted.bandwidth_hz,
             "phase_margin_deg": tuning.wanted.phase_margin_deg,
             "sensitivity_peak": tuning.wanted.sensitivity_peak if np.isfinite(tuning.wanted.sensitivity_peak) else None,
+            "settling_s": tuning.wanted.longest_settling_s,
+            "damping_ratio": tuning.wanted.damping_ratio,
         },
         "gains": gains,
         "points": [
-            {f"position_{joint.unit}": joint.shown(point.state[0]), **bounds.record()}
-            for point, bounds in zip(tuning.points, best.bounds, strict=True)
+            {f"position_{joint.unit}": joint.shown(point.state[0]), **bounds.record(), "stiffness_at_rest": stiffness}
+            for point, bounds, stiffness in zip(tuning.points, best.bounds, best.stiffness, strict=True)
         ],
     }
 
@@ -90,8 +92,12 @@ def tune_text(tuning: Tuning) -> str:
             m.phase_margin_deg,
             m.gain_margin_db,
             m.sensitivity_peak,
+            m.settling_s,
+            m.damping_ratio,
+            stiffness,
         ]
-        for p, m in zip(tuning.points, tuning.best.bounds, strict=True)
+        for p, m, stiffness in zip(tuning.points, tuning.best.bounds, tuning.best.stiffness, strict=True)
     ]
-    head = [f"{joint.name} [{joint.unit}]", "stable", "bandwidth [Hz]", "PM [deg]", "GM [dB]", "max |S|"]
+    head = [f"{joint.name} [{joint.unit}]", "stable", "bandwidth -3 dB [Hz]", "PM [deg]", "GM [dB]", "max |S|"]
+    head += ["settling [s]", "damping", f"stiffness [{force}/{turn}]"]
     return "\n".join([*lines, "", table(head, rows)])

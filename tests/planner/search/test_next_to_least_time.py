@@ -1,6 +1,7 @@
 """Motions that may take only a little longer than the least time: they exist, and are never called infeasible."""
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,10 +58,9 @@ def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkey
     asked = problem.motion.duration_s
     search = Search(problem=problem, start_pose=start_pose_of(problem))
 
-    def named(search, details):
-        del search
-        details["shortest_duration_s"] = known * asked
-        return f"; the shortest feasible duration is {known * asked:.5g} s"
+    def named(search, _details):
+        search.known.add(SimpleNamespace(duration_s=known * asked))
+        return ""
 
     monkeypatch.setattr(reasons, "shortest_sentence", named)
     plan = reasons._infeasible(search, "infeasible: act_O would have to give more than it can", {})

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from linkplan.controllers.sampling import sampling
+from linkplan.controllers.sampling import augmented, sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
+from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
 from linkplan.studies.tune.tune import Wanted, tune
 from linkplan.studies.tune.tune_report import motor_gains, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
@@ -46,10 +47,10 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
 
 @pytest.mark.slow
 def test_a_sensitivity_peak_is_kept():
-    loose, tight = tuned(None, "pd", 60.0, 30.0, 1e-3), tuned(None, "pd", 60.0, 30.0, 1e-3, peak=1.5)
+    loose, tight = tuned(None, "pd", 60.0, 30.0, 1e-3), tuned(None, "pd", 60.0, 30.0, 1e-3, peak=1.4)
     assert tight.found
-    assert tight.best.worst("sensitivity_peak", largest=True)[0] <= 1.5
-    assert loose.best.worst("sensitivity_peak", largest=True)[0] > 1.5
+    assert tight.best.worst("sensitivity_peak", largest=True)[0] <= 1.4
+    assert loose.best.worst("sensitivity_peak", largest=True)[0] > 1.4
 
 
 @pytest.mark.slow
@@ -108,3 +109,55 @@ def test_wanted_nonsense_is_refused(values, words):
 def test_a_bandwidth_beyond_nyquist_is_refused():
     with pytest.raises(LinkplanError, match="Nyquist"):
         tuned(None, "pd", 600.0, 60.0, 1e-3)
+
+
+# A four-bar whose inertia changes fifteenfold: 30 Hz and 50 deg with a delay are met only by a loop that creeps for seconds.
+FOUR_BAR = """<mujoco><compiler angle="degree" autolimits="true"/><option timestep="0.0002"/><worldbody>
+<body name="crank" pos="0 0 1" euler="0 -67.25 0"><joint name="J1" axis="0 1 0" damping="0.01" armature="0.0008"
+ range="-112.75 112.75"/><inertial pos="-0.0171764 0 0.1167173" mass="1.25981" diaginertia="0.0052311 0.0052311 0.0052311"/>
+<body name="coupler" pos="0 0 0.22196551582805346" euler="0 238.80836311623435 0"><joint name="J2" axis="0 1 0"/>
+<inertial pos="-0.0353925 0 0.0841411" mass="0.8464220" diaginertia="0.0029929 0.0029929 0.0029929"/>
+<site name="tip" pos="0 0 0.26191718141585807"/></body></body>
+<body name="rocker" pos="0.16135985711961665 0 1" euler="0 -117.87051600108566 0"><joint name="J3" axis="0 1 0"
+ damping="0.005"/><inertial pos="-0.0430349 0 0.1888777" mass="1.5614725" diaginertia="0.0272916 0.0272916 0.0272916"/>
+<site name="pin" pos="0 0 0.3705932079874623"/></body></worldbody>
+<equality><connect name="B" site1="tip" site2="pin" solref="0.0004 1" solimp="0.9999 0.9999 0.001"/></equality>
+<actuator><motor name="drive" joint="J1" ctrlrange="-50 50"/></actuator></mujoco>"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase_margin_deg", [50.0, 40.0])
+def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seconds(phase_margin_deg):
+    mechanism = load_mechanism(FOUR_BAR)
+    points = [operating_point(mechanism, np.radians([angle])) for angle in (-110.49, 0.0, 45.1, 110.49)]
+    wanted, timing = Wanted(bandwidth_hz=30.0, phase_margin_deg=phase_margin_deg), sampling(mechanism, 1e-3, 1)
+    found = tune(points, wanted, Tracking(period_s=1e-3, delay_periods=1), timing, mechanism.effort_limit)
+    assert found.found is (phase_margin_deg < 50.0)
+    for point, stiffness in zip(found.points, found.best.stiffness, strict=True):
+        gain = law_gain(point, "pd", found.best.settings, mechanism.effort_limit)
+        loop = feedback_loop(point, gain, found.timing)
+        # The state after the time in which an error is to settle, from the loop's own steps.
+        steps = round(wanted.longest_settling_s / 1e-3)
+        after = np.linalg.matrix_power(loop.matrix, steps)[0, 0]
+        assert abs(after) < 0.05
+        # A steady torque on the joint moves it by the torque over the stiffness.
+        _, push = augmented(loop.A, loop.B, loop.B_late, loop.timing)
+        steady = np.linalg.solve(np.eye(len(loop.matrix)) - loop.matrix, push[:, 0])
+        assert steady[0] == pytest.approx(1.0 / stiffness, rel=1e-3)
+
+
+def test_the_message_states_the_level_of_the_bandwidth_and_the_stiffness():
+    mechanism = load_mechanism(inertia_alone(0.05, 3.0))
+    point, timing = operating_point(mechanism, np.zeros(1)), sampling(mechanism, 1e-4)
+    wanted = Wanted(bandwidth_hz=5.0, phase_margin_deg=60.0)
+    found = tune([point], wanted, Tracking(period_s=1e-4), timing, mechanism.effort_limit)
+    assert "bandwidth (-3 dB)" in found.message
+    assert f"stiffness at rest {found.best.settings.kp:.4g} N.m/rad" in found.message
+    assert "-3 dB [Hz]" in " ".join(tune_text(found).split()) or "-3 dB" in tune_text(found)
+
+
+def test_poles_of_a_second_order_system_have_its_damping_ratio_and_settle_with_its_slowest():
+    poles = np.exp(1e-3 * np.array([[-3.0 + 4.0j, -3.0 - 4.0j], [-2.0, -20.0]]))
+    np.testing.assert_allclose(damping_ratio(poles), [0.6, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(settling_time_s(poles, 1e-3), np.log(50.0) / np.array([3.0, 2.0]), rtol=1e-9)
+    assert np.isinf(settling_time_s(np.array([1.01]), 1e-3))
