@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 from linkplan.controllers.imperfections.driving import Driving, act, driving, stretches, take
 from linkplan.controllers.imperfections.gaping import ClosureWatch
 from linkplan.controllers.imperfections.imperfections import Imperfections
-from linkplan.controllers.imperfections.plant import Plant, as_modelled, plant
+from linkplan.controllers.imperfections.plant import Plant, as_modelled, held_before, plant
 from linkplan.controllers.imperfections.pushing import Pushing, pushing
 from linkplan.controllers.imperfections.servos import servo_inversion
 from linkplan.controllers.imperfections.spreading import spread
@@ -71,6 +71,7 @@ class MujocoPlant:
             [float(one.model.opt.timestep) for one in plants],
             substeps,
             loop.effort_limit,
+            held_before(mechanism, reference),
         )
         stepper = MujocoStepper(
             mechanism, plants, drives, substeps, base=base, pushes=pushing(machines, plants, mechanism, substeps),

@@ -55,10 +55,25 @@ class Driving:
 
 
 def driving(
-    drives: Sequence[Drives], delays: Sequence[float], timesteps_s: Sequence[float], substeps: int, limit: np.ndarray
+    drives: Sequence[Drives],
+    delays: Sequence[float],
+    timesteps_s: Sequence[float],
+    substeps: int,
+    limit: np.ndarray,
+    held: np.ndarray | None = None,
 ) -> Driving:
-    """Return the drives for delays [control periods], timesteps [s], simulator steps per period, and limits (n_u, 2)."""
+    """Return the drives of machines (n,).
+
+    Args:
+        drives: of each machine.
+        delays: of each [control periods].
+        timesteps_s: of each.
+        substeps: simulator steps per period.
+        limit: (n_u, 2) [N.m or N].
+        held: (n_u,) efforts before the first command, at which lags and rate limits begin; zero by default.
+    """
     n_u = len(limit)
+    held = np.zeros(n_u) if held is None else np.clip(held, limit[:, 0], limit[:, 1])
 
     def of_all(name: str) -> np.ndarray:
         return stacked([getattr(one, name) for one in drives], n_u)
@@ -93,7 +108,7 @@ def driving(
         rounded=bool(np.any(resolution > 0)),
         n_queued=n_queued,
         queue=np.zeros((len(drives), n_queued, n_u)),
-        output=np.zeros((len(drives), n_u)),
+        output=np.tile(held, (len(drives), 1)),
     )
 
 
@@ -117,8 +132,8 @@ def take(drives: Driving, k: int, command: np.ndarray) -> None:
     np.maximum(command, drives.low, out=slot)
     np.minimum(slot, drives.high, out=slot)
     if k == 0:
-        # Until the first command arrives, its value acts already, as if the loop had been running before.
-        drives.queue[:], drives.output[:] = slot[:, None].copy(), slot
+        # Until the first command arrives, its value acts already: a delay begins with the loop running.
+        drives.queue[:] = slot[:, None].copy()
 
 
 def act(drives: Driving, k: int, j: int) -> np.ndarray:

@@ -28,8 +28,9 @@ class Clock:
 class Sensors:
     """Encoders on the independent joints: resolution, offset and noise (standard deviations) [rad or m, and per second].
 
-    With `velocity_filter_hz`, the velocity is the first-order low-pass filtered difference quotient of the measured
-    position; otherwise it is measured directly. The noise depends on `noise_seed` only.
+    The velocity is the difference quotient of the measured position, with a first-order low-pass filter at
+    `velocity_filter_hz`. Without that frequency it is the plain quotient if positions are rounded, and measured directly if
+    they are not, or if `velocity_noise` describes a sensor of its own. The noise depends on `noise_seed` only.
     """
 
     resolution: Each = 0.0
@@ -38,6 +39,11 @@ class Sensors:
     velocity_noise: Each = 0.0
     velocity_filter_hz: float | None = None
     noise_seed: tuple[int, ...] = (0,)
+
+    @property
+    def differentiates(self) -> bool:
+        """Whether velocities are difference quotients of measured positions."""
+        return self.velocity_filter_hz is not None or (bool(np.any(self.resolution)) and not np.any(self.velocity_noise))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

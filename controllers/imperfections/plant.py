@@ -15,6 +15,7 @@ from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.payload import BODY_NAME
+from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.stiffness import make_dry
 
@@ -103,6 +104,14 @@ def start_of(
     return pose, closed_rates(model, data, mechanism, pose, rates)
 
 
+def held_before(mechanism: Mechanism, reference: SampledReference) -> np.ndarray:
+    """Return the efforts (n_u,) before the first command: those that hold a start at rest, else the reference's own."""
+    if np.any(reference.velocity[0]):
+        return reference.effort[0]
+    still = np.zeros((1, mechanism.dof))
+    return needed_effort(mechanism, reference.pose[:1], still, still)[0][0]
+
+
 def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:
     """Multiply mass and inertia of the payload, or of all moving bodies without one; `data` is overwritten."""
     if factor == 1.0:
@@ -172,9 +181,7 @@ def _change_geometry(model: mujoco.MjModel, data: mujoco.MjData, machine: Machin
         body = body_index(model, name)
         joints = np.flatnonzero(model.jnt_bodyid == body)
         about = model.jnt_pos[joints[0]].copy() if len(joints) else np.zeros(3)
-        for points in _points_of(model, body):
-            points[:] = about + factor * (points - about)
-        _separate_frames(model, body)
+        _scale_points(model, body, about, factor)
     if machine.com_shift_m is not None:
         body = body_index(model, BODY_NAME)
         model.body_ipos[body] += machine.com_shift_m
@@ -182,6 +189,16 @@ def _change_geometry(model: mujoco.MjModel, data: mujoco.MjData, machine: Machin
     kept = model.eq_data.copy()
     mujoco.mj_setConst(model, data)
     model.eq_data[:] = kept
+
+
+def _scale_points(model: mujoco.MjModel, body: int, about: np.ndarray, factor: float) -> None:
+    """Scale the points fixed to a body about a point (3,) of its frame; bodies welded to it, such as a payload, scale too."""
+    for points in _points_of(model, body):
+        points[:] = about + factor * (points - about)
+    _separate_frames(model, body)
+    for child in np.flatnonzero(model.body_parentid == body):
+        if child != body and model.body_dofnum[child] == 0:
+            _scale_points(model, int(child), np.zeros(3), factor)
 
 
 def _separate_frames(model: mujoco.MjModel, body: int) -> None:

@@ -19,6 +19,7 @@ _NOISE_BLOCK_INSTANTS = 256
 class Sensing:
     """Sensors of simulations (n,) with their state: arrays (n, n_s), `filtered` and `pole` (n, 1).
 
+    `filtered` marks velocities that are differences of measured positions, with a filter's `pole` or 0 for none.
     `before` is the last measured position and `estimate` the last filtered velocity. `generators` make the noise; `drawn`
     (n, t, 2 n_s) holds its present block, with t = 0 without noise. `measure` changes `before`, `estimate` and `drawn`.
     """
@@ -52,7 +53,7 @@ def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarr
     noise = np.concatenate([of_all("noise"), of_all("velocity_noise")], axis=1)
     filters = [one.velocity_filter_hz for one in sensors]
     poles = [0.0 if f is None else float(np.exp(-2 * np.pi * f * period_s)) for f in filters]
-    filtered = np.array([[f is not None] for f in filters])
+    filtered = np.array([[one.differentiates] for one in sensors])
     resolution, offset, noisy = of_all("resolution"), of_all("offset"), bool(np.any(noise))
     return Sensing(
         period_s=period_s,
