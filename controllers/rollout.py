@@ -11,12 +11,12 @@ from linkplan.models.mechanism import Mechanism
 class ControlLoop:
     """The feedback loop's properties between a tracker and the mechanism.
 
-    `effort_limit` (n_u, 2) [N.m or N] saturates commands. A command acts after `delay_periods` whole control periods.
+    `effort_limit` (n_u, 2) [N.m or N] saturates commands. A command acts after `delay_periods`, which may be a fraction.
     `mass_factor` multiplies the payload's mass and inertia, or those of all moving bodies if there is no payload.
     """
 
     effort_limit: np.ndarray
-    delay_periods: int = 0
+    delay_periods: float = 0
     mass_factor: float = 1.0
 
 

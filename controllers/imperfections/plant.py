@@ -192,7 +192,7 @@ def _change_geometry(model: mujoco.MjModel, data: mujoco.MjData, machine: Machin
 
 
 def _scale_points(model: mujoco.MjModel, body: int, about: np.ndarray, factor: float) -> None:
-    """Scale the points fixed to a body about a point (3,) of its frame; bodies welded to it, such as a payload, scale too."""
+    """Scale the points fixed to a body about a point (3,) of its frame, and those of bodies welded to it: a payload."""
     for points in _points_of(model, body):
         points[:] = about + factor * (points - about)
     _separate_frames(model, body)

@@ -255,7 +255,7 @@ def _at(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--at-deg", action="append", default=[], metavar="JOINT=ANGLE", help=text)
 
 
-def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: int) -> None:
+def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: float) -> None:
     _anyway(parser)
     parser.add_argument(
         "--mass-factor",
@@ -266,7 +266,7 @@ def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: int) -
     )
     parser.add_argument(
         "--delay-periods",
-        type=int,
+        type=float,
         default=delay,
         metavar="N",
         help="mismatch: further control periods of delay (default: %(default)s)",

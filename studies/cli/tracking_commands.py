@@ -54,7 +54,7 @@ def _check_mismatch(arguments: argparse.Namespace) -> bool:
     if not (np.isfinite(factor) and factor > 0):
         raise ProblemError(f"--mass-factor is a positive number, got {factor:g}")
     if not 0 <= delay <= 1000:
-        raise ProblemError(f"--delay-periods is a whole number from 0 to 1000, got {delay}")
+        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {delay:g}")
     return factor != 1.0 or delay != 0
 
 

@@ -25,7 +25,7 @@ from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.values import number, whole
+from linkplan.planner.problem.values import number
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.run_time import RunTime, run_time
 from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
@@ -42,7 +42,7 @@ class Mismatch:
 
     name: str
     mass_factor: float
-    delay_periods: int
+    delay_periods: float  # may be a fraction
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -58,10 +58,10 @@ class Comparison:
     run_time: dict[str, RunTime] = field(default_factory=dict)
 
 
-def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: int = 1) -> Mismatch:
+def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: float = 1) -> Mismatch:
     """Return the mismatch with a factor on the payload (or all moving masses without one) and an additional delay."""
     what = "payload" if plan.problem.mechanism.payload is not None else "moving masses"
-    delay = f"{delay_periods} control period{'s' if delay_periods != 1 else ''} of delay"
+    delay = f"{delay_periods:g} control period{'s' if delay_periods != 1 else ''} of delay"
     return Mismatch(
         name=f"{what} {100 * (mass_factor - 1):+.3g} %, {delay}", mass_factor=mass_factor, delay_periods=delay_periods
     )
@@ -71,10 +71,12 @@ def mismatch_of(plan: Plan, mass_factor: object, delay_periods: object) -> Misma
     """Return the mismatch of a factor on masses and an additional delay, or None if neither changes the machine.
 
     Raises:
-        ProblemError: if the factor is not positive, or the delay is not a whole number of control periods.
+        ProblemError: if the factor is not positive, or the delay is not a number of control periods from 0 to 1000.
     """
     factor = number(mass_factor, "mass_factor", positive=True)
-    delay = whole(delay_periods, "delay_periods", 0, MOST_DELAY_PERIODS)
+    delay = number(delay_periods, "delay_periods", at_least_zero=True)
+    if delay > MOST_DELAY_PERIODS:
+        raise ProblemError(f"delay_periods is from 0 to {MOST_DELAY_PERIODS} control periods, got {delay:g}")
     return None if factor == 1.0 and delay == 0 else default_mismatch(plan, factor, delay)
 
 

@@ -1,25 +1,34 @@
 """The unit of work of an experiment: a block of samples with every tracker, as columns."""
 
-from linkplan.controllers.mujoco_plant import MujocoPlant
+from linkplan.controllers.mujoco_plant import MujocoPlant, substeps_of
 from linkplan.controllers.simulate import bytes_each, simulate
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
 from linkplan.studies.experiment.metrics import measured, metrics_of, within_tube
 
-# Samples of a block: a worker computes one block at a time, and an interruption loses at most one block.
-BLOCK_SAMPLES = 128
+# A worker computes one block at a time, and an interruption loses at most one block. The most samples of a block, and the
+# simulator steps that it has about: some ten seconds.
+BLOCK_SAMPLES, BLOCK_STEPS = 128, 2_000_000
 # Largest log of simulations that are stepped together.
 _MAX_LOG_BYTES = 256 << 20
 
 
-def block_count(n: int) -> int:
-    """Return the number of blocks of n samples."""
-    return -(-n // BLOCK_SAMPLES)
+def block_samples(experiment: Experiment) -> int:
+    """Return the number of samples of a whole block."""
+    reference, mechanism = experiment.reference, experiment.plan.problem.mechanism
+    steps = reference.n * substeps_of(mechanism, reference.period_s) * len(experiment.settings.trackers)
+    return max(1, min(BLOCK_SAMPLES, BLOCK_STEPS // steps))
 
 
-def samples_of(block: int, n: int) -> range:
+def block_count(experiment: Experiment) -> int:
+    """Return the number of blocks."""
+    return -(-experiment.n // block_samples(experiment))
+
+
+def samples_of(block: int, experiment: Experiment) -> range:
     """Return the samples of a block."""
-    return range(block * BLOCK_SAMPLES, min(n, (block + 1) * BLOCK_SAMPLES))
+    size = block_samples(experiment)
+    return range(block * size, min(experiment.n, (block + 1) * size))
 
 
 def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int | None = None) -> dict[str, list]:
@@ -31,7 +40,7 @@ def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int |
         threads: simulator threads; 0 for one per core.
         batch: most simulations stepped together; results do not depend on it.
     """
-    samples = samples_of(block, experiment.n)
+    samples = samples_of(block, experiment)
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
     together = max(1, min(batch or BLOCK_SAMPLES, _MAX_LOG_BYTES // bytes_each(mechanism, reference.n)))
     found: dict[tuple[int, str], dict] = {}

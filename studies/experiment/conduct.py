@@ -59,13 +59,13 @@ def conduct(
     for line in unbatched_notes(experiment):
         say(line)
     there = done(folder)
-    progress = Progress(experiment.n, sum(len(samples_of(block, experiment.n)) for block in there), "samples", say)
+    progress = Progress(experiment.n, sum(len(samples_of(block, experiment)) for block in there), "samples", say)
     work = functools.partial(_work, folder, settings, written, sources, threads, batch)
-    todo = [block for block in range(block_count(experiment.n)) if block not in there]
+    todo = [block for block in range(block_count(experiment)) if block not in there]
     with contextlib.closing(streamed(engine, work, todo, say)) as results:
         for block, columns in results:
             write_part(folder, block, columns, experiment)
-            progress.more(len(samples_of(block, experiment.n)))
+            progress.more(len(samples_of(block, experiment)))
     return experiment
 
 

@@ -187,8 +187,17 @@ def fall_note(experiment: Experiment) -> str | None:
 
 
 def imperfections_asked(plan: Plan) -> dict:
-    """Return the table [imperfections] of a plan's problem, or the default table."""
-    return dict(plan.problem.source.get("imperfections") or default_imperfections(plan))
+    """Return the table [imperfections] of a plan's problem, an empty one for none; without a table, the default ones."""
+    table = plan.problem.source.get("imperfections")
+    return default_imperfections(plan) if table is None else dict(table)
+
+
+def defaults_note(plan: Plan) -> str | None:
+    """Return the note that the default imperfections are used, or None if the problem has a table of its own."""
+    if plan.problem.source.get("imperfections") is not None:
+        return None
+    names = ", ".join(default_imperfections(plan))
+    return f"without [imperfections], those of a carefully built machine are used: {names}"
 
 
 def settings_record(settings: Settings) -> dict:

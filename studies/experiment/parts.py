@@ -51,8 +51,8 @@ def write_results(folder: Path, path: Path, experiment: Experiment) -> None:
 
     schema = schema_of(column_kinds(experiment))
     with parquet.ParquetWriter(path, schema) as writer:
-        for block in range(block_count(experiment.n)):
-            columns = read_results(part(folder, block, "parquet"), experiment, samples_of(block, experiment.n))
+        for block in range(block_count(experiment)):
+            columns = read_results(part(folder, block, "parquet"), experiment, samples_of(block, experiment))
             writer.write_table(pa.table(columns, schema=schema))
 
 

@@ -1,8 +1,9 @@
 """Means and shares with 95 % confidence intervals.
 
-Means have Student's interval. Shares have Wilson's interval (Journal of the American Statistical Association 22, 1927),
-which is also valid near 0 and 1. Both assume independent samples. The mean of a Latin hypercube varies less, so its interval
-is conservative.
+Means have Student's interval. The mean of a Latin hypercube varies less than that of independent samples, so an experiment
+has several independent hypercubes, and the interval follows from their means. Shares have Wilson's interval (Journal of the
+American Statistical Association 22, 1927), which is also valid near 0 and 1. It assumes independent samples, and is
+conservative for a hypercube.
 """
 
 from dataclasses import dataclass
@@ -29,17 +30,25 @@ _NO_ESTIMATE = Estimate(value=float("nan"), low=float("nan"), high=float("nan"),
 
 
 @np.errstate(over="ignore", invalid="ignore")  # diverging loops have huge efforts, and an infinite interval
-def mean_of(values: np.ndarray, confidence: float = 0.95) -> Estimate:
-    """Return the mean of the finite values among (n,)."""
+def mean_of(values: np.ndarray, replicate: np.ndarray | None = None, confidence: float = 0.95) -> Estimate:
+    """Return the mean of the finite values among (n,).
+
+    `replicate` (n,) is the number of the independent group that each value belongs to; by default each is its own.
+    """
     from scipy.stats import t
 
-    kept = values[np.isfinite(values)]
+    finite = np.isfinite(values)
+    kept = values[finite]
     if not len(kept):
         return _NO_ESTIMATE
-    mean = float(np.mean(kept))
-    if len(kept) == 1:
-        return Estimate(value=mean, low=-np.inf, high=np.inf, n=1)
-    half = float(t.ppf(0.5 + confidence / 2, len(kept) - 1) * np.std(kept, ddof=1) / np.sqrt(len(kept)))
+    _, group = np.unique(np.arange(len(kept)) if replicate is None else replicate[finite], return_inverse=True)
+    share = np.bincount(group) / len(kept)
+    means = np.bincount(group, kept) / np.bincount(group)
+    mean, groups = float(np.mean(kept)), len(means)
+    if groups == 1:
+        return Estimate(value=mean, low=-np.inf, high=np.inf, n=len(kept))
+    error = np.sqrt(groups / (groups - 1) * np.sum((share * (means - mean)) ** 2))
+    half = float(t.ppf(0.5 + confidence / 2, groups - 1) * error)
     return Estimate(value=mean, low=mean - half, high=mean + half, n=len(kept))
 
 
@@ -71,7 +80,7 @@ class Pair:
     wins: Estimate
 
 
-def pair_of(first: str, second: str, metric: str, a: np.ndarray, b: np.ndarray) -> Pair:
+def pair_of(first: str, second: str, metric: str, a: np.ndarray, b: np.ndarray, replicate: np.ndarray | None = None) -> Pair:
     """Return the samplewise comparison of two trackers' values (n,) of a metric; smaller values are better."""
     x, y = (np.where(np.isfinite(values), values, np.inf) for values in (a, b))
     decided = x != y
@@ -79,6 +88,6 @@ def pair_of(first: str, second: str, metric: str, a: np.ndarray, b: np.ndarray) 
         first=first,
         second=second,
         metric=metric,
-        difference=mean_of(np.where(np.isfinite(a) & np.isfinite(b), a, np.nan) - b),
+        difference=mean_of(np.where(np.isfinite(a) & np.isfinite(b), a, np.nan) - b, replicate),
         wins=share_of(int(np.sum(x[decided] < y[decided])), int(np.sum(decided))),
     )

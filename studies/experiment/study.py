@@ -17,12 +17,14 @@ from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.plan import Plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources, source_hash
 from linkplan.studies.experiment.conduct import conduct
+from linkplan.studies.experiment.design import LATIN_HYPERCUBE, replicate_of
 from linkplan.studies.experiment.experiment import (
     AskedRecord,
     Experiment,
     ExperimentRecord,
     Settings,
     asked_record,
+    defaults_note,
     experiment_of,
     fall_note,
     imperfections_asked,
@@ -141,7 +143,9 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: d
     mechanism = experiment.plan.problem.mechanism
     metrics = metrics_of(mechanism)
     settings, scheme = experiment.settings, experiment.scheme
-    summary, sensitivity, found = summarise(_independent(experiment, results), settings.trackers, metrics), None, {}
+    replicate = replicate_of(experiment.n) if settings.design == LATIN_HYPERCUBE else None
+    summary = summarise(_independent(experiment, results), settings.trackers, metrics, replicate)
+    sensitivity, found = None, {}
     if scheme is not None:
         factors = experiment.section.factors
         sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
@@ -152,7 +156,7 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: d
         "imperfections": imperfections_asked(experiment.plan),
         "control_period_s": experiment.reference.period_s,
         "duration_s": experiment.reference.period_s * experiment.reference.n,
-        "notes": [] if (note := fall_note(experiment)) is None else [note],
+        "notes": [note for note in (fall_note(experiment), defaults_note(experiment.plan)) if note is not None],
         **summary_record(summary),
         **found,
     }

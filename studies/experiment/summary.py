@@ -34,14 +34,23 @@ class Summary:
     metrics: Mapping[str, Metric]
 
 
-def summarise(results: Mapping[str, np.ndarray], trackers: Sequence[str], metrics: Mapping[str, Metric]) -> Summary:
-    """Return the summary of a results table's columns."""
+def summarise(
+    results: Mapping[str, np.ndarray],
+    trackers: Sequence[str],
+    metrics: Mapping[str, Metric],
+    replicate: np.ndarray | None = None,
+) -> Summary:
+    """Return the summary of a results table's columns.
+
+    `replicate` (n,) is the number of the Latin hypercube that each sample belongs to; None for independent samples.
+    """
     rows = {name: results["tracker"] == name for name in trackers}
     main = next(name for name in metrics if name.startswith("rms_error"))
     largest = next(name for name in metrics if name.startswith("max_error"))
     found = []
     for name in trackers:
         at = rows[name]
+        group = None if replicate is None else replicate[results["sample"][at]]
         failure = results["failure"][at]
         failed = np.array([text is not None for text in failure])
         values = {metric: results[metric][at].astype(float) for metric in metrics}
@@ -50,7 +59,7 @@ def summarise(results: Mapping[str, np.ndarray], trackers: Sequence[str], metric
         found.append(
             TrackerSummary(
                 name=name,
-                means={metric: mean_of(values[metric]) for metric in metrics},
+                means={metric: mean_of(values[metric], group) for metric in metrics},
                 percentile95={metric: _percentile(values[metric]) for metric in metrics},
                 success=share_of(int(np.sum(results["success"][at])), int(np.sum(at))),
                 failures={text: texts.count(text) for text in sorted(set(texts))},
@@ -58,7 +67,7 @@ def summarise(results: Mapping[str, np.ndarray], trackers: Sequence[str], metric
             )
         )
     pairs = [
-        pair_of(a, b, main, results[main][rows[a]].astype(float), results[main][rows[b]].astype(float))
+        pair_of(a, b, main, results[main][rows[a]].astype(float), results[main][rows[b]].astype(float), group)
         for i, a in enumerate(trackers)
         for b in trackers[i + 1 :]
     ]

@@ -28,7 +28,7 @@ def track(
     tracker: TrackerLike = "lqr",
     *,
     mass_factor: float = 1.0,
-    delay_periods: int = 0,
+    delay_periods: float = 0,
     tracking: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> TrackingResult:
@@ -43,7 +43,7 @@ def track(
             (n_u,) at instant k for the measured position and velocity (n_s,) of the independent joints; the loop adds
             saturation, sampling and delay.
         mass_factor: on mass and inertia of the payload in the simulator, or of all moving bodies without a payload.
-        delay_periods: further control periods before a command acts, in addition to those of the problem.
+        delay_periods: further control periods (also a fraction) before a command acts, in addition to those of the problem.
         tracking: settings that replace the problem's: kp, kd, period_s, delay_periods, duration_s, lqr_position_deg, ...
         progress: called with lines on the progress.
 
@@ -64,7 +64,7 @@ def compare(
     trackers: Sequence[TrackerLike] = study.LINEAR,
     *,
     mass_factor: float = 1.2,
-    delay_periods: int = 1,
+    delay_periods: float = 1,
     tracking: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> TrackingResult:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -293,3 +294,25 @@ def test_the_command_prints_within_eighty_columns_and_replays(tmp_path, ask, ask
     code, _, err = ask("experiment", "knee-reach", "--set", SHORT, "--samples", "6", "-o", str(tmp_path / "x"))
     assert code == 2
     assert "samples was 5, now 6" in err
+
+
+def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaults_by_name(tmp_path):
+    plan = optimal("knee-reach", SHORT)
+    none = replace(plan, problem=replace(plan.problem, source={**plan.problem.source, "imperfections": {}}))
+    outcome = run_experiment({"name": "knee-reach"}, None, lambda: none, FEW, tmp_path / "none", silent)
+    assert outcome.record["imperfections"] == {}
+    assert outcome.record["notes"] == []
+    errors = outcome.results["rms_error_deg"].reshape(6, 2)
+    assert np.ptp(errors, axis=0).max() == 0.0
+    (note,) = done(tmp_path / "defaults").record["notes"]
+    assert "without [imperfections]" in note
+    assert "torque_bandwidth_hz" in note
+
+
+def test_a_block_of_long_runs_has_few_samples_so_that_little_is_lost():
+    many = Settings(trackers=("pd", "pd+ff"), samples=1000)
+    short, long = (experiment_of(optimal("knee-reach", f"tracking.duration_s={t}"), many) for t in (0.01, 10.0))
+    assert blocks.block_samples(short) == blocks.BLOCK_SAMPLES
+    assert blocks.block_samples(long) * 2 * long.reference.n <= blocks.BLOCK_STEPS
+    covered = [sample for block in range(blocks.block_count(long)) for sample in blocks.samples_of(block, long)]
+    assert covered == list(range(1000))

@@ -6,7 +6,7 @@ import scipy.stats
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread, spread_of
-from linkplan.studies.experiment.design import values_of
+from linkplan.studies.experiment.design import REPLICATES, replicate_of, values_of
 from linkplan.studies.experiment.experiment_text import estimated
 from linkplan.studies.experiment.statistics import Estimate, mean_of, pair_of, share_of
 
@@ -103,21 +103,23 @@ def test_a_mean_is_printed_to_the_figures_that_its_interval_leaves(value, half, 
     assert estimated(Estimate(value=value, low=value - half, high=value + half, n=9)) == text
 
 
-def test_a_latin_hypercube_meets_every_part_of_every_range_once():
+def test_each_latin_hypercube_meets_every_part_of_every_range_once():
     n = 40
     factors = [factor("uniform", 1.0, 3.0), factor("fixed", 0.5), factor("normal", 10.0, 2.0)]
     values = values_of(factors, "latin-hypercube", n, 3, seed=4)
-    assert sorted(np.floor((values[:, 0] - 1.0) / 2.0 * n).astype(int)) == list(range(n))
+    for number in range(REPLICATES):
+        own = values[replicate_of(n) == number, 0]
+        assert sorted(np.floor((own - 1.0) / 2.0 * len(own)).astype(int)) == list(range(n // REPLICATES))
     assert np.all(values[:, 1] == 0.5)
-    assert np.mean(values[:, 2]) == pytest.approx(10.0, abs=0.1)
-    assert np.std(values[:, 2]) == pytest.approx(2.0, rel=0.1)
+    assert np.mean(values[:, 2]) == pytest.approx(10.0, abs=0.3)
+    assert np.std(values[:, 2]) == pytest.approx(2.0, rel=0.2)
     assert np.array_equal(values, values_of(factors, "latin-hypercube", n, 3, seed=4))
     assert not np.array_equal(values, values_of(factors, "latin-hypercube", n, 3, seed=5))
 
 
 def test_a_grid_is_every_combination():
     values = values_of([factor("uniform", 0.0, 3.0), factor("uniform", 0.0, 30.0)], "grid", 99, 3, seed=0)
-    assert sorted(map(tuple, values)) == [(x, 10 * y) for x in (0.5, 1.5, 2.5) for y in (0.5, 1.5, 2.5)]
+    assert sorted(map(tuple, values)) == [(x, 10 * y) for x in (0.0, 1.5, 3.0) for y in (0.0, 1.5, 3.0)]
 
 
 def test_a_grid_of_too_many_samples_is_refused():
@@ -155,3 +157,30 @@ def test_a_share_has_wilsons_interval(hits, n):
     exact = scipy.stats.binomtest(hits, n).proportion_ci(COVERAGE, method="wilson")
     found = share_of(hits, n)
     assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9)
+
+
+def test_a_grid_reaches_the_ends_of_a_range_and_of_a_normal_distribution_s_central_95_percent():
+    values = values_of([factor("uniform", 2.0, 3.0), factor("normal", 1.0, 0.5)], "grid", 1, 3, seed=0)
+    assert sorted(set(values[:, 0])) == pytest.approx([2.0, 2.5, 3.0])
+    assert sorted(set(values[:, 1])) == pytest.approx([1.0 - 0.5 * 1.959964, 1.0, 1.0 + 0.5 * 1.959964])
+
+
+def test_the_interval_of_a_latin_hypercube_s_mean_is_as_wide_as_the_mean_varies():
+    """Over 400 experiments: 95 % of the intervals hold the true mean, and they are no wider than that asks for."""
+    factors = [factor("uniform", 1.0, 3.0)] * 3
+    replicate, found, independent = replicate_of(100), [], []
+    for seed in range(400):
+        x = values_of(factors, "latin-hypercube", 100, 3, seed=seed) - 2.0
+        figure = x[:, 0] + x[:, 1] ** 2 + 0.5 * x[:, 0] * x[:, 2]
+        found.append(mean_of(figure, replicate))
+        independent.append(mean_of(figure))
+    held = np.mean([one.low <= 1.0 / 3.0 <= one.high for one in found])
+    assert held == pytest.approx(0.95, abs=0.03)
+    assert np.mean([one.low <= 1.0 / 3.0 <= one.high for one in independent]) > 0.99
+    # Student's factor of nine degrees of freedom, 2.262, on the standard deviation of the means.
+    assert np.mean([one.half for one in found]) == pytest.approx(2.262 * np.std([one.value for one in found]), rel=0.1)
+
+
+def test_hypercubes_are_of_equal_size_and_few_samples_are_independent():
+    assert np.bincount(replicate_of(23)).tolist() == [3, 2, 2, 3, 2, 2, 3, 2, 2, 2]
+    assert replicate_of(4).tolist() == [0, 1, 2, 3]
