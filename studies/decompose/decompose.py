@@ -81,11 +81,12 @@ def decompose(
         if any(ladder.tracker == other.name for other in found):
             raise ProblemError(f"a decomposition needs trackers with different names, got '{ladder.tracker}' twice")
         kept = np.array([failed is None for failed in ladder.failure])
+        errors, increments = ladder.errors[:, :, kept], ladder.increments[:, :, kept]
         say(f"{ladder.tracker}: {int(kept.sum())} of {len(kept)} machines")
         found.append(
             TrackerShares(
                 name=ladder.tracker,
-                shares=_by_unit(experiment, ladder.errors[:, :, kept]) if np.any(kept) else {},
+                shares=_by_unit(experiment, errors, increments) if np.any(kept) else {},
                 machines=int(kept.sum()),
                 failures=Counter(failed for failed in ladder.failure if failed is not None),
             )
@@ -101,10 +102,12 @@ def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
     return {str(unit): np.flatnonzero(steered & (units == unit)) for unit in dict.fromkeys(units[steered])}
 
 
-def _by_unit(experiment: Experiment, errors: np.ndarray) -> dict[str, Shares]:
-    """Return the parts of errors (n_rungs, t, n, n_s) [rad or m], for the joints of each unit."""
+def _by_unit(experiment: Experiment, errors: np.ndarray, increments: np.ndarray) -> dict[str, Shares]:
+    """Return the parts of errors and increments (n_rungs, t, n, n_s) [rad or m], for the joints of each unit."""
     factor = np.array([joint.shown(1.0) for joint in experiment.plan.problem.mechanism.independent_joints])
-    return {unit: shares_of((factor * errors)[..., which]) for unit, which in joints_by_unit(experiment).items()}
+    errors, increments = factor * errors, factor * increments
+    joints = joints_by_unit(experiment)
+    return {unit: shares_of(errors[..., which], increments[..., which]) for unit, which in joints.items()}
 
 
 def decomposition_record(found: Decomposition) -> dict:

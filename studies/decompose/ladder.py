@@ -1,9 +1,13 @@
 """The ladder from the ideal to the real feedback loop: each rung switches on one more cause of error.
 
-The first rungs simulate the rigid kinematic loop with accurately integrated reduced dynamics. The later rungs simulate
-MuJoCo machines with more and more imperfections.
+The first rungs simulate the rigid kinematic loop with accurately integrated reduced dynamics, the fourth a MuJoCo machine as
+modelled. The last three causes (`SWITCHES`) act on each other: a payload costs little until it meets an effort limit. All
+combinations of them are simulated, and the increment of each is its mean over all orders (Shapley, A Value for n-Person
+Games, 1953).
 """
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
@@ -31,6 +35,7 @@ RUNGS: Mapping[str, str] = {
     "limits": "effort limits",
 }
 """The causes in the order in which they are switched on."""
+SWITCHES = ("devices", "model", "limits")
 
 # Continuous control is approximated by a control period that is shorter by this factor.
 _PERIOD_DIVISOR = 5
@@ -40,10 +45,16 @@ _FEEDFORWARD_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Ladder:
-    """One tracker's errors s_ref - s (n_rungs, t, n, n_s) [rad or m] on the rungs, and the reasons for failed machines."""
+    """One tracker's errors on the rungs, and the reasons for failed machines.
+
+    `errors` (n_rungs, t, n, n_s): s_ref - s [rad or m] after each cause is switched on, in the order of `RUNGS`.
+    `increments` (n_rungs, t, n, n_s) add up to the last of them: what each cause adds, those of `SWITCHES` in the mean over
+    their orders.
+    """
 
     tracker: str
     errors: np.ndarray
+    increments: np.ndarray
     failure: tuple[str | None, ...]
 
 
@@ -86,27 +97,43 @@ def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
     rigid = RigidPlant(mechanism=mechanism, delay_periods=loop.delay_periods)
     failure: list[str | None] = [None] * n
     clocked = [Imperfections(clock=one.clock) for one in _alike(machines)]
-    found = [*_ideal(experiment, asked), _errors(rigid, free, reference, clocked)]
-    groups = {_GROUPS.get(factor.key, "model") for factor in experiment.section.factors}
-    for rung, plant, tracker in (
-        ("simulator", unlimited, free),
-        ("devices", unlimited, free),
-        ("model", unlimited, free),
-        ("limits", limited, law),
-    ):
-        if rung in ("devices", "model") and rung not in groups:
-            found.append(found[-1])
-        else:
-            these = [_stripped(one, rung) for one in (_alike(machines) if rung == "simulator" else machines)]
-            found.append(_errors(plant, tracker, reference, these))
-    for rung, (_, failed) in zip(RUNGS, found, strict=True):
+    clocked = [Imperfections(clock=one.clock) for one in _alike(machines)]
+    groups = {_GROUPS.get(factor.key, "model") for factor in experiment.section.factors} | {"limits"}
+    acting = [name for name in SWITCHES if name in groups]
+    ran: dict[frozenset[str], _Found] = {}
+    for size in range(len(acting) + 1):
+        for names in map(frozenset, itertools.combinations(acting, size)):
+            these = [_with(one, names) for one in (machines if names - {"limits"} else _alike(machines))]
+            plant, tracker = (limited, law) if "limits" in names else (unlimited, free)
+            ran[names] = _errors(plant, tracker, reference, these)
+    first = [*_ideal(experiment, asked), _errors(rigid, free, reference, clocked), ran[frozenset()]]
+    after = [ran[frozenset(SWITCHES[:k]) & frozenset(acting)] for k in range(1, len(SWITCHES) + 1)]
+    for words, (_, failed) in [*zip(RUNGS.values(), [*first, *after], strict=True), *_words_of(ran)]:
         for i in range(n):
             reason = failed[i if len(failed) > 1 else 0]
             if failure[i] is None and reason is not None:
-                failure[i] = f"lost after {RUNGS[rung].partition(':')[0]} was switched on: {reason}"
+                failure[i] = f"lost after {words.partition(':')[0]} was switched on: {reason}"
     t, n_s = reference.position.shape
-    errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in found])
-    return Ladder(tracker=law.name, errors=errors, failure=tuple(failure))
+    errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in [*first, *after]])
+    increments = np.diff(errors, axis=0, prepend=0.0)
+    for row, name in enumerate(SWITCHES, start=len(first)):
+        increments[row] = _mean_increment(name, acting, ran)
+    return Ladder(tracker=law.name, errors=errors, increments=increments, failure=tuple(failure))
+
+
+def _mean_increment(name: str, acting: Sequence[str], ran: Mapping[frozenset[str], "_Found"]) -> np.ndarray | float:
+    """Return what a cause adds (t, n or 1, n_s), in the mean over all orders of the acting causes; 0 if it does not act."""
+    total: np.ndarray | float = 0.0
+    for names in ran:
+        if name in acting and name not in names:
+            orders = math.factorial(len(names)) * math.factorial(len(acting) - len(names) - 1)
+            total = total + orders / math.factorial(len(acting)) * (ran[names | {name}][0] - ran[names][0])
+    return total
+
+
+def _words_of(ran: Mapping[frozenset[str], "_Found"]) -> list[tuple[str, "_Found"]]:
+    """Return each combination's runs with the words on its causes."""
+    return [(" and ".join(RUNGS[name].partition(":")[0] for name in names), ran[names]) for names in ran if names]
 
 
 # Errors (t, n or 1, n_s), and the reason for each failed run.
@@ -126,17 +153,13 @@ _GROUPS = {
 }
 
 
-def _stripped(machine: Imperfections, rung: str) -> Imperfections:
-    """Return a machine with only the imperfections that are switched on up to a rung."""
-    stiffness = Machine(loop_solref=machine.machine.loop_solref)  # the softness of loops belongs to the simulator
-    if rung in ("simulator", "devices"):
-        machine = replace(machine, machine=stiffness)
-    kept = {
-        "simulator": ("clock", "machine"),
-        "devices": ("clock", "machine", "sensors", "drives"),
-        "model": tuple(field.name for field in fields(Imperfections)),
-        "limits": tuple(field.name for field in fields(Imperfections)),
-    }[rung]
+def _with(machine: Imperfections, names: frozenset[str]) -> Imperfections:
+    """Return a machine with its clock, the softness of its loops, and the causes of some names."""
+    if "model" not in names:  # the softness of loops belongs to the simulator
+        machine = replace(machine, machine=Machine(loop_solref=machine.machine.loop_solref))
+    kept = {"clock", "machine"}
+    kept |= {"sensors", "drives"} if "devices" in names else set()
+    kept |= {"start", "pushes"} if "model" in names else set()
     return Imperfections(**{name: getattr(machine, name) for name in kept})
 
 

@@ -1,10 +1,11 @@
 """A tracking error as a sum of its causes: signed parts that add up to the rms error.
 
-Let e_1 to e_K be the errors after causes 1 to K are switched on, e_0 = 0, and e = e_K the total error. Let <a, b> be the
-mean over control instants and machines of the sum over joints of a b. The part of cause k is the projection of its
-increment on the total error:
+Let e_1 to e_K be the errors after causes 1 to K are switched on, and e = e_K the total error. Let d_k be what cause k
+adds, so that d_1 + ... + d_K = e: e_k - e_{k-1}, or its mean over several orders of the causes. Let <a, b> be the mean over
+control instants and machines of the sum over joints of a b. The part of cause k is the projection of its increment on the
+total error:
 
-    p_k = <e_k - e_{k-1}, e> / rms,   rms = sqrt(<e, e>),   so that p_1 + ... + p_K = rms
+    p_k = <d_k, e> / rms,   rms = sqrt(<e, e>),   so that p_1 + ... + p_K = rms
 
 exactly. A negative part reduces the error. The rms values of the increments, and the differences of rms values, do not add
 up to the rms error, because errors of different causes can cancel or occur at different times.
@@ -30,9 +31,11 @@ class Shares:
     after: np.ndarray
 
 
-def shares_of(errors: np.ndarray) -> Shares:
-    """Return the parts of errors e_1 to e_K (K, t, n, n_s) at t instants, for n machines and n_s joints of one unit."""
-    increments = np.diff(errors, axis=0, prepend=0.0)
+def shares_of(errors: np.ndarray, increments: np.ndarray) -> Shares:
+    """Return the parts of errors e_K from e_1 to e_K and d_1 to d_K (K, t, n, n_s).
+
+    t instants, n machines, n_s joints of one unit.
+    """
     instants = errors.shape[1] * errors.shape[2]
 
     def rms_of(values: np.ndarray) -> np.ndarray:

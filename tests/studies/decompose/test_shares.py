@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from linkplan.studies.decompose.shares import shares_of
+from linkplan.studies.decompose.shares import Shares, shares_of
 from tests.support.tolerances_planner import ROUNDING
 
 SIZES = st.tuples(st.integers(1, 7), st.integers(1, 9), st.integers(1, 4), st.integers(1, 3))
@@ -16,7 +16,7 @@ NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
 @settings(derandomize=True, deadline=None, max_examples=100)
 @given(SIZES.flatmap(lambda shape: arrays(float, shape, elements=NUMBERS)))
 def test_the_parts_of_any_errors_add_up_to_their_rms(errors):
-    found = shares_of(errors)
+    found = in_order(errors)
     instants = errors.shape[1] * errors.shape[2]
     assert found.rms == pytest.approx(np.sqrt(np.sum(errors[-1] ** 2) / instants), rel=ROUNDING)
     size = max(found.alone.sum(), found.rms)
@@ -24,21 +24,26 @@ def test_the_parts_of_any_errors_add_up_to_their_rms(errors):
     np.testing.assert_allclose(found.of_joints.sum(axis=1), found.parts, atol=ROUNDING * size)
 
 
+def in_order(errors: np.ndarray) -> Shares:
+    """Return the parts of errors whose causes are switched on in one order."""
+    return shares_of(errors, np.diff(errors, axis=0, prepend=0.0))
+
+
 def test_increments_that_are_at_right_angles_share_a_square_as_pythagoras_has_it():
     """Errors of 3 at one instant and of 4 at the next: 9/25 and 16/25 of a rms of 5 over the root of two."""
     first, second = np.array([3.0, 0.0]), np.array([3.0, 4.0])
-    found = shares_of(np.array([first, second])[:, :, None, None])
+    found = in_order(np.array([first, second])[:, :, None, None])
     np.testing.assert_allclose(found.parts, np.array([9, 16]) / 25 * 5 / np.sqrt(2), rtol=ROUNDING)
     np.testing.assert_allclose(found.alone, np.array([3, 4]) / np.sqrt(2), rtol=ROUNDING)
 
 
 def test_a_cause_that_opposes_another_has_a_negative_part():
-    found = shares_of(np.array([5.0, 2.0])[:, None, None, None])
+    found = in_order(np.array([5.0, 2.0])[:, None, None, None])
     np.testing.assert_allclose(found.parts, [5.0, -3.0], rtol=ROUNDING)
     assert found.rms == 2.0
 
 
 def test_no_error_has_no_parts():
-    found = shares_of(np.zeros((3, 4, 1, 2)))
+    found = in_order(np.zeros((3, 4, 1, 2)))
     assert found.rms == 0
     np.testing.assert_array_equal(found.parts, 0)
