@@ -24,8 +24,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
     found, said = whole.found, whole.record()
     if target is not None:
-        from linkplan.studies.check.draw_kinematic_loop_report import path_figure
-        from linkplan.studies.check.draw_mechanism import inspection_figure
+        from linkplan.studies.check.path_plots import inspection_figure, path_figure
         from linkplan.studies.report.reports import check_report
         from linkplan.studies.report.saving import save_report
 
@@ -37,7 +36,7 @@ def run_check(arguments: argparse.Namespace) -> int:
                 path_figure(path, found.reaches, place / f"loop-{number}.png")
 
         write_whole(target, write, "check.json")
-    show(arguments, said, whole.text())
+    show(arguments, said, whole.blocks())
     return NO if found.problems else DONE
 
 
@@ -53,5 +52,5 @@ def _refused(arguments: argparse.Namespace, target: Path | None, found: RefusedM
             save_report(check_report(found), place, page=arguments.report)
 
         write_whole(target, write, "check.json")
-    show(arguments, said, found.text())
+    show(arguments, said, found.blocks())
     return NO

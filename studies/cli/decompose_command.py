@@ -13,7 +13,7 @@ def run_decompose(arguments: argparse.Namespace) -> int:
     """Split trackers' errors among their causes; 1 if the plan has no motion or a tracker's error cannot be split."""
     from linkplan.studies.compare.user_tracker import trackers_named
     from linkplan.studies.decompose.decompose import decompose, decomposition_record
-    from linkplan.studies.decompose.decomposition_text import decomposition_text
+    from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_figure
 
     asked = trackers_named(arguments.trackers)
     target, say = output_folder(arguments), progress(arguments)
@@ -24,7 +24,6 @@ def run_decompose(arguments: argparse.Namespace) -> int:
     said = decomposition_record(found)
 
     def save(place: Path) -> None:
-        from linkplan.studies.decompose.draw_decomposition import decomposition_figure
         from linkplan.studies.report.reports import decomposition_report
         from linkplan.studies.report.saving import save_report
 
@@ -34,5 +33,5 @@ def run_decompose(arguments: argparse.Namespace) -> int:
 
     if target is not None:
         write_whole(target, save, "decompose.json")
-    show(arguments, said, decomposition_text(found))
+    show(arguments, said, decomposition_blocks(found))
     return DONE if plan.passed and found.found else NO

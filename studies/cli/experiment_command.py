@@ -27,7 +27,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
-    from linkplan.studies.experiment.outcome_text import outcome_text
+    from linkplan.studies.experiment.experiment_blocks import outcome_blocks
 
     settings = Settings(
         trackers=TRACKERS if arguments.trackers.strip() == "all" else tuple(map(str.strip, arguments.trackers.split(","))),
@@ -71,7 +71,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         return no_plan(arguments, none.plan)
     if arguments.report and target is not None:
         _write_page(outcome, target)
-    show(arguments, outcome.record, outcome_text(outcome))
+    show(arguments, outcome.record, outcome_blocks(outcome))
     return DONE if outcome.experiment.plan.passed else NO
 
 
@@ -95,11 +95,12 @@ class _NoPlanError(Exception):
 def run_replay(arguments: argparse.Namespace) -> int:
     """Run one sample of an experiment again; 1 if it fails or is unstable."""
     from linkplan.studies.compare.compare import Comparison, comparison_record
-    from linkplan.studies.compare.comparison_text import comparison_text
-    from linkplan.studies.compare.draw_tracking import comparison_figure
+    from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
     from linkplan.studies.compare.time_series import save_time_series
     from linkplan.studies.experiment.replay import replay
     from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
+    from linkplan.studies.output.document import Text
+    from linkplan.studies.report.experiment_sections import machine_section
     from linkplan.studies.report.reports import replay_report
     from linkplan.studies.report.saving import save_report
 
@@ -122,9 +123,9 @@ def run_replay(arguments: argparse.Namespace) -> int:
 
     if target is not None:
         write_whole(target, save, "track.json")
-    values = "\n".join(f"  {name} = {value:.6g}" for name, value in said["imperfections"].items())
-    failure = f"\n{said['failure']}" if said["failure"] else ""
-    show(arguments, record, f"{comparison_text(comparison)}{failure}\nimperfections:\n{values}")
+    failure = [Text(text=said["failure"], tone="bad")] if said["failure"] else []
+    machine = machine_section(said)
+    show(arguments, record, [*comparison_blocks(comparison), *failure, *machine.blocks])
     return DONE if said["failure"] is None and rollout.stable else NO
 
 

@@ -16,7 +16,7 @@ from linkplan.studies.cli.printing import progress, show
 def run_track(arguments: argparse.Namespace) -> int:
     """Run one tracker; 1 if the plan has no motion or the loop is unstable."""
     from linkplan.studies.compare.compare import comparison_record
-    from linkplan.studies.compare.comparison_text import comparison_text
+    from linkplan.studies.compare.comparison_blocks import comparison_blocks
     from linkplan.studies.compare.user_tracker import tracker_named
 
     if arguments.sample is not None:
@@ -33,7 +33,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     said = comparison_record(comparison) | {"tracker": next(iter(comparison.nominal))}
     if target is not None:
         write_whole(target, lambda place: _save_tracking(arguments, comparison, said, place), "track.json")
-    show(arguments, said, comparison_text(comparison))
+    show(arguments, said, comparison_blocks(comparison))
     return DONE if plan.passed and next(iter(comparison.nominal.values())).stable else NO
 
 
@@ -61,7 +61,7 @@ def _check_mismatch(arguments: argparse.Namespace) -> bool:
 def run_compare(arguments: argparse.Namespace) -> int:
     """Run all trackers; 1 if the plan has no motion or no tracker is stable on the nominal model."""
     from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
-    from linkplan.studies.compare.comparison_text import comparison_text
+    from linkplan.studies.compare.comparison_blocks import comparison_blocks
     from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
     from linkplan.studies.compare.user_tracker import trackers_named
 
@@ -80,23 +80,25 @@ def run_compare(arguments: argparse.Namespace) -> int:
         said["document"] = document_record(document)
     if target is not None:
         write_whole(target, lambda place: _save_tracking(arguments, comparison, said, place, document), "compare.json")
-    show(arguments, said, comparison_text(comparison))
+    show(arguments, said, comparison_blocks(comparison))
     return DONE if plan.passed and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
 
 def _save_tracking(arguments: argparse.Namespace, comparison, said: dict, place: Path, document: dict | None = None) -> None:
+    from linkplan.studies.compare.comparison_blocks import comparison_figure, document_blocks, document_figure
     from linkplan.studies.compare.document import DOCUMENT_KP, document_record
-    from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
     from linkplan.studies.compare.time_series import save_time_series
+    from linkplan.studies.output.document import Section
     from linkplan.studies.report.reports import comparison_report
     from linkplan.studies.report.saving import save_report
-    from linkplan.studies.report.tracking_sections import document_section
 
     name = arguments.command
     write_json(place / f"{name}.json", said)
     save_time_series(comparison, place, parquet=arguments.parquet)
     comparison_figure(comparison, place / f"{name}.png")
+    section = None
     if document:
-        document_figure(document, DOCUMENT_KP, place / "desired_and_actual.png")
-    section = document_section(document, document_record(document), DOCUMENT_KP) if document else None
+        blocks = document_blocks(document, document_record(document), DOCUMENT_KP)
+        document_figure(blocks, place / "desired_and_actual.png")
+        section = Section(title="The source document, as printed and mended", blocks=blocks)
     save_report(comparison_report(comparison, section), place, page=arguments.report)

@@ -79,8 +79,8 @@ def wrapped(text: str, most: int) -> str:
     return textwrap.fill(text, min(most, len(text) // lines + 8))
 
 
-def outside_legend(axes, *, narrow: bool = False, **options) -> None:
-    """Put a legend above the axes, where it hides no data, in as many rows as it needs.
+def outside_legend(axes, *, narrow: bool = False, **options) -> int:
+    """Put a legend above the axes, where it hides no data, and return how many rows it needs.
 
     A row has 76 letters over the width of a page, or 56 over half of a wide page if `narrow`.
     """
@@ -90,6 +90,7 @@ def outside_legend(axes, *, narrow: bool = False, **options) -> None:
     if sum(len(label) + _LEGEND_MARK_LETTERS for label in labels) > row_letters:
         columns = max(1, row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
+    return -(-len(labels) // columns)
 
 
 def bottom_legend(axes) -> None:

@@ -15,9 +15,9 @@ from linkplan.planner.certificate.certificate import (
 from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
-from linkplan.studies.report.document import Checklist, Item
-from linkplan.studies.report.motion import Motion
-from linkplan.studies.report.numbers import significant
+from linkplan.studies.output.document import Checklist, Item
+from linkplan.studies.output.motion import Motion
+from linkplan.studies.output.numbers import significant
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
 # residual alone does not decide it.

@@ -16,7 +16,7 @@ from linkplan.models.catalogue import is_folder, is_there
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import read_head
 from linkplan.planner.files.new_file import write_over
-from linkplan.studies.report.document import Report
+from linkplan.studies.output.document import Report
 
 # Each script uses only those before it.
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "player", "blocks", "main")

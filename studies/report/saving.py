@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.json_record import read_record
-from linkplan.studies.report.document import Block, Report, Section
+from linkplan.studies.output.document import Block, Report, Section
 from linkplan.studies.report.render import as_record, write_report
 
 DOCUMENT, PAGE = "report.json", "report.html"

@@ -10,7 +10,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.report.document import Animation, Checklist, Plane, Plot, Table
+from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table
 from linkplan.studies.report.render import as_record, report_html
 from linkplan.studies.report.reports import check_report, comparison_report, plan_report
 from tests.support.linkages import RSSR

@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.studies.cli.main import main
-from linkplan.studies.report.document import Checklist, Report, Table, Text
+from linkplan.studies.output.document import Checklist, Report, Table, Text
 from linkplan.studies.report.reading import folder_report
 from linkplan.studies.report.render import as_record, write_report
 from linkplan.studies.report.reports import plan_report

@@ -6,7 +6,13 @@ Every number has the unit given with it. Names come from models and are always t
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from linkplan.studies.output.numbers import significant
+
 Numbers = Sequence[float | None]  # None where there is no value
+# The end of the name of dots that were measured of the line with the name before it: they share its entry of the legend.
+MEASURED = ", measured"
+# The colours of causes that raise a figure, lower it, or act together with others; the same in all charts.
+RAISING_COLOUR, LOWERING_COLOUR, TOTAL_COLOUR = 1, 0, 5
 
 
 def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None:
@@ -17,7 +23,7 @@ def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Text:
-    """A paragraph. `tone` is "plain", "good", "bad", "note" or, for preformatted lines of a terminal, "lines"."""
+    """A paragraph. `tone` is "plain", "good", "bad" or "note"."""
 
     text: str
     tone: str = "plain"
@@ -44,6 +50,30 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             _same_length(f"a row of table '{self.title}'", row, "columns", self.columns)
+
+
+def table_of(title: str, heads: Sequence[str | tuple[str, str]], rows: Sequence[Sequence], digits: int = 4) -> Table:
+    """Return a table of raw values.
+
+    Args:
+        title: of the table; it may be empty.
+        heads: like "phase margin [deg]", or (head, unit) for the name of a part of a model, which may have brackets.
+        rows: of cells; numbers are rounded, and those that are not finite are left out.
+        digits: significant digits of numbers.
+    """
+    columns = []
+    for head in heads:
+        text, bracket, unit = head.partition(" [") if isinstance(head, str) else (head[0], head[1], head[1])
+        columns.append((text, unit.removesuffix("]") if bracket else ""))
+    return Table(title=title, columns=columns, rows=[[_cell(cell, digits) for cell in row] for row in rows])
+
+
+def _cell(value: object, digits: int) -> bool | int | float | str | None:
+    """Return a cell in JSON types."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    kind = getattr(value, "dtype", None)
+    return bool(value) if kind is not None and kind.kind == "b" else significant(float(value), digits)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -82,7 +112,7 @@ class Axis:
 class Series:
     """A line over the x of a plot or over its own x. `look` is "line", "dash", "dots" or "points"; `colour` counts from 0.
 
-    Without a colour, the line has the colour of text.
+    Without a colour, the line has the colour of text. A line without a name has no entry in the legend.
     """
 
     name: str
