@@ -1,9 +1,9 @@
 """A feedback loop as a document: margins, responses predicted and measured, Nyquist curves, margins along a line."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
 from linkplan.studies.bode.curves import lowest_hz, measured_phase, sensitivity_along, shifted_phase

@@ -1,12 +1,10 @@
 """The command `decompose`."""
 
 import argparse
-from pathlib import Path
 
-from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.studies.cli.common import no_plan, output_folder, plan_asked
+from linkplan.studies.cli.common import deliver, no_plan, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import progress, show
+from linkplan.studies.cli.printing import progress
 
 
 def run_decompose(arguments: argparse.Namespace) -> int:
@@ -23,15 +21,11 @@ def run_decompose(arguments: argparse.Namespace) -> int:
     found = decompose(plan, asked, arguments.samples, arguments.seed, say)
     said = decomposition_record(found)
 
-    def save(place: Path) -> None:
+    def report():
         from linkplan.studies.report.reports import decomposition_report
-        from linkplan.studies.report.saving import save_report
 
-        write_json(place / "decompose.json", said)
-        decomposition_figure(found, place / "decompose.png")
-        save_report(decomposition_report(found), place, page=arguments.report)
+        return decomposition_report(found)
 
-    if target is not None:
-        write_whole(target, save, "decompose.json")
-    show(arguments, said, decomposition_blocks(found))
+    blocks = decomposition_blocks(found)
+    deliver(arguments, target, said, blocks, report, lambda place: decomposition_figure(found, place / "decompose.png"))
     return DONE if plan.passed and found.found else NO

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import engine_asked, no_plan, output_folder, plan_asked, sample_again, set_all
+from linkplan.studies.cli.common import deliver, engine_asked, no_plan, output_folder, plan_asked, sample_again, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -102,7 +101,6 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from linkplan.studies.output.document import Text
     from linkplan.studies.report.experiment_sections import machine_section
     from linkplan.studies.report.reports import replay_report
-    from linkplan.studies.report.saving import save_report
 
     target = output_folder(arguments)
     _refuse_beside_sample(arguments)
@@ -115,17 +113,13 @@ def run_replay(arguments: argparse.Namespace) -> int:
     comparison = Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title=title, stem=stem)
     record = comparison_record(comparison) | {"tracker": arguments.tracker, "sample": said}
 
-    def save(place: Path) -> None:
-        write_json(place / "track.json", record)
+    def draw(place: Path) -> None:
         save_time_series(comparison, place, parquet=arguments.parquet)
         comparison_figure(comparison, place / "track.png")
-        save_report(replay_report(comparison, said), place, page=arguments.report)
 
-    if target is not None:
-        write_whole(target, save, "track.json")
     failure = [Text(text=said["failure"], tone="bad")] if said["failure"] else []
-    machine = machine_section(said)
-    show(arguments, record, [*comparison_blocks(comparison), *failure, *machine.blocks])
+    blocks = [*comparison_blocks(comparison), *failure, *machine_section(said).blocks]
+    deliver(arguments, target, record, blocks, lambda: replay_report(comparison, said), draw)
     return DONE if said["failure"] is None and rollout.stable else NO
 
 

@@ -9,14 +9,13 @@ from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
-from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
+from linkplan.studies.cli.common import deliver, output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import progress, show
+from linkplan.studies.cli.printing import progress
 from linkplan.studies.cli.progress import Progress
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.output.document import Block, Section, Text
@@ -64,21 +63,21 @@ def run_bode(arguments: argparse.Namespace) -> int:
             said[name], drawn = _extra(name, study, problem, say)
             extras[name] = Section(title=title, blocks=drawn, depth=2)
             blocks += drawn
-    if target is not None:
+
+    def draw(place: Path) -> None:
         from linkplan.studies.bode.draw_bode import save_bode
         from linkplan.studies.output.figure import figure_of, panels_of
+
+        save_bode(study, place)
+        for name, section in extras.items():
+            figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3)
+
+    def report():
         from linkplan.studies.report.reports import bode_report
-        from linkplan.studies.report.saving import save_report
 
-        def write(place: Path) -> None:
-            write_json(place / "bode.json", said)
-            save_report(bode_report(study, list(extras.values()), note), place, page=arguments.report)
-            save_bode(study, place)
-            for name, section in extras.items():
-                figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3)
+        return bode_report(study, list(extras.values()), note)
 
-        write_whole(target, write, "bode.json")
-    show(arguments, said, blocks)
+    deliver(arguments, target, said, blocks, report, draw)
     return DONE if study.stable else NO
 
 
@@ -116,20 +115,20 @@ def run_tune(arguments: argparse.Namespace) -> int:
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say, line=looked.line)
     said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
-    if target is not None:
-        from linkplan.studies.report.reports import tune_report
-        from linkplan.studies.report.saving import save_report
+
+    def draw(place: Path) -> None:
         from linkplan.studies.tune.draw_tune import tune_figure
         from linkplan.studies.tune.tune_report import tracking_table
 
-        def write(place: Path) -> None:
-            write_json(place / "tune.json", said)
-            save_report(tune_report(found, note), place, page=arguments.report)
-            (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
-            tune_figure(found, place / "tune.png")
+        (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
+        tune_figure(found, place / "tune.png")
 
-        write_whole(target, write, "tune.json")
-    show(arguments, said, text)
+    def report():
+        from linkplan.studies.report.reports import tune_report
+
+        return tune_report(found, note)
+
+    deliver(arguments, target, said, text, report, draw)
     return DONE if found.found else NO
 
 

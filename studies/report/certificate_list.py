@@ -1,8 +1,7 @@
 """A certificate as a checklist: every limit with its worst value and the instant of that value."""
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from linkplan.planner.certificate.certificate import (
     BOUNDARY_SHARE,

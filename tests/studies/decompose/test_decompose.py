@@ -14,6 +14,7 @@ from linkplan.studies.decompose.decomposition_blocks import decomposition_figure
 from linkplan.studies.decompose.ladder import RUNGS
 from linkplan.studies.experiment.block import run_block
 from linkplan.studies.experiment.experiment import Settings, experiment_of
+from linkplan.studies.output.document import Table
 from linkplan.studies.report.reports import decomposition_report
 from tests.support.plans import optimal, problem_of
 from tests.support.tolerances_planner import SAME_FIGURE
@@ -168,7 +169,7 @@ def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path)
 
 def test_a_report_has_the_parts_and_the_plan():
     report = decomposition_report(decompose(reach(SHORT, AS_MODELLED), ["pd+ff"]))
-    table = next(block for section in report.sections for block in section.blocks if block.kind == "table")
+    table = next(block for section in report.sections for block in section.blocks if isinstance(block, Table))
     assert [row[0] for row in table.rows][:-1] == list(RUNGS.values())
     assert sum(float(row[1]) for row in table.rows[:-1]) == pytest.approx(float(table.rows[-1][1]), rel=1e-3)
     assert len(report.sections) > 1

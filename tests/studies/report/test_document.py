@@ -1,17 +1,17 @@
 """A report as a document: what stands in it is what the plan, its certificate and its tracked runs say."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table
-from linkplan.studies.report.render import as_record, report_html
+from linkplan.studies.report.render import document_json, report_html
 from linkplan.studies.report.reports import check_report, comparison_report, plan_report
 from tests.support.linkages import RSSR
 from tests.support.plans import LIMIT, optimal
@@ -191,4 +191,4 @@ def test_a_page_asks_for_nothing_from_elsewhere(report):
 
 
 def test_a_document_is_of_json_s_own_types(report):
-    assert json.loads(json.dumps(as_record(report), allow_nan=False))["title"] == "Plan knee-reach"
+    assert json.loads(document_json(report))["title"] == "Plan knee-reach"
