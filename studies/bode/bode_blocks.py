@@ -244,6 +244,7 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
 def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
     """Return the open loops in the complex plane, with the critical point and the disk of the least disk margin."""
     turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 121))
+    title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.measured for entry in entries) else ''}"
     curves = [Curve(name="unit circle", x=rounded(turn.real), y=rounded(turn.imag), look="dots", colour=None, width=1.0)]
     stable = [entry for entry in entries if entry.margins.disk_margin is not None]
     if stable:
@@ -252,8 +253,8 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
         least = min(stable, key=lambda entry: entry.margins.disk_margin)
         gain = least.margins.disk_gain_margin_db or np.inf
         phase = least.margins.disk_phase_margin_deg
-        name = f"least disk margin {alpha:.3g} at {least.point.name}, gain +-{gain:.3g} dB or phase {phase:.3g} deg"
-        curves.append(Curve(name=name, x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
+        title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"
+        curves.append(Curve(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
     half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.timing.period_s)[::3]
     for k, entry in enumerate(entries):
         gain = entry.sampled.gains("loop", grid, entry.channel)
@@ -263,13 +264,13 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
         curves.append(Curve(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
         if "loop" in entry.measured:
             points = entry.measured["loop"].gain
+            points = points[np.abs(points) < _MAX_NYQUIST_GAIN]
             dots = {**line_style(k), "look": "points"}
             curves.append(Curve(name="", x=rounded(points.real), y=rounded(points.imag), **dots))
     curves.append(Curve(name="critical point -1", x=[-1.0], y=[0.0], look="cross", colour=None, width=2.0))
-    dotted = "; dots measured" if any(entry.measured for entry in entries) else ""
     ends = (-half_width, half_width)
     return Plane(
-        title=f"Nyquist curves of the open loop{dotted}",
+        title=title,
         x_axis=Axis(label="real part of L", unit="1", ends=ends),
         y_axis=Axis(label="imaginary part of L", unit="1", ends=ends),
         curves=curves,
@@ -287,6 +288,7 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
         Line(name="phase margin", values=scan.column("phase_margin_deg"), unit="deg"),
         Line(name="disk phase margin", values=scan.column("disk_phase_margin_deg"), unit="deg"),
     ]
+    highest = float(np.nanmax([line.values for line in margins], initial=0.0))
     lost = np.array([0.0 if not bounds.stable else np.nan for bounds in scan.margins])
     if np.isfinite(lost).any():
         margins.append(Line(name="unstable", values=lost, unit="deg", look="points", colour=4))
@@ -297,7 +299,7 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
     title = f"Margins; the worst is at {line.place(scan.positions[scan.worst])}"
     return [
         _map(study, scan, axis, x),
-        *plots(title, "margin", axis, x, margins, group=group),
+        *plots(title, "margin", axis, x, margins, group=group, ends=(0.0, max(10.0, 1.08 * highest))),
         *plots("Crossover and bandwidth", "frequency", axis, x, crossings, group=group, log=True),
     ]
 

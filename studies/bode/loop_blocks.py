@@ -12,7 +12,7 @@ from linkplan.studies.bode.scan import bounds_text
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES
 from linkplan.studies.frequency.floquet import floquet_text
 from linkplan.studies.output.digits import radius_figure
-from linkplan.studies.output.document import Axis, Block, Curve, Facts, Heat, Plane, Plot, Series, Text, table_of
+from linkplan.studies.output.document import MEASURED, Axis, Block, Curve, Facts, Heat, Plane, Plot, Series, Text, table_of
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.numbers import rounded
 
@@ -62,6 +62,7 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
         for column, share in enumerate((1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE)):
             tried_kd = np.where(study.settles_near_border[:, column] == settles, share * high, np.nan)
             if np.isfinite(tried_kd).any():
+                name = "" if any(line.name == name for line in lines) else name
                 lines.append(Line(name=name, values=tried_kd, unit=damping, look="points", colour=None if settles else 1))
     critical = plots("Stable kd over the position", "kd", axis, at, lines, group=f"along:map:{joint.name}", log=True)
     return [Facts(rows=rows), table, _gains(study, marked, stiffness, damping), *critical]
@@ -70,9 +71,7 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
 def _gains(study: MapStudy, marked: Marked, stiffness: str, damping: str) -> Plane:
     found = study.found
     kp, kd, radius = found.border
-    curves = [
-        Curve(name="predicted stability boundary, worst position", colour=4, width=2.2, **_contour(kd, kp, radius, 1.0))
-    ]
+    curves = [Curve(name="predicted stability boundary", colour=4, width=2.2, **_contour(kd, kp, radius, 1.0))]
     for k, level in enumerate((15.0, 30.0, 45.0, 60.0)):
         line = _contour(found.kd, found.kp, found.phase_margin_deg, level)
         if line["x"]:
@@ -170,10 +169,10 @@ def large_blocks(study: LargeStudy) -> list[Block]:
     series = []
     for k, multiple in enumerate(signals.multiples):
         name = f"command {multiple:g} of the limit"
-        series.append(Series(name=f"{name}, harmonic balance", y=rounded(predicted[:, k]), colour=k % 7, width=1.1))
-        series.append(Series(name=f"{name}, MuJoCo", y=rounded(measured[:, k]), colour=k % 7, look="points"))
+        series.append(Series(name=name, y=rounded(predicted[:, k]), colour=k % 7, width=1.1))
+        series.append(Series(name=name + MEASURED, y=rounded(measured[:, k]), colour=k % 7, look="points"))
     gain = Plot(
-        title=f"Reference to position at {curve.point.name}",
+        title=f"Reference to position at {curve.point.name}, lines by harmonic balance",
         group="frequency:large",
         x_axis=Axis(label="frequency", unit="Hz", log=True),
         y_axis=Axis(label="gain", unit="dB"),

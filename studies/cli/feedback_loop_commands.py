@@ -70,7 +70,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
 
         save_bode(study, place)
         for name, section in extras.items():
-            figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3)
+            figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3, panel_in=(6.0, 4.6))
 
     def report():
         from linkplan.studies.report.reports import bode_report

@@ -75,14 +75,14 @@ def wrapped(text: str, most: int) -> str:
     return textwrap.fill(text, min(most, len(text) // lines + 8))
 
 
-def outside_legend(axes, *, narrow: bool = False, **options) -> int:
+def outside_legend(axes, *, narrow: bool = False, row_letters: int | None = None, **options) -> int:
     """Put a legend above the axes, where it hides no data, and return how many rows it needs.
 
-    A row has 76 letters over the width of a page, or 56 over half of a wide page if `narrow`.
+    A row has `row_letters`; by default 76 letters over the width of a page, or 56 over half of a wide page if `narrow`.
     """
     handles, labels = axes.get_legend_handles_labels()
     columns = max(1, len(labels))
-    row_letters = 56 if narrow else 76
+    row_letters = row_letters or (56 if narrow else 76)
     if sum(len(label) + _LEGEND_MARK_LETTERS for label in labels) > row_letters:
         columns = max(1, row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)

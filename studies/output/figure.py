@@ -23,7 +23,9 @@ _STYLES = {
     "star": {"linestyle": "", "marker": "*", "markersize": 13, "markeredgecolor": BLACK},
 }
 # Letters of a figure's title on an inch of its width.
-_TITLE_LETTERS_PER_INCH = 12
+_TITLE_LETTERS_PER_INCH = 10
+# Letters of a panel's title and of its legend on an inch of its width.
+_PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
 # The share of a bar's place that its spans take.
 _BAR_SHARE = 0.76
 
@@ -69,27 +71,27 @@ def figure_of(
                 panel(axis)
             else:
                 _DRAWERS[type(panel)](axis, panel)
-            _legend(axis, axis.get_title() if callable(panel) else panel.title, named, narrow=columns > 1)
+            _legend(axis, axis.get_title() if callable(panel) else panel.title, named, panel_in[0])
         figure = axes.flat[0].figure
         if title:
             figure.suptitle(wrapped(title, int(_TITLE_LETTERS_PER_INCH * size[0])), fontsize=11)
     return figure
 
 
-def _legend(axis, title: str, named: list[list], *, narrow: bool) -> None:
-    """Set a panel's title, and a legend above it unless an earlier panel in the list `named` has the same legend."""
+def _legend(axis, title: str, named: list[list], width_in: float) -> None:
+    """Set the title of a panel `width_in` [inch] wide, and a legend unless a panel in the list `named` has the same one."""
     handles, labels = axis.get_legend_handles_labels()
     looks = [(label, line.get_color(), line.get_linestyle()) for line, label in zip(handles, labels, strict=True)
              if hasattr(line, "get_color")]  # fmt: skip
     own = any(label not in title for label in labels) and looks not in named and axis.get_legend() is None
-    rows = outside_legend(axis, narrow=narrow, fontsize=8) if own else 0
+    rows = outside_legend(axis, row_letters=int(_LEGEND_LETTERS_PER_INCH * width_in), fontsize=8) if own else 0
     named.append(looks)
     if title:
-        axis.set_title(wrapped(title, 56 if narrow else 90), fontsize=9.5, pad=6 + 14 * rows)
+        axis.set_title(wrapped(title, int(_PANEL_LETTERS_PER_INCH * width_in)), fontsize=9.5, pad=6 + 14 * rows)
 
 
 def draw_plot(axis, plot: Plot) -> None:
-    """Draw the lines of a plot, and its limits as dotted lines."""
+    """Draw the lines of a plot, and its limits as dotted lines with their names."""
     for one in plot.series:
         _draw_line(axis, one, plot.x if one.x is None else one.x)
     _draw_limits(axis, plot.limits)
@@ -105,7 +107,7 @@ def draw_plane(axis, plane: Plane) -> None:
         values = _numbers(heat.values)
         look = {"shading": "nearest", "cmap": colours, "vmin": low, "vmax": high}
         image = axis.pcolormesh(_numbers(heat.x), _numbers(heat.y), values, **look)
-        axis.figure.colorbar(image, ax=axis, label=f"{heat.name} [{heat.unit}]")
+        axis.figure.colorbar(image, ax=axis, label=wrapped(f"{heat.name} [{heat.unit}]", 30))
     for one in plane.curves:
         if one.look == "area":
             axis.fill(_numbers(one.x), _numbers(one.y), color=_colour(one), alpha=0.2, linewidth=0, label=one.name or None)
@@ -154,7 +156,9 @@ def _draw_line(axis, one: Series | Curve, x: Sequence) -> None:
 
 def _draw_limits(axis, limits: Sequence[Limit]) -> None:
     for limit in limits:
-        axis.axhline(limit.value, color=GREY, linestyle=":", linewidth=1.2, label=f"{limit.name} {limit.value:.4g}")
+        axis.axhline(limit.value, color=GREY, linestyle=":", linewidth=1.2)
+        place = {"transform": axis.get_yaxis_transform(), "ha": "right", "va": "bottom"}
+        axis.text(0.995, limit.value, f"{limit.name} {limit.value:.4g}", color=GREY, fontsize=7, **place)
 
 
 def _set_axes(axis, *both: Axis) -> None:

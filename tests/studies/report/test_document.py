@@ -1,10 +1,11 @@
 """A report as a document: what stands in it is what the plan, its certificate and its tracked runs say."""
 
 import json
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
@@ -174,7 +175,7 @@ def test_pages_are_small(report, compared):
 
 def test_no_name_ends_a_script_or_begins_an_element(report):
     hostile = '</script><img src=x onerror="alert(1)"><!-- <script>'
-    page = report_html(replace(report, title=hostile, verdict=hostile))
+    page = report_html(msgspec.structs.replace(report, title=hostile, verdict=hostile))
     assert page.count("</script>") == 3
     assert "<img" not in page
     said = page.split('id="document">')[1].split("</script>")[0]
