@@ -1,17 +1,31 @@
 """The parser of the command line: commands, arguments and options. This file has no heavy imports."""
 
 import argparse
+import sys
+from typing import NoReturn
 
 from linkplan.controllers.controls import keys_said
-from linkplan.studies.cli.parser import Parser
-from linkplan.studies.cli.shells import SHELLS
+from linkplan.models.errors import one_line
+from linkplan.studies.cli.exit_codes import BAD_INPUT
+from linkplan.studies.cli.streams import put
 from linkplan.studies.export.formats import FORMATS
 
+# The shells with completion.
+SHELLS = ("bash", "zsh", "fish")
 EPILOG = (
     "exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), with a sentence; 2 bad input, or a file"
     " that cannot be read or written (a full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 stdout"
     " was closed before the result was written (use -o)"
 )
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse's parser; an error is one line on stderr."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error and end with exit code 2."""
+        put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
+        raise SystemExit(BAD_INPUT)
 
 
 def build_parser() -> Parser:
