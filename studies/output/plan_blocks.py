@@ -27,9 +27,9 @@ def plan_blocks(plan: Plan) -> list[Block]:
             f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
         )
         blocks.append(Text(text=text))
-    table = table_of("", ["between the nodes", "worst", "unit"], [*_error_rows(plan), *_margin_rows(plan, certificate)])
-    passed = Text(text=f"certificate: {'passed' if certificate.passed else 'NOT passed'}", tone="plain")
-    return [*blocks, passed, table, *notes]
+    title = f"certificate: {'passed' if certificate.passed else 'NOT passed'}"
+    rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
+    return [*blocks, table_of(title, ["between the nodes", "worst", "unit"], rows), *notes]
 
 
 def plan_text(plan: Plan) -> str:
