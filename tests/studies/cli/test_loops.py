@@ -23,7 +23,7 @@ LABELS = {
     ],
     "margins.png": [
         *(("O [deg]", what) for what in (OF_HERTZ, "margin [deg]", OF_HERTZ)),
-        ("", "|S|, blank where it is unstable; red amplifies [dB]"),
+        ("", "|S|, blank where it is\nunstable; red amplifies [dB]"),
     ],
 }
 
