@@ -10,13 +10,12 @@ from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.scan import bounds_text, stability
+from linkplan.studies.bode.scan import stability
 from linkplan.studies.compare.compare import build_tracker
-from linkplan.studies.frequency.feedback_loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop
-from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
+from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, frozen_radii, tracker_gains
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
-from linkplan.studies.output.digits import radius_figure
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -105,23 +104,3 @@ def along_record(found: AlongMotion) -> dict:
         "largest_frozen_pole": float(found.radius.max()),
         "floquet": None if found.floquet is None else floquet_record(found.floquet),
     }
-
-
-def along_text(found: AlongMotion) -> str:
-    """Return the worst instant and the multipliers as text."""
-    k, bounds = found.instants[found.worst], found.margins[found.worst]
-    text = bounds_text(bounds)
-    joints = found.plan.problem.mechanism.independent_joints
-    if len(joints) > 1:
-        text += f", of the loop of {joints[found.channels[found.worst]].name}"
-    lines = [
-        f"{LAW_NAMES[found.law]} at frozen instants along {found.plan.problem.name}: worst at"
-        f" {1e3 * found.reference.time_s[k]:.4g} ms ({text}); the largest frozen pole is"
-        f" {radius_figure(float(found.radius.max()))}"
-    ]
-    lines.append(
-        "the motion is not periodic: there are no Floquet multipliers"
-        if found.floquet is None
-        else floquet_text(found.floquet)
-    )
-    return "\n".join(lines)

@@ -1,13 +1,11 @@
 """The output of `linkplan bode`: a JSON record and a text table."""
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy
-from linkplan.studies.bode.scan import Scan, bounds_text
-from linkplan.studies.bode.touching import contact_sentence
-from linkplan.studies.check.softness import gap_sentence, held_gap
+from linkplan.studies.bode.bode_blocks import contacts_of, softness_of, summary
+from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.excitation import EXCITATIONS
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, broken_at
-from linkplan.studies.output.digits import radius_figure
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import text_of
 
 
 def bode_record(study: BodeStudy) -> dict:
@@ -96,107 +94,4 @@ def _channel_name(study: BodeStudy, channel: int) -> str:
 
 def bode_text(study: BodeStudy) -> str:
     """Return the margins at every pose, the worst case over the reach, and the agreement with the measurement."""
-    lines = [f"{study.message[0].upper()}{study.message[1:]}"]
-    if study.mechanism.dof > 1:
-        names = ", ".join(joint.name for joint in study.mechanism.independent_joints)
-        lines.append(
-            f"each loop is broken at the effort on its coordinate ({names}), made by"
-            f" {', '.join(actuator.name for actuator in study.mechanism.actuators)} together; the others' loops are closed"
-        )
-    lines += ["", _margin_table(study), *(f"  {sentence}" for sentence in crossovers_of(study))]
-    for scan in study.scans:
-        lines += ["", _scan_text(study, scan)]
-    if study.method is not None:
-        lines += ["", *_measurement_lines(study)]
-    notes = [f"note: {note}" for note in (contacts_of(study), softness_of(study)) if note]
-    return "\n".join([*lines, *([""] if notes else []), *notes])
-
-
-def _margin_table(study: BodeStudy) -> str:
-    """Return the table of margins, a row for each loop and pose."""
-    mechanism = study.mechanism
-    joint = mechanism.independent_joints[0]
-    units = dict.fromkeys("kg m2" if one.kind == "hinge" else "kg" for one in mechanism.independent_joints)
-    head = ["loop" if mechanism.dof > 1 else f"{joint.name} [{joint.unit}]", f"inertia [{' or '.join(units)}]"]
-    head += ["stable", "in MuJoCo", "|pole|", "GM [dB]", "PM [deg]", "DM [ms]", "disk"]
-    head += ["crossover [Hz]", "bandwidth [Hz]", "resonance [dB]", "max |S|"]
-    rows = []
-    for entry in study.points:
-        bounds, point = entry.margins, entry.point
-        loop = f"{mechanism.independent_joints[entry.channel].name} at {point.name}"
-        rows.append(
-            [
-                loop if mechanism.dof > 1 else joint.said(point.state[0], 5),
-                float(point.inertia[entry.channel, entry.channel]),
-                bounds.stable,
-                entry.settles_in_mujoco,
-                radius_figure(bounds.spectral_radius),
-                bounds.gain_margin_db,
-                bounds.phase_margin_deg,
-                None if bounds.delay_margin_s is None else 1e3 * bounds.delay_margin_s,
-                bounds.disk_margin,
-                bounds.crossover_hz,
-                bounds.bandwidth_hz,
-                bounds.resonance_db,
-                bounds.sensitivity_peak,
-            ]
-        )
-    return table(head, rows)
-
-
-def _scan_text(study: BodeStudy, scan: Scan) -> str:
-    """Return the worst margins along a line."""
-    line, joints = scan.line, study.mechanism.independent_joints
-    ends = f"{line.said(scan.positions[0], 4)} to {line.said(scan.positions[-1], 4)} {line.unit}"
-    of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
-    worst = f"{line.place(scan.positions[scan.worst])}: {bounds_text(scan.margins[scan.worst])}"
-    text = f"over {line.name} from {ends} the worst{of_loop} is {worst}"
-    for name, words, unit in (("gain_margin_db", "gain margin", "dB"), ("phase_margin_deg", "phase margin", "deg")):
-        least = scan.least(name) if all(m.stable for m in scan.margins) else None
-        if least is not None:
-            text += f"; least {words} {least[0]:.3g} {unit} at {line.place(scan.positions[least[1]])}"
-    return text
-
-
-def _measurement_lines(study: BodeStudy) -> list[str]:
-    """Return the agreement of measurement and prediction, or the reason why nothing was measured."""
-    deviation, c = study.worst_deviation, study.conditions
-    if deviation is None:
-        return [not_measured(study)]
-    return [
-        f"measured closed-loop responses ({study.method}, {study.simulated_steps} steps) differ from the prediction"
-        f" by at most {deviation[0]:.2g} dB and {deviation[1]:.2g} deg",
-        f"MuJoCo {c['mujoco']}, {c['integrator']}, step {c['timestep_s']:g} s, closure constraints' solref"
-        f" {', '.join(f'{x[0]:g} {x[1]:g}' for x in c['solref']) or 'none'}",
-    ]
-
-
-def not_measured(study: BodeStudy) -> str:
-    """Return the reason why nothing was measured."""
-    if any(point.margins.stable for point in study.points):
-        return "not measured: contacts push at the poses where the feedback loop is stable"
-    return "not measured: an unstable feedback loop holds no operating point"
-
-
-def crossovers_of(study: BodeStudy) -> list[str]:
-    """Return a sentence for each feedback loop with several gain crossovers."""
-    found = []
-    for entry in study.points:
-        at, others = entry.margins.crossover_hz, entry.margins.other_crossovers_hz
-        if others:
-            joint = study.mechanism.independent_joints[entry.channel].name
-            loop = f"{joint} at {entry.point.name}" if study.mechanism.dof > 1 else entry.point.name
-            frequencies = ", ".join(f"{f:.4g}" for f in others)
-            found.append(f"{loop}: the gain is one at {frequencies} Hz too; the phase margin is least at {at:.4g} Hz")
-    return found
-
-
-def contacts_of(study: BodeStudy) -> str | None:
-    """Return the sentence on contacts at the poses, or None if there is no contact."""
-    return contact_sentence(study.contacts, len(study.points) // study.mechanism.dof)
-
-
-def softness_of(study: BodeStudy) -> str | None:
-    """Return the sentence on the closure gap at the poses, or None if it is small."""
-    gaps = [held_gap(study.mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == 0]
-    return gap_sentence(study.mechanism, max(gaps), error=" while the poses are held")
+    return text_of(summary(study))

@@ -66,24 +66,3 @@ def large_study_record(study: LargeStudy) -> dict:
 def _none(values: np.ndarray) -> list:
     """Return a table with None in place of NaN."""
     return [[float(x) if np.isfinite(x) else None for x in row] for row in values]
-
-
-def large_text(study: LargeStudy) -> str:
-    """Return the accuracy of the describing function, and points of the feasible curve, as text."""
-    signals, curve = study.signals, study.curve
-    joint = curve.point.mechanism.independent_joints[curve.channel]
-    cut = signals.saturated > 0.05
-    lines = [f"large signals at {curve.point.name}:"]
-    if np.any(cut):
-        deviation = np.abs(np.abs(signals.describing[cut]) / signals.describing_predicted[cut] - 1).max()
-        gain = np.abs(20 * np.log10(np.abs(signals.measured[cut] / signals.predicted[cut]))).max()
-        lines.append(
-            f"past the limit ({int(cut.sum())} points) the measured describing function is within {100 * deviation:.2g} % of"
-            f" the saturation's, and the closed loop within {gain:.2g} dB of harmonic balance"
-        )
-    for a, f, reason in list(zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True))[
-        :: max(1, len(curve.amplitude) // 6)
-    ]:
-        verdict = f"can be followed up to {f:.4g} Hz" if f > 0 else "cannot be followed at any frequency"
-        lines.append(f"amplitude {joint.shown(a):.3g} {joint.unit} {verdict} ({reason})")
-    return "\n".join(lines)

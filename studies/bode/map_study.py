@@ -19,7 +19,6 @@ from linkplan.studies.frequency.stability_map import (
 )
 from linkplan.studies.frequency.trial import settle_trials
 from linkplan.studies.frequency.worst import local_minima
-from linkplan.studies.output.tables import table
 
 # Gains simulated in MuJoCo lie this share above and below the stability boundary.
 TRIAL_GAIN_SHARE = 0.02
@@ -149,29 +148,3 @@ def map_record(study: MapStudy) -> dict:
         "as_predicted": right,
         "tried_count": tried,
     }
-
-
-def map_text(study: MapStudy) -> str:
-    """Return the stable damping gains, the longest period and the agreement with MuJoCo as text."""
-    found = study.found
-    joint = found.points[0].mechanism.independent_joints[0]
-    rows = [
-        [f"{joint.said(p.state[0], 4)}", float(p.inertia[0, 0]), float(low), float(high)]
-        for p, (low, high) in zip(found.points, study.critical, strict=True)
-    ]
-    turns = joint.kind == "hinge"
-    stiffness, damping = ("N.m/rad", "N.m.s/rad") if turns else ("N/m", "N.s/m")
-    inertia = "kg m2" if turns else "kg"
-    gains = f"kp = {study.kp:g} {stiffness}, kd = {study.kd:g} {damping}"
-    head = [f"{joint.name} [{joint.unit}]", f"inertia [{inertia}]", f"least kd [{damping}]", f"largest kd [{damping}]"]
-    right, tried = agreement(found)
-    lines = [f"stable kd at kp = {study.kp:g} {stiffness}, sampled every {found.timing.period_s:g} s", table(head, rows), ""]
-    if study.longest_s is None:
-        lines.append(f"{gains} is unstable at any control period")
-    elif np.isfinite(study.longest_s):
-        lines.append(
-            f"{gains} needs a control period below {1e3 * study.longest_s:.4g} ms"
-            f" ({1e-3 / study.longest_s:.4g} kHz), for {study.longest_at.name}"
-        )
-    lines.append(f"MuJoCo agrees with the prediction at {right} of {tried} gains next to the stability boundary")
-    return "\n".join(lines)

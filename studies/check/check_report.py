@@ -1,4 +1,4 @@
-"""The text of `linkplan check` on a path: a table of a few poses, and the quantities that are the same at all poses."""
+"""A path of `linkplan check` as a document: a table of a few poses, and the quantities that are the same at all poses."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 
 # Changes and excesses below this share of the largest value along a path are rounding errors.
 _ROUNDING_SHARE = 1e-9
@@ -27,11 +27,6 @@ class Column:
         if not np.isfinite(self.values).all():
             return bool(np.all(self.values == self.values[0]))
         return bool(np.all(np.ptp(self.values, axis=0) <= _ROUNDING_SHARE * self.scale))
-
-    @property
-    def title(self) -> str:
-        """The head with its unit."""
-        return f"{self.head} [{self.unit}]" if self.unit != "1" else self.head
 
     def cell(self, k: int) -> float | str:
         """Return the entry of sample k, with rounding errors as zero."""
@@ -62,47 +57,45 @@ def ratio_unit(joint: Joint, actuator_unit: str) -> str:
     return "m" if joint.kind == "hinge" else "1/m"
 
 
-def path_text(path: KinematicLoopPath, *, brief: bool = False) -> str:
+def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     """Return the table of a path, the constant quantities, and the poses at which the weight cannot be held.
 
-    A brief text has only the table with the quantities of the swept coordinate, its actuators and the closures. It is empty
-    if none of them changes.
+    A brief document has only the table with the quantities of the swept coordinate, its actuators and the closures. It is
+    empty if none of them changes.
     """
     columns = quantities(path)
     if brief and path.coordinate is not None:
         columns = _own(path, columns)
-    rows, varying = _pose_table(path, columns)
+    table = _pose_table(path, columns)
+    changing = brief and path.coordinate != 0
+    said = [*weight_sentences(path, changing=changing), *unheld_sentences(path, changing=changing)]
+    sentences = [Text(text=text, tone="note") for text in said]
     if brief:
-        changing = path.coordinate != 0
-        sentences = [*weight_sentences(path, changing=changing), *unheld_sentences(path, changing=changing)]
-        return "\n".join([f"along {path.title}:", *varying, *sentences]) if varying or sentences else ""
+        return [*table, *sentences] if table or sentences else []
     constant = [column.said() for column in columns if column.is_constant]
     if not acts(path).all():
         constant.append("all other ratios 0")
     hold = "hold and force are" if path.mechanism.actuators else "force is"
-    lines = [
-        f"along {path.title}, at rest ({rows} of {len(path.poses)} poses):",
-        *varying,
-        f"weight alone is without springs; {hold} with everything at rest, weight and springs",
-    ]
-    if constant:
-        lines.append(f"the same at every pose: {', '.join(constant)}")
-    return "\n".join([*lines, *weight_sentences(path), *unheld_sentences(path)])
+    weight = Text(text=f"weight alone is without springs; {hold} with everything at rest, weight and springs")
+    same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
+    return [*table, weight, *same, *sentences]
 
 
-def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> tuple[int, list[str]]:
-    """Return the number of rows of a path's table, and its text; an empty list if no column changes."""
+def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> list[Table]:
+    """Return the table of a path; an empty list if no column changes."""
     at = np.unique(np.linspace(0, len(path.poses) - 1, num=9).astype(int))
     shown = [column for column in columns if not column.is_constant]
     if not shown:
-        return len(at), []
+        return []
     positions = [
         Column(head=joint.name, unit=joint.unit, values=np.array([float(joint.said(x, 17)) for x in s]), scale=1.0)
         for column, (joint, s) in enumerate(zip(path.mechanism.independent_joints, path.positions.T, strict=True))
         if path.coordinate in (None, column)
     ]
     shown = [*positions, *shown]
-    return len(at), [table([column.title for column in shown], [[column.cell(k) for column in shown] for k in at])]
+    rows = [[column.cell(k) for column in shown] for k in at]
+    title = f"along {path.title}, at rest ({len(at)} of {len(path.poses)} poses)"
+    return [table_of(title, [(column.head, column.unit) for column in shown], rows)]
 
 
 def _own(path: KinematicLoopPath, columns: list[Column]) -> list[Column]:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from linkplan.models.closure.closed_pose import home_text
 from linkplan.models.errors import InertiaError, LockedError, UnassembledError
+from linkplan.studies.output.document import Block, Code, Facts, Text
+from linkplan.studies.output.text import text_of
 
 # The errors of a model that `check` reports as problems instead of bad input.
 REFUSED = (InertiaError, LockedError, UnassembledError)
@@ -40,18 +42,22 @@ class RefusedModel:
             "keyframe": self.error.keyframe or None,
         } | self.error.home  # fmt: skip
 
-    def text(self) -> str:
-        """Return the findings for people."""
-        lines = [f"{self.name}: no mechanism as it stands", "", f"PROBLEM: {self.error}"]
+    def blocks(self) -> list[Block]:
+        """Return the findings as a document."""
+        found: list[Block] = [
+            Text(text=f"{self.name}: no mechanism as it stands"),
+            Text(text=f"PROBLEM: {self.error}", tone="bad"),
+        ]
         if isinstance(self.error, LockedError):
-            lines += [f"locked by: {part} (+{more} without it)" for part, more in self.error.freed.items()]
+            found.append(
+                Facts(rows=[("locked by", f"{part} (+{more} without it)") for part, more in self.error.freed.items()])
+            )
         elif isinstance(self.error, UnassembledError) and self.error.keyframe:
-            lines += [
-                "",
-                "into the model, in place of a keyframe home:",
-                f"  {self.error.keyframe}",
-                "",
-                "or into the problem file:",
-            ]
-            lines += ["  [mechanism]", *(f"  {row}" for row in home_text(self.error.home).splitlines())]
-        return "\n".join(lines)
+            home = f"[mechanism]\n{home_text(self.error.home)}".rstrip()
+            found.append(Code(title="into the model, in place of a keyframe home", text=self.error.keyframe))
+            found.append(Code(title="or into the problem file", text=home))
+        return found
+
+    def text(self) -> str:
+        """Return the findings as text."""
+        return text_of(self.blocks())

@@ -9,9 +9,9 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.planner.files.tables import Tables
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.studies.check.check_report import path_text
+from linkplan.studies.check.check_report import path_blocks
 from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
-from linkplan.studies.check.inspection_text import inspection_text
+from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
     inertia_notes,
@@ -20,6 +20,8 @@ from linkplan.studies.check.kinematic_loop_report import (
     reach_paths,
 )
 from linkplan.studies.check.refused_model import REFUSED
+from linkplan.studies.output.document import Block, Text
+from linkplan.studies.output.text import text_of
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -48,15 +50,19 @@ class WholeCheck:
         """Return the findings by name, units in the names."""
         return inspection_record(self.found) | {"along": [path_record(path) for path in self.paths]}
 
-    def text(self) -> str:
-        """Return the findings as text, with brief tables for more than six coordinates."""
+    def blocks(self) -> list[Block]:
+        """Return the findings as a document, with brief tables for more than six coordinates."""
         brief = len(self.paths) > 6
-        paths = [text for path in self.paths if (text := path_text(path, brief=brief))]
-        left_out = [
+        paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
+        left_out = (
             f"of {len(self.paths)} coordinates each has its own quantities above, at rest, where they change along its"
             " reach; the JSON record has all of them"
-        ]
-        return "\n\n".join([inspection_text(self.found), *paths, *(left_out if brief else [])])
+        )
+        return [*inspection_blocks(self.found), *paths, *([Text(text=left_out)] if brief else [])]
+
+    def text(self) -> str:
+        """Return the findings as text."""
+        return text_of(self.blocks())
 
 
 def mechanism_and_problem(

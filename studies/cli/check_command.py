@@ -2,12 +2,15 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel
-from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
+from linkplan.studies.cli.common import deliver, output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import show
+
+if TYPE_CHECKING:
+    from linkplan.studies.check.whole_check import WholeCheck
+    from linkplan.studies.output.document import Report
 
 
 def run_check(arguments: argparse.Namespace) -> int:
@@ -20,38 +23,24 @@ def run_check(arguments: argparse.Namespace) -> int:
         sections = tables if is_problem else {"mechanism": tables["mechanism"]}
         mechanism, problem, notes = mechanism_and_problem(name, sections, folder)
     except REFUSED as error:
-        return _refused(arguments, target, RefusedModel(name=Path(name).stem, error=error))
+        refused = RefusedModel(name=Path(name).stem, error=error)
+        deliver(arguments, target, refused.record(), refused.blocks(), lambda: _report(refused))
+        return NO  # a problem of the model, not bad input
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
-    found, said = whole.found, whole.record()
-    if target is not None:
-        from linkplan.studies.check.draw_kinematic_loop_report import path_figure
-        from linkplan.studies.check.draw_mechanism import inspection_figure
-        from linkplan.studies.report.reports import check_report
-        from linkplan.studies.report.saving import save_report
+    found = whole.found
 
-        def write(place: Path) -> None:
-            write_json(place / "check.json", said)
-            save_report(check_report(whole), place, page=arguments.report)
-            inspection_figure(found, place / "mechanism.png")
-            for number, path in enumerate(whole.paths, 1):
-                path_figure(path, found.reaches, place / f"loop-{number}.png")
+    def draw(place: Path) -> None:
+        from linkplan.studies.check.path_plots import inspection_figure, path_figure
 
-        write_whole(target, write, "check.json")
-    show(arguments, said, whole.text())
+        inspection_figure(found, place / "mechanism.png")
+        for number, path in enumerate(whole.paths, 1):
+            path_figure(path, found.reaches, place / f"loop-{number}.png")
+
+    deliver(arguments, target, whole.record(), whole.blocks(), lambda: _report(whole), draw)
     return NO if found.problems else DONE
 
 
-def _refused(arguments: argparse.Namespace, target: Path | None, found: RefusedModel) -> int:
-    """Report on a model that cannot be loaded; the exit code is that of a problem, not of bad input."""
-    said = found.record()
-    if target is not None:
-        from linkplan.studies.report.reports import check_report
-        from linkplan.studies.report.saving import save_report
+def _report(found: "WholeCheck | RefusedModel") -> "Report":
+    from linkplan.studies.report.reports import check_report
 
-        def write(place: Path) -> None:
-            write_json(place / "check.json", said)
-            save_report(check_report(found), place, page=arguments.report)
-
-        write_whole(target, write, "check.json")
-    show(arguments, said, found.text())
-    return NO
+    return check_report(found)

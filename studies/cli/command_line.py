@@ -1,17 +1,31 @@
 """The parser of the command line: commands, arguments and options. This file has no heavy imports."""
 
 import argparse
+import sys
+from typing import NoReturn
 
 from linkplan.controllers.controls import keys_said
-from linkplan.studies.cli.parser import Parser
-from linkplan.studies.cli.shells import SHELLS
+from linkplan.models.errors import one_line
+from linkplan.studies.cli.exit_codes import BAD_INPUT
+from linkplan.studies.cli.streams import put
 from linkplan.studies.export.formats import FORMATS
-from linkplan.studies.output.tables import folded
 
-EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found),
-with a sentence; 2 bad input, or a file that cannot be read or written (a full
-disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 stdout was
-closed before the result was written (use -o)"""
+# The shells with completion.
+SHELLS = ("bash", "zsh", "fish")
+EPILOG = (
+    "exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), with a sentence; 2 bad input, or a file"
+    " that cannot be read or written (a full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 stdout"
+    " was closed before the result was written (use -o)"
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse's parser; an error is one line on stderr."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error and end with exit code 2."""
+        put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
+        raise SystemExit(BAD_INPUT)
 
 
 def build_parser() -> Parser:
@@ -20,7 +34,6 @@ def build_parser() -> Parser:
         prog="linkplan",
         description="Optimal-control motion planning for closed-chain mechanisms.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print linkplan's version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
@@ -28,9 +41,7 @@ def build_parser() -> Parser:
     def command(
         name: str, text: str, *, output: bool = True, settings: bool = True, report: bool = False
     ) -> argparse.ArgumentParser:
-        sentence = folded(f"{text[0].upper()}{text[1:]}.", below="")
-        sub = commands.add_parser(name, help=text, description=sentence, epilog=EPILOG)
-        sub.formatter_class = argparse.RawDescriptionHelpFormatter
+        sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=EPILOG)
         sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
         if output:
             sub.add_argument("-o", "--output", metavar="DIR", help="write results and figures into this folder, whole")
@@ -132,7 +143,7 @@ def build_parser() -> Parser:
     tune.add_argument("--damping-ratio", type=float, metavar="Z", help="least of the closed loop's poles (default: 0.4)")
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
-    view.epilog = f"keys in the window: {keys_said()}\n\n{EPILOG}"
+    view.epilog = f"keys in the window: {keys_said()}; {EPILOG}"
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _anyway(view)
     _tracker(view)

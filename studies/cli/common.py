@@ -2,7 +2,7 @@
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
 
 if TYPE_CHECKING:
+    from linkplan.studies.output.document import Block, Report
     from linkplan.studies.tasks.engine import Engine
 
 # Options for further files in a result's folder.
@@ -78,6 +79,30 @@ def engine_asked(arguments: argparse.Namespace) -> "Engine":
     if not 1 <= workers <= MOST_WORKERS:
         raise ProblemError(f"--workers is a whole number from 1 to {MOST_WORKERS}, got {workers}")
     return processes(workers)
+
+
+def deliver(
+    arguments: argparse.Namespace,
+    target: Path | None,
+    said: dict,
+    result: "str | Sequence[Block]",
+    report: Callable[[], "Report"],
+    draw: Callable[[Path], None] = lambda _: None,
+) -> None:
+    """Save a study's record, report and other files into the folder of -o, if there is one, and show the result."""
+    if target is not None:
+        from linkplan.planner.files.folders import write_json, write_whole
+        from linkplan.studies.report.saving import save_report
+
+        record = f"{arguments.command}.json"
+
+        def write(place: Path) -> None:
+            write_json(place / record, said)
+            draw(place)
+            save_report(report(), place, page=arguments.report)
+
+        write_whole(target, write, record)
+    show(arguments, said, result)
 
 
 def sample_again(folder: Path, tracker: str, sample: int) -> str:

@@ -11,9 +11,9 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.keys.reading import KEYS
+from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
-from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.frequency.method_names import METHODS
 
@@ -59,8 +59,6 @@ def run_completion(arguments: argparse.Namespace) -> int:
 def completion_script(shell: str) -> str:
     """Return a shell's completion script."""
     import shtab
-
-    from linkplan.studies.cli.command_line import build_parser
 
     parser = build_parser()
     commands = next(action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import engine_asked, no_plan, output_folder, plan_asked, sample_again, set_all
+from linkplan.studies.cli.common import deliver, engine_asked, no_plan, output_folder, plan_asked, sample_again, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -27,7 +26,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
-    from linkplan.studies.experiment.outcome_text import outcome_text
+    from linkplan.studies.experiment.experiment_blocks import outcome_blocks
 
     settings = Settings(
         trackers=TRACKERS if arguments.trackers.strip() == "all" else tuple(map(str.strip, arguments.trackers.split(","))),
@@ -71,7 +70,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         return no_plan(arguments, none.plan)
     if arguments.report and target is not None:
         _write_page(outcome, target)
-    show(arguments, outcome.record, outcome_text(outcome))
+    show(arguments, outcome.record, outcome_blocks(outcome))
     return DONE if outcome.experiment.plan.passed else NO
 
 
@@ -95,13 +94,13 @@ class _NoPlanError(Exception):
 def run_replay(arguments: argparse.Namespace) -> int:
     """Run one sample of an experiment again; 1 if it fails or is unstable."""
     from linkplan.studies.compare.compare import Comparison, comparison_record
-    from linkplan.studies.compare.comparison_text import comparison_text
-    from linkplan.studies.compare.draw_tracking import comparison_figure
+    from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
     from linkplan.studies.compare.time_series import save_time_series
     from linkplan.studies.experiment.replay import replay
     from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
+    from linkplan.studies.output.document import Text
+    from linkplan.studies.report.experiment_sections import machine_section
     from linkplan.studies.report.reports import replay_report
-    from linkplan.studies.report.saving import save_report
 
     target = output_folder(arguments)
     _refuse_beside_sample(arguments)
@@ -114,17 +113,13 @@ def run_replay(arguments: argparse.Namespace) -> int:
     comparison = Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title=title, stem=stem)
     record = comparison_record(comparison) | {"tracker": arguments.tracker, "sample": said}
 
-    def save(place: Path) -> None:
-        write_json(place / "track.json", record)
+    def draw(place: Path) -> None:
         save_time_series(comparison, place, parquet=arguments.parquet)
         comparison_figure(comparison, place / "track.png")
-        save_report(replay_report(comparison, said), place, page=arguments.report)
 
-    if target is not None:
-        write_whole(target, save, "track.json")
-    values = "\n".join(f"  {name} = {value:.6g}" for name, value in said["imperfections"].items())
-    failure = f"\n{said['failure']}" if said["failure"] else ""
-    show(arguments, record, f"{comparison_text(comparison)}{failure}\nimperfections:\n{values}")
+    failure = [Text(text=said["failure"], tone="bad")] if said["failure"] else []
+    blocks = [*comparison_blocks(comparison), *failure, *machine_section(said).blocks]
+    deliver(arguments, target, record, blocks, lambda: replay_report(comparison, said), draw)
     return DONE if said["failure"] is None and rollout.stable else NO
 
 

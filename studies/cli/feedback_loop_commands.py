@@ -9,22 +9,25 @@ from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
-from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
+from linkplan.studies.cli.common import deliver, output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import progress, show
+from linkplan.studies.cli.printing import progress
 from linkplan.studies.cli.progress import Progress
 from linkplan.studies.frequency.method_names import METHODS
+from linkplan.studies.output.document import Block, Section, Text
+
+_EXTRA_TITLES = {"map": "Stability map", "large": "Large signals", "along": "Along the motion"}
 
 
 def run_bode(arguments: argparse.Namespace) -> int:
     """Report on a loop's frequency response, predicted and measured; 1 if it is unstable at a pose."""
     from linkplan.studies.bode.bode import bode_study
-    from linkplan.studies.bode.bode_report import bode_record, bode_text
+    from linkplan.studies.bode.bode_blocks import summary
+    from linkplan.studies.bode.bode_report import bode_record
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.excitation import Setup
     from linkplan.studies.frequency.feedback_loops import refuse_several_freedoms
@@ -53,31 +56,28 @@ def run_bode(arguments: argparse.Namespace) -> int:
         frequency_hz=_frequencies(arguments, settings),
         line=looked.line,
     )
-    said, texts = bode_record(study), [bode_text(study)]
-    said["note"] = note
-    texts += [f"note: {note}"] if note else []
-    extras = [name for name in ("map", "large", "along") if getattr(arguments, name)]
-    drawers, others = [], []
-    for name in extras:
-        other, record, text, draw = _EXTRAS[name](study, problem, say)
-        others.append(other)
-        said[name] = record
-        texts.append(text)
-        drawers.append(draw)
-    if target is not None:
+    said, blocks, extras = bode_record(study) | {"note": note}, summary(study), {}
+    blocks += [Text(text=note, tone="note")] if note else []
+    for name, title in _EXTRA_TITLES.items():
+        if getattr(arguments, name):
+            said[name], drawn = _extra(name, study, problem, say)
+            extras[name] = Section(title=title, blocks=drawn, depth=2)
+            blocks += drawn
+
+    def draw(place: Path) -> None:
         from linkplan.studies.bode.draw_bode import save_bode
+        from linkplan.studies.output.figure import figure_of, panels_of
+
+        save_bode(study, place)
+        for name, section in extras.items():
+            figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3, panel_in=(6.0, 4.6))
+
+    def report():
         from linkplan.studies.report.reports import bode_report
-        from linkplan.studies.report.saving import save_report
 
-        def write(place: Path) -> None:
-            write_json(place / "bode.json", said)
-            save_report(bode_report(study, others, note), place, page=arguments.report)
-            save_bode(study, place)
-            for draw in drawers:
-                draw(place)
+        return bode_report(study, list(extras.values()), note)
 
-        write_whole(target, write, "bode.json")
-    show(arguments, said, "\n\n".join(texts))
+    deliver(arguments, target, said, blocks, report, draw)
     return DONE if study.stable else NO
 
 
@@ -117,20 +117,20 @@ def run_tune(arguments: argparse.Namespace) -> int:
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say, line=looked.line)
     said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
-    if target is not None:
-        from linkplan.studies.report.reports import tune_report
-        from linkplan.studies.report.saving import save_report
+
+    def draw(place: Path) -> None:
         from linkplan.studies.tune.draw_tune import tune_figure
         from linkplan.studies.tune.tune_report import tracking_table
 
-        def write(place: Path) -> None:
-            write_json(place / "tune.json", said)
-            save_report(tune_report(found, note), place, page=arguments.report)
-            (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
-            tune_figure(found, place / "tune.png")
+        (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
+        tune_figure(found, place / "tune.png")
 
-        write_whole(target, write, "tune.json")
-    show(arguments, said, text)
+    def report():
+        from linkplan.studies.report.reports import tune_report
+
+        return tune_report(found, note)
+
+    deliver(arguments, target, said, text, report, draw)
     return DONE if found.found else NO
 
 
@@ -185,35 +185,18 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
     return np.geomspace(low, high, count)
 
 
-def _map(study, problem: PlanningProblem | None, say: Progress):
-    """Return the stability map, its record, text and drawer."""
-    from linkplan.studies.bode.draw_map import map_figure
-    from linkplan.studies.bode.map_study import map_record, map_study, map_text
+def _extra(name: str, study, problem: PlanningProblem | None, say: Progress) -> tuple[dict, list[Block]]:
+    """Return the record and the document of the stability map, of large signals, or of the loop along a motion."""
+    from linkplan.studies.bode import along_motion, large_study, loop_blocks, map_study
 
-    del problem
-    found = map_study(study, say)
-    return found, map_record(found), map_text(found), lambda place: map_figure(found, place / "map.png")
-
-
-def _large(study, problem: PlanningProblem | None, say: Progress):
-    """Return the large signals, their record, text and drawer."""
-    from linkplan.studies.bode.draw_large import large_figure
-    from linkplan.studies.bode.large_study import large_study, large_study_record, large_text
-
-    found = large_study(study, None if problem is None else problem.limits, say)
-    return found, large_study_record(found), large_text(found), lambda place: large_figure(found, place / "large.png")
-
-
-def _along(study, problem: PlanningProblem | None, say: Progress):
-    """Return the loop along the problem's motion, its record, text and drawer."""
-    from linkplan.studies.bode.along_motion import along_motion, along_record, along_text
-    from linkplan.studies.bode.draw_along import along_figure
-
+    if name == "map":
+        gains = map_study.map_study(study, say)
+        return map_study.map_record(gains), loop_blocks.map_blocks(gains)
+    if name == "large":
+        signals = large_study.large_study(study, None if problem is None else problem.limits, say)
+        return large_study.large_study_record(signals), loop_blocks.large_blocks(signals)
     plan = plan_motion(problem, say)
     if plan.trajectory is None:
         raise LinkplanError(f"--along: {problem.name} has no motion: {plan.message}")
-    found = along_motion(plan, study.law, study.settings, say)
-    return found, along_record(found), along_text(found), lambda place: along_figure(found, place / "along.png")
-
-
-_EXTRAS = {"map": _map, "large": _large, "along": _along}
+    found = along_motion.along_motion(plan, study.law, study.settings, say)
+    return along_motion.along_record(found), loop_blocks.along_blocks(found)

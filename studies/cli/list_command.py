@@ -9,7 +9,7 @@ from linkplan.planner.files.tables import read_tables
 from linkplan.planner.transcription.scheme_names import NAMES as SCHEMES
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
-from linkplan.studies.output.tables import described, folded
+from linkplan.studies.output.document import Facts, table_of
 
 
 def run_list(arguments: argparse.Namespace) -> int:
@@ -22,8 +22,10 @@ def run_list(arguments: argparse.Namespace) -> int:
         "schemes": list(SCHEMES),
         "trackers": list(TRACKERS),
     }
-    lines = ["models", *described(MODELS), "problems", *described(problems)]
+    tables = [
+        table_of("", [what, "description"], list(names.items()))
+        for what, names in (("model", MODELS), ("problem", problems))
+    ]
     words = {"payloads": PAYLOADS, "schemes": SCHEMES, "trackers": TRACKERS}
-    lines += [folded(f"{what}: {', '.join(names)}") for what, names in words.items()]
-    show(arguments, said, "\n".join(lines))
+    show(arguments, said, [*tables, Facts(rows=[(what, ", ".join(names)) for what, names in words.items()])])
     return DONE

@@ -15,7 +15,8 @@ from linkplan.studies.cli.printing import progress, show
 
 def run_plan(arguments: argparse.Namespace) -> int:
     """Plan a motion; 1 if there is none."""
-    from linkplan.studies.output.plan_text import plan_text
+    from linkplan.studies.output.document import Text
+    from linkplan.studies.output.plan_blocks import plan_blocks
 
     target, say = output_folder(arguments), progress(arguments)
     name, tables, folder = read_tables(arguments.problem)
@@ -40,14 +41,14 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say.keep(f"saved in {target}")
     elif target is not None:
         say.keep(f"nothing written: {plan.status}")
-    text = plan_text(plan) if price is None else f"{plan_text(plan)}\n{price.sentence()}"
+    blocks = [*plan_blocks(plan), *([] if price is None else [Text(text=price.sentence())])]
 
     def document() -> dict:
         from linkplan.planner.files.plan_folder import record
 
         return record(plan) | ({} if price is None else {"price": asdict(price)})
 
-    show(arguments, document, text)
+    show(arguments, document, blocks)
     return DONE if plan.passed else NO
 
 
@@ -55,7 +56,7 @@ def run_batch(arguments: argparse.Namespace) -> int:
     """Plan the cases of a batch file, or continue to; 1 if one of them has no plan."""
     from linkplan.planner.files.batch_file import read_batch
     from linkplan.studies.batch import study
-    from linkplan.studies.output.batch_table import batch_text
+    from linkplan.studies.output.batch_table import batch_blocks
 
     engine = engine_asked(arguments)
     target, say = output_folder(arguments), progress(arguments)
@@ -64,5 +65,5 @@ def run_batch(arguments: argparse.Namespace) -> int:
     outcome = study.run_batch(batch, target, say, **how)
     if target is not None:
         say.keep(f"saved in {target}")
-    show(arguments, outcome.record, batch_text(outcome.rows, outcome.failures))
+    show(arguments, outcome.record, batch_blocks(outcome.rows, outcome.failures))
     return NO if outcome.failures else DONE

@@ -9,18 +9,26 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from linkplan.studies.cli.exit_codes import BAD_INPUT, ExitCode
 from linkplan.studies.cli.progress import Progress
-from linkplan.studies.cli.streams import put
-from linkplan.studies.cli.terminal import coloured, has_colours, is_terminal, painted, width_of, wrapped
+from linkplan.studies.cli.streams import is_terminal, put, rewrites
+
+if TYPE_CHECKING:
+    from linkplan.studies.output.document import Block
+
+# ECMA-48, "Select graphic rendition": written here, because a refusal may be one for want of memory.
+_RED, _PLAIN = "\x1b[31m", "\x1b[0m"
 
 
 def refuse(command: str, text: str) -> None:
     """Print the reason why a command has no result in one line on stderr."""
     who = " ".join(["linkplan", *command.split()])
-    put(sys.stderr, f"{coloured(who, 'red') if has_colours(sys.stderr) else who}: {text}\n")
+    if rewrites(sys.stderr) and not os.environ.get("NO_COLOR"):
+        who = f"{_RED}{who}{_PLAIN}"
+    put(sys.stderr, f"{who}: {text}\n")
 
 
 def delivered(command: str, lost: OSError | None, code: int) -> int:
@@ -41,17 +49,24 @@ def progress(arguments: argparse.Namespace) -> Progress:
     return arguments.progress
 
 
-def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], text: str) -> None:
-    """Print a result: one JSON object with --json, else the text; on a terminal, it is wrapped and coloured."""
+def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], result: "str | Sequence[Block]") -> None:
+    """Print a result: one JSON object with --json, else its text; on a terminal, a document is drawn in its width."""
     quiet(arguments)
     if arguments.json:
         from linkplan.planner.files.folders import plain  # loads numpy, which the text does not need
 
-        text = json.dumps(plain(said() if callable(said) else said), allow_nan=False)
+        text = json.dumps(plain(said() if callable(said) else said), allow_nan=False) + "\n"
+    elif isinstance(result, str):
+        text = f"{result}\n"
+    elif is_terminal(sys.stdout):
+        from linkplan.studies.output.terminal import drawn
+
+        text = drawn(sys.stdout, result)
     else:
-        text = wrapped(text, width_of(sys.stdout)) if is_terminal(sys.stdout) else text
-        text = painted(text) if has_colours(sys.stdout) else text
-    arguments.lost = put(sys.stdout, f"{text}\n")
+        from linkplan.studies.output.text import text_of
+
+        text = f"{text_of(result)}\n"
+    arguments.lost = put(sys.stdout, text)
 
 
 def quiet(arguments: argparse.Namespace) -> None:

@@ -1,16 +1,28 @@
 """A command's progress on stderr: plain lines, or on a terminal one line that is updated with the seconds."""
 
 import sys
-import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from linkplan.models.interrupts import check
 from linkplan.models.reading import shown
-from linkplan.studies.cli.streams import put
-from linkplan.studies.cli.terminal import coloured, has_colours, moves, width_of
+from linkplan.studies.cli.streams import put, rewrites
 
-# ECMA-48: go to the start of the line, and erase it.
-_AGAIN = "\r\x1b[2K"
+if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.text import Text
+
+
+def _live(drawn: Callable[[], "Text"]) -> "Live":
+    """Return the line of a terminal that shows what `drawn` returns."""
+    from rich.live import Live
+
+    from linkplan.studies.output.terminal import console_of
+
+    own = {"redirect_stdout": False, "redirect_stderr": False}
+    return Live(console=console_of(sys.stderr), get_renderable=drawn, transient=True, **own)
 
 
 class Progress:
@@ -22,54 +34,40 @@ class Progress:
     def __init__(self, command: str) -> None:
         self._command = command
         self._begin = time.monotonic()
-        self._moves = moves(sys.stderr)
-        self._colours = has_colours(sys.stderr)
         self._text = ""
-        self._lock = threading.Lock()
-        self._done = threading.Event()
-        self._ticker: threading.Thread | None = None
+        self._live = _live(self._drawn) if rewrites(sys.stderr) else None
 
     def __call__(self, text: str) -> None:
         """Show the current work; on a terminal it replaces the last text."""
-        if self._moves:
-            with self._lock:
-                self._text = text
-                self._draw()
-            if self._ticker is None:
-                self._ticker = threading.Thread(target=self._tick, daemon=True)
-                self._ticker.start()
-        else:
+        if self._live is None:
             put(sys.stderr, f"{self._line(text)}\n")
+        else:
+            self._text = text
+            with suppress(OSError):  # the terminal is gone
+                self._live.start()
+                self._live.refresh()
         check()
 
     def keep(self, text: str) -> None:
         """Print a line that stays on the terminal."""
-        with self._lock:
-            put(sys.stderr, f"{_AGAIN if self._moves else ''}{self._line(text)}\n")
-            self._text = ""
+        self._erase()
+        put(sys.stderr, f"{self._line(text)}\n")
         check()
 
     def close(self) -> None:
         """Erase the updated line and stop the updates."""
-        self._done.set()
-        if self._ticker is not None:
-            self._ticker.join()
-            self._ticker = None
-        if self._moves and self._text:
-            put(sys.stderr, _AGAIN)
-        self._text, self._moves = "", False
+        self._erase()
+        self._live = None
+
+    def _erase(self) -> None:
+        if self._live is not None:
+            with suppress(OSError):
+                self._live.stop()
 
     def _line(self, text: str) -> str:
         return f"  {self._command} {time.monotonic() - self._begin:5.1f} s: {shown(text, 5000)}"
 
-    def _draw(self) -> None:
-        if self._text:
-            line = self._line(self._text)
-            width = width_of(sys.stderr) - 1
-            line = line if len(line) <= width else f"{line[: width - 3]}..."
-            put(sys.stderr, _AGAIN + (coloured(line, "dim") if self._colours else line))
+    def _drawn(self) -> "Text":
+        from rich.text import Text
 
-    def _tick(self) -> None:
-        while not self._done.wait(timeout=0.2):
-            with self._lock:
-                self._draw()
+        return Text(self._line(self._text), style="dim", no_wrap=True, overflow="ellipsis")

@@ -6,17 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import no_plan, output_folder, plan_asked
+from linkplan.studies.cli.common import deliver, no_plan, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import progress, show
+from linkplan.studies.cli.printing import progress
 
 
 def run_track(arguments: argparse.Namespace) -> int:
     """Run one tracker; 1 if the plan has no motion or the loop is unstable."""
     from linkplan.studies.compare.compare import comparison_record
-    from linkplan.studies.compare.comparison_text import comparison_text
     from linkplan.studies.compare.user_tracker import tracker_named
 
     if arguments.sample is not None:
@@ -31,9 +29,7 @@ def run_track(arguments: argparse.Namespace) -> int:
         return no_plan(arguments, plan)
     comparison = _single(plan, asked, arguments, mismatch_given)
     said = comparison_record(comparison) | {"tracker": next(iter(comparison.nominal))}
-    if target is not None:
-        write_whole(target, lambda place: _save_tracking(arguments, comparison, said, place), "track.json")
-    show(arguments, said, comparison_text(comparison))
+    _deliver(arguments, target, comparison, said)
     return DONE if plan.passed and next(iter(comparison.nominal.values())).stable else NO
 
 
@@ -61,7 +57,6 @@ def _check_mismatch(arguments: argparse.Namespace) -> bool:
 def run_compare(arguments: argparse.Namespace) -> int:
     """Run all trackers; 1 if the plan has no motion or no tracker is stable on the nominal model."""
     from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
-    from linkplan.studies.compare.comparison_text import comparison_text
     from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
     from linkplan.studies.compare.user_tracker import trackers_named
 
@@ -78,25 +73,36 @@ def run_compare(arguments: argparse.Namespace) -> int:
     if is_the_documents(plan):
         document = mended_runs(plan, say)
         said["document"] = document_record(document)
-    if target is not None:
-        write_whole(target, lambda place: _save_tracking(arguments, comparison, said, place, document), "compare.json")
-    show(arguments, said, comparison_text(comparison))
+    _deliver(arguments, target, comparison, said, document)
     return DONE if plan.passed and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
 
-def _save_tracking(arguments: argparse.Namespace, comparison, said: dict, place: Path, document: dict | None = None) -> None:
+def _deliver(
+    arguments: argparse.Namespace, target: Path | None, comparison, said: dict, document: dict | None = None
+) -> None:
+    """Save and show the runs, and those of the source document's experiment if there are any."""
+    from linkplan.studies.compare.comparison_blocks import (
+        comparison_blocks,
+        comparison_figure,
+        document_blocks,
+        document_figure,
+    )
     from linkplan.studies.compare.document import DOCUMENT_KP, document_record
-    from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
     from linkplan.studies.compare.time_series import save_time_series
-    from linkplan.studies.report.reports import comparison_report
-    from linkplan.studies.report.saving import save_report
-    from linkplan.studies.report.tracking_sections import document_section
+    from linkplan.studies.output.document import Section
 
-    name = arguments.command
-    write_json(place / f"{name}.json", said)
-    save_time_series(comparison, place, parquet=arguments.parquet)
-    comparison_figure(comparison, place / f"{name}.png")
-    if document:
-        document_figure(document, DOCUMENT_KP, place / "desired_and_actual.png")
-    section = document_section(document, document_record(document), DOCUMENT_KP) if document else None
-    save_report(comparison_report(comparison, section), place, page=arguments.report)
+    blocks = document_blocks(document, document_record(document), DOCUMENT_KP) if document else []
+
+    def draw(place: Path) -> None:
+        save_time_series(comparison, place, parquet=arguments.parquet)
+        comparison_figure(comparison, place / f"{arguments.command}.png")
+        if blocks:
+            document_figure(blocks, place / "desired_and_actual.png")
+
+    def report():
+        from linkplan.studies.report.reports import comparison_report
+
+        source = Section(title="The source document, as printed and mended", blocks=blocks) if blocks else None
+        return comparison_report(comparison, source)
+
+    deliver(arguments, target, said, comparison_blocks(comparison), report, draw)

@@ -16,27 +16,30 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import bode_record
 from linkplan.studies.bode.draw_bode import save_bode
-from linkplan.studies.bode.draw_map import map_figure
+from linkplan.studies.bode.loop_blocks import map_blocks
 from linkplan.studies.bode.map_study import map_record, map_study
-from linkplan.studies.check.draw_mechanism import inspection_figure
 from linkplan.studies.check.inspection import inspection_record
+from linkplan.studies.check.inspection_blocks import inspection_blocks
+from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
-from linkplan.studies.compare.comparison_text import comparison_text
+from linkplan.studies.compare.comparison_blocks import (
+    comparison_blocks,
+    comparison_figure,
+    document_blocks,
+    document_figure,
+)
 from linkplan.studies.compare.document import DOCUMENT_KP, document_record, mended_runs, printed_runs
-from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
 from linkplan.studies.frequency.excitation import Setup
+from linkplan.studies.output.document import Block, Section, Text, table_of
+from linkplan.studies.output.figure import figure_of, panels_of
 from linkplan.studies.output.save_plan import save_plan
-from linkplan.studies.output.tables import table
-from linkplan.studies.report.bode_sections import bode_sections
-from linkplan.studies.report.check_sections import check_sections, inspection_blocks
-from linkplan.studies.report.columns import columns
-from linkplan.studies.report.document import Section, Table, Text
-from linkplan.studies.report.loop_sections import map_section
+from linkplan.studies.report.check_sections import check_sections
+from linkplan.studies.report.loop_sections import bode_sections
 from linkplan.studies.report.plan_sections import plan_sections
 from linkplan.studies.report.reports import report_of
 from linkplan.studies.report.saving import PAGE, save_report
-from linkplan.studies.report.tracking_sections import comparison_sections, document_section
+from linkplan.studies.report.tracking_sections import comparison_sections
 
 PLANNED = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
 COMPARED = ("knee-sine", "knee-reach", "knee-sine-shank")
@@ -47,8 +50,8 @@ Say = Callable[[str], None]
 Sections = list[Section]
 
 
-def demo(target: Path, say: Say) -> tuple[dict, str]:
-    """Write the demo's folder and return its results, as a record and as text."""
+def demo(target: Path, say: Say) -> tuple[dict, list[Block]]:
+    """Write the demo's folder and return its results, as a record and as a document."""
     begin = time.monotonic()
     outcome: dict = {}
 
@@ -57,10 +60,8 @@ def demo(target: Path, say: Say) -> tuple[dict, str]:
 
     write_whole(target, write, "demo.json")
     minutes = (time.monotonic() - begin) / 60
-    text = "\n".join(
-        [outcome.pop("text"), "", f"{minutes:.1f} minutes; everything is in {target}/", f"open {target}/{PAGE} in a browser"]
-    )
-    return outcome | {"folder": str(target)}, text
+    end = f"{minutes:.1f} minutes; everything is in {target}/; open {target}/{PAGE} in a browser"
+    return outcome | {"folder": str(target)}, [*outcome.pop("blocks"), Text(text=end)]
 
 
 def _write(place: Path, say: Say) -> dict:
@@ -70,8 +71,9 @@ def _write(place: Path, say: Say) -> dict:
     _infeasible(said, say)
     compared, summary = _comparisons(place, said, plans, say)
     loops = _loops(place, said, say)
-    document, text = _document(place, said, plans["knee-sine"], say)
+    document = _document(place, said, plans["knee-sine"], say)
     overview = _overview(said, plans)
+    source = Section(title="The source document, as printed and mended", blocks=document)
     planned = [
         section
         for name in PLANNED
@@ -80,36 +82,26 @@ def _write(place: Path, say: Say) -> dict:
     say("report")
     verdict = f"{len(plans)} plans, all certified; {len(compared)} comparisons; {len(LOOPS)} feedback loops"
     passed = all(plan.certificate.passed for plan in plans.values())
-    report = report_of("linkplan on the Optimus knee", verdict, passed, [overview, *checks, *planned, *loops, document])
+    report = report_of("linkplan on the Optimus knee", verdict, passed, [overview, *checks, *planned, *loops, source])
     save_report(report, place, page=True)
     write_json(place / "demo.json", said)
-    return said | {"text": "\n\n".join([_plans_text(plans), said["infeasible"]["message"], *summary, text])}
+    return said | {"blocks": [*overview.blocks, *summary, *document]}
 
 
-def _plans_text(plans: dict[str, Plan]) -> str:
-    return table(["plan", "status", "duration [s]", "peak [N.m]", "certificate"], _rows(plans))
-
-
-def _rows(plans: dict[str, Plan]) -> list[list]:
-    return [
+def _overview(said: dict, plans: dict[str, Plan]) -> Section:
+    heads = ["plan", "status", "duration [s]", "peak effort [N.m]", "certificate"]
+    rows = [
         [
             name,
             plan.status,
             f"{plan.trajectory.duration_s:.8g}",
-            float(plan.certificate.peak_effort[0]),
+            plan.certificate.peak_effort[0],
             "passed" if plan.certificate.passed else "NO",
         ]
         for name, plan in plans.items()
     ]
-
-
-def _overview(said: dict, plans: dict[str, Plan]) -> Section:
-    heads = columns("plan", "status", "duration [s]", "peak effort [N.m]", "certificate")
-    rows = [[name, status, float(duration), round(peak, 4), passed] for name, status, duration, peak, passed in _rows(plans)]
     infeasible = Text(text=f"An infeasible problem: {said['infeasible']['message']}.")
-    return Section(
-        title="Overview", blocks=[Table(title="Plans within the effort limit", columns=heads, rows=rows), infeasible]
-    )
+    return Section(title="Overview", blocks=[table_of("Plans within the effort limit", heads, rows), infeasible])
 
 
 def _checks(place: Path, said: dict, say: Say) -> Sections:
@@ -147,8 +139,8 @@ def _infeasible(said: dict, say: Say) -> None:
     said["infeasible"] = {"status": plan.status, "message": f"knee-sine with the shank: {plan.message}"}
 
 
-def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> tuple[dict[str, Sections], list[str]]:
-    """Return the sections of every comparison by its plan's name, and their texts."""
+def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> tuple[dict[str, Sections], list[Block]]:
+    """Return the sections of every comparison by its plan's name, and their tables."""
     said["compare"], sections, texts = {}, {}, []
     for name in COMPARED:
         plan = plans[name]
@@ -158,7 +150,7 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
         said["compare"][name] = comparison_record(comparison)
         write_json(folder / "compare.json", said["compare"][name])
         comparison_figure(comparison, folder / "compare.png")
-        texts.append(comparison_text(comparison))
+        texts += comparison_blocks(comparison)
         sections[name] = comparison_sections(comparison)
     return sections, texts
 
@@ -186,18 +178,15 @@ def _loops(place: Path, said: dict, say: Say) -> Sections:
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
             marked = [(f"the document's KP = {g.kp:g}, KD = {g.kd:g}", g.kp, g.kd) for g in LOOPS[:2]]
-            map_figure(found, place / "stability_map.png", marked)
-            said["stability_map"] = map_record(found)
-            sections.append(map_section(found, marked))
+            said["stability_map"], blocks = map_record(found), map_blocks(found, marked)
+            figure_of(panels_of(blocks), place / "stability_map.png", columns=2, panel_in=(6.5, 5.0))
+            sections.append(Section(title="Stability map", blocks=blocks, depth=2))
     return sections
 
 
-def _document(place: Path, said: dict, plan: Plan, say: Say) -> tuple[Section, str]:
+def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
     runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
     said["document"] = document_record(runs)
-    document_figure(runs, DOCUMENT_KP, place / "desired_and_actual.png")
-    section = document_section(runs, said["document"], DOCUMENT_KP)
-    shown = section.blocks[0]
-    assert isinstance(shown, Table)
-    heads = [f"{head} [{unit}]" if unit else head for head, unit in shown.columns]
-    return section, "the source document's experiment\n" + table(heads, [list(row) for row in shown.rows])
+    blocks = document_blocks(runs, said["document"], DOCUMENT_KP)
+    document_figure(blocks, place / "desired_and_actual.png")
+    return blocks

@@ -121,8 +121,8 @@ def run_experiment(
 
 def _save(outcome: Outcome, folder: Path, place: Path) -> None:
     """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
-    from linkplan.studies.experiment.draw_experiment import experiment_figure
-    from linkplan.studies.experiment.draw_tornado import save_tornados
+    from linkplan.studies.experiment.distributions import experiment_figure
+    from linkplan.studies.experiment.sensitivity_blocks import save_tornados
 
     write_results(folder, place / RESULTS, outcome.experiment)
     read_results(place / RESULTS, outcome.experiment)

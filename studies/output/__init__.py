@@ -1,4 +1,4 @@
-"""The presentation of results: tables, figures and pages shared by the studies.
+"""The presentation of results: documents of texts, tables, plots and bars, and what renders them.
 
-In: plans, mechanisms, results. Out: text for a terminal, matplotlib figures, HTML.
+In: plans, mechanisms, values of studies. Out: the same as plain text, on a terminal, as a figure; `report` makes a page.
 """

@@ -6,8 +6,8 @@ from linkplan.planner.files.batch_file import Case
 from linkplan.planner.files.plan_folder import record
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.digits import figure, known_digits
+from linkplan.studies.output.document import Block, Text, table_of
 from linkplan.studies.output.objective_unit import objective_unit
-from linkplan.studies.output.tables import table
 
 
 def case_record(case: Case, plan: Plan) -> dict:
@@ -28,9 +28,7 @@ def case_row(case: Case, plan: Plan) -> list:
     return [case.name, " ".join(case.settings), plan.status, objective, duration, shown, seconds, warm]
 
 
-def batch_text(rows: Sequence[list], failures: Sequence[str]) -> str:
+def batch_blocks(rows: Sequence[list], failures: Sequence[str]) -> list[Block]:
     """Return a batch's rows as a table, and a line for each case without a plan."""
-    head = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "solved"]
-    lines = [table(head, rows)]
-    lines += failures
-    return "\n".join(lines)
+    heads = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "solved"]
+    return [table_of("", heads, rows), *(Text(text=failure) for failure in failures)]

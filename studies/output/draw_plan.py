@@ -1,94 +1,94 @@
-"""Figures of a plan: motion and effort over time, active limits, the paths of the sites that its problem names."""
+"""A plan over time: its plots, and its figure with the paths of the sites that its problem names."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from linkplan.planner.plan import Plan
-from linkplan.studies.output.draw_sites import draw_sites
-from linkplan.studies.output.drawing import BLACK, GREY, SERIES, STYLES, level_zeros, outside_legend, page, sides_by_unit
+from linkplan.studies.output.document import Plot
+from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.motion import Motion, motion_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def plan_figure(plan: Plan, path: Path | None = None) -> Figure:
+def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
     """Return the figure of a plan's positions, speeds and efforts, saved at `path` if it is given."""
-    sites = bool(plan.problem.sites)
-    with page(path, rows=3, columns=1 + sites, size=(7.5 + 6.0 * sites, 7.5), sharex="col") as axes:
-        draw_position(axes[0, 0], plan)
-        draw_velocity(axes[1, 0], plan)
-        draw_effort(axes[2, 0], plan)
-        axes[0, 0].figure.suptitle(f"{plan.problem.name}: {plan.message}", fontsize=10, wrap=True)
-        axes[2, 0].set_xlabel(_time_label(plan))
-        if sites:
-            figure, grid = axes[0, 1].figure, axes[0, 1].get_gridspec()
-            for side in axes[:, 1]:
-                side.remove()
-            draw_sites(figure.add_subplot(grid[:, 1]), plan)
-    return axes[0, 0].figure
+    from linkplan.studies.output.draw_sites import draw_sites
+    from linkplan.studies.output.figure import figure_of, side_by_side
+
+    drawn = time_plots(plan, motion_of(plan))
+    shown = [*drawn["position"], *drawn["speed"], *drawn["effort"]]
+    columns = [shown, [lambda axes: draw_sites(axes, plan)]] if plan.problem.sites else [shown]
+    title = f"{plan.problem.name}: {plan.message}"
+    return figure_of(side_by_side(*columns), path, title=title, columns=len(columns), panel_in=(7.0, 2.7))
 
 
-def _time_scale(plan: Plan) -> float:
-    return 1e3 if plan.trajectory.duration_s < 0.02 else 1.0
+def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
+    """Return the plots of a plan's motion over time, by what they show."""
+    mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time_s
+    independent, dependent = list(mechanism.independent), list(mechanism.dependent)
+    reference = plan.problem.reference
 
+    def joints(which: Sequence[int], values: np.ndarray, bounds: np.ndarray, per: str) -> list[Line]:
+        return [
+            Line(
+                name=(joint := mechanism.joints[k]).name,
+                values=joint.shown(1.0) * values[:, k],
+                unit=f"{joint.unit}{per}",
+                limits=(joint.shown(float(bounds[k, 0])), joint.shown(float(bounds[k, 1]))),
+            )
+            for k in which
+        ]
 
-def _style(column: int) -> dict[str, str]:
-    """Return a line's colour and style; the style changes when the colours repeat."""
-    return {"color": SERIES[column % len(SERIES)], "linestyle": STYLES[column // len(SERIES) % len(STYLES)]}
+    def over_time(title: str, what: str, lines: Sequence[Line]) -> list[Plot]:
+        return plots(title, what, TIME, time, lines, group=group, period=period)
 
-
-def _time_label(plan: Plan) -> str:
-    return "time [ms]" if _time_scale(plan) == 1e3 else "time [s]"
-
-
-def draw_position(axes, plan: Plan) -> None:
-    """Draw the independent positions, and the reference, if there is one, as dashed lines."""
-    trajectory, reference = plan.trajectory, plan.problem.reference
-    time, joints = trajectory.dense_times(10), plan.problem.mechanism.independent_joints
-    shown, sides = _time_scale(plan) * time, sides_by_unit(axes, "position", [joint.unit for joint in joints])
-    for column, joint in enumerate(joints):
-        factor, side = joint.shown(1.0), sides[joint.unit]
-        side.plot(shown, factor * trajectory.position_at(time)[:, column], **_style(column))
-        axes.plot([], [], label=_labelled(f"{joint.name} planned", joint.unit, sides), **_style(column))
-        if reference is not None:
-            wanted = factor * reference.derivative(time)[:, column]
-            side.plot(shown, wanted, color=BLACK, linestyle="--", linewidth=1.0)
-            label = _labelled(f"{joint.name} reference", joint.unit, sides)
-            axes.plot([], [], color=BLACK, linestyle="--", linewidth=1.0, label=label)
-    outside_legend(axes)
-
-
-def _labelled(text: str, unit: str, sides: dict) -> str:
-    return text if len(sides) == 1 else f"{text} [{unit}]"
-
-
-def draw_velocity(axes, plan: Plan) -> None:
-    """Draw the independent speeds."""
-    time, joints = plan.trajectory.dense_times(10), plan.problem.mechanism.independent_joints
-    sides = sides_by_unit(axes, "speed", [f"{joint.unit}/s" for joint in joints])
-    for column, joint in enumerate(joints):
-        values = joint.shown(1.0) * plan.trajectory.velocity_at(time)[:, column]
-        sides[f"{joint.unit}/s"].plot(_time_scale(plan) * time, values, **_style(column))
-    level_zeros(set(sides.values()))
-
-
-def draw_effort(axes, plan: Plan) -> None:
-    """Draw the efforts, and the limits below twice the largest effort."""
-    trajectory = plan.trajectory
-    time = trajectory.dense_times(10)
-    effort, actuators = trajectory.effort_at(time), plan.problem.mechanism.actuators
-    sides = sides_by_unit(axes, "effort", [actuator.unit for actuator in actuators])
-    limit_style = {"color": GREY, "linestyle": ":", "linewidth": 1.2}
-    has_limits = False
-    for column, actuator in enumerate(actuators):
-        side = sides[actuator.unit]
-        side.plot(_time_scale(plan) * time, effort[:, column], **_style(column))
-        axes.plot([], [], label=_labelled(actuator.name, actuator.unit, sides), **_style(column))
-        peak = np.abs(effort[:, column]).max()
-        for bound in plan.problem.limits.effort[column]:
-            if np.isfinite(bound) and abs(bound) < 2 * peak:
-                side.axhline(bound, **limit_style)
-                has_limits = True
-    if has_limits:
-        axes.plot([], [], label="effort limit", **limit_style)
-    level_zeros(set(sides.values()))
-    outside_legend(axes)
+    positions = joints(independent, motion.pose, limits.position, "")
+    if reference is not None:
+        wanted = reference.derivative(time)
+        positions += [
+            Line(
+                name=f"{joint.name}, reference",
+                values=joint.shown(1.0) * wanted[:, k],
+                unit=joint.unit,
+                look="dash",
+                colour=None,
+            )
+            for k, joint in enumerate(mechanism.independent_joints)
+        ]
+    efforts = [
+        Line(name=actuator.name, values=motion.effort[:, j], unit=actuator.unit, limits=tuple(limits.effort[j]))
+        for j, actuator in enumerate(mechanism.actuators)
+    ]
+    powers = [
+        Line(name=actuator.name, values=motion.power[:, j], unit="W", limits=tuple(limits.power[j]))
+        for j, actuator in enumerate(mechanism.actuators)
+    ]
+    forces = [
+        Line(
+            name=name,
+            values=motion.closure_force[:, c],
+            unit="N",
+            limits=(-np.inf, float(limits.closure_force[c])) if len(limits.closure_force) else (-np.inf, np.inf),
+        )
+        for c, name in enumerate(mechanism.closure_names)
+    ]
+    return {
+        "position": over_time("Position of the independent joints", "position", positions),
+        "dependent position": over_time(
+            "Position of the dependent joints", "position", joints(dependent, motion.pose, limits.position, "")
+        ),
+        "speed": over_time(
+            "Speed of the independent joints", "speed", joints(independent, motion.rates, limits.speed, "/s")
+        ),
+        "dependent speed": over_time(
+            "Speed of the dependent joints", "speed", joints(dependent, motion.rates, limits.speed, "/s")
+        ),
+        "effort": over_time("Effort of the actuators", "effort", efforts),
+        "power": over_time("Mechanical power of the actuators", "power", powers),
+        "force": over_time("Force of the closures", "closure force", forces),
+    }

@@ -2,7 +2,7 @@
 
 import textwrap
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,11 +15,7 @@ from matplotlib.ticker import FuncFormatter
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 BROWN = "#8C564B"
-TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE, "lqi": SKY, "gs-pd+ff": PURPLE, "ct": BROWN, "mpc": RED}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, BROWN)
-# The styles of discrete-time lines; dotted lines are continuous-time. With them, coincident lines remain visible.
-STYLES = ("-", "--", "-.")
-
 # The width of a legend's line and gaps, in letters.
 _LEGEND_MARK_LETTERS = 8
 
@@ -79,50 +75,15 @@ def wrapped(text: str, most: int) -> str:
     return textwrap.fill(text, min(most, len(text) // lines + 8))
 
 
-def outside_legend(axes, *, narrow: bool = False, **options) -> None:
-    """Put a legend above the axes, where it hides no data, in as many rows as it needs.
+def outside_legend(axes, *, narrow: bool = False, row_letters: int | None = None, **options) -> int:
+    """Put a legend above the axes, where it hides no data, and return how many rows it needs.
 
-    A row has 76 letters over the width of a page, or 56 over half of a wide page if `narrow`.
+    A row has `row_letters`; by default 76 letters over the width of a page, or 56 over half of a wide page if `narrow`.
     """
     handles, labels = axes.get_legend_handles_labels()
     columns = max(1, len(labels))
-    row_letters = 56 if narrow else 76
+    row_letters = row_letters or (56 if narrow else 76)
     if sum(len(label) + _LEGEND_MARK_LETTERS for label in labels) > row_letters:
         columns = max(1, row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
-
-
-def bottom_legend(axes) -> None:
-    """Put one panel's legend below the whole page, where it hides no data and does not widen the page."""
-    handles, labels = axes.get_legend_handles_labels()
-    if not labels:
-        return
-    row_letters = 12 * axes.figure.get_figwidth()  # twelve letters an inch
-    most = max(1, int(row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS)))
-    rows = -(-len(labels) // most)
-    columns = -(-len(labels) // rows)
-    axes.figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
-
-
-def sides_by_unit(axes, what: str, units: Sequence[str]) -> dict:
-    """Return the axes for each unit; of two units, as for a hinge and a slide, the second has an axis on the right."""
-    names = list(dict.fromkeys(units))
-    sides = dict.fromkeys(names, axes)
-    if len(names) == 2:
-        sides[names[1]] = axes.twinx()
-        sides[names[1]].grid(visible=False)
-        sides[names[1]].spines["right"].set_visible(True)
-    for unit, side in sides.items():
-        shown = ", ".join(names) if len(names) > 2 else unit
-        side.set_ylabel(what if shown == "1" else f"{what} [{shown}]")
-    return sides
-
-
-def level_zeros(sides: set) -> None:
-    """Bring the zeros of two linear vertical axes to one height."""
-    if len(sides) < 2 or any(side.get_yscale() == "log" for side in sides):
-        return
-    one_sided = all(side.get_ylim()[0] == 0 for side in sides)
-    for side in sides:
-        size = max(abs(end) for end in side.get_ylim())
-        side.set_ylim(0.0 if one_sided else -size, size)
+    return -(-len(labels) // columns)

@@ -17,7 +17,7 @@ from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study
-from linkplan.studies.decompose.decomposition_text import decomposition_text
+from linkplan.studies.decompose.decomposition_blocks import decomposition_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +77,7 @@ class DecompositionResult:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""
-        from linkplan.studies.decompose.draw_decomposition import decomposition_figure
+        from linkplan.studies.decompose.decomposition_blocks import decomposition_figure
 
         return drawn(path, lambda place: decomposition_figure(self.decomposition, place))
 

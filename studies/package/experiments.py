@@ -21,10 +21,10 @@ from linkplan.planner.problem.values import whole
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.experiment.experiment import Settings, plan_digest
-from linkplan.studies.experiment.outcome_text import outcome_text
+from linkplan.studies.experiment.experiment_blocks import outcome_text
 from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.sensitivity import Sensitivity
-from linkplan.studies.experiment.sensitivity_text import sensitivity_text
+from linkplan.studies.experiment.sensitivity_blocks import sensitivity_text
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
 from linkplan.studies.tasks.cluster import cluster as at_address
@@ -135,7 +135,7 @@ class ExperimentResult:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
-        from linkplan.studies.experiment.draw_experiment import experiment_figure
+        from linkplan.studies.experiment.distributions import experiment_figure
 
         one, summary = self.outcome.experiment, self.outcome.summary
         title = f"{one.plan.problem.name}: {summary.samples} machines"
@@ -175,7 +175,7 @@ class SensitivityResult:
 
     def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
         """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
-        from linkplan.studies.experiment.draw_tornado import tornado_figure, tornado_title
+        from linkplan.studies.experiment.sensitivity_blocks import tornado_figure, tornado_title
 
         _, name = self._asked(next(iter(self.found.influences)), metric)
         title = tornado_title(self.found, self.outcome.experiment.plan.problem.name, name)

@@ -121,7 +121,7 @@ class CheckResult:
         Raises:
             LinkplanError: if the model is not a valid mechanism.
         """
-        from linkplan.studies.check.draw_mechanism import inspection_figure
+        from linkplan.studies.check.path_plots import inspection_figure
         from linkplan.studies.check.refused_model import RefusedModel
 
         if isinstance(self.found, RefusedModel):

@@ -266,7 +266,7 @@ class Plan:
             raise LinkplanError(f"nothing to {what}, the plan has no motion: {self.message}")
 
     def __str__(self) -> str:
-        from linkplan.studies.output.plan_text import plan_text
+        from linkplan.studies.output.plan_blocks import plan_text
 
         return plan_text(self.answer)
 

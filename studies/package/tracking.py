@@ -16,7 +16,7 @@ from linkplan.planner.files.problem_file import tracking_from_tables
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
-from linkplan.studies.compare.comparison_text import comparison_text
+from linkplan.studies.compare.comparison_blocks import comparison_text
 from linkplan.studies.compare.user_tracker import TrackerLike
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ class TrackingResult:
             LinkplanError: if the folder has other files, or cannot be written.
         """
         from linkplan.planner.files.folders import write_json, write_whole
-        from linkplan.studies.compare.draw_tracking import comparison_figure
+        from linkplan.studies.compare.comparison_blocks import comparison_figure
         from linkplan.studies.compare.time_series import save_time_series
         from linkplan.studies.report.reports import comparison_report
         from linkplan.studies.report.saving import save_report
@@ -171,7 +171,7 @@ class TrackingResult:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given."""
-        from linkplan.studies.compare.draw_tracking import comparison_figure
+        from linkplan.studies.compare.comparison_blocks import comparison_figure
 
         return drawn(path, lambda place: comparison_figure(self.comparison, place))
 

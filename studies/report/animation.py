@@ -11,9 +11,9 @@ from linkplan.models.poses.joint_frames import joint_frames
 from linkplan.models.poses.skeleton import Stick, sticks, view
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.output.directions import direction_name
-from linkplan.studies.report.document import Animation, Body, Ghost
+from linkplan.studies.output.document import Animation, Body, Ghost
+from linkplan.studies.output.numbers import rounded, times
 from linkplan.studies.report.drives import drives_of
-from linkplan.studies.report.numbers import rounded, times
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -1,8 +1,7 @@
 """A certificate as a checklist: every limit with its worst value and the instant of that value."""
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from linkplan.planner.certificate.certificate import (
     BOUNDARY_SHARE,
@@ -15,9 +14,9 @@ from linkplan.planner.certificate.certificate import (
 from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
-from linkplan.studies.report.document import Checklist, Item
-from linkplan.studies.report.motion import Motion
-from linkplan.studies.report.numbers import significant
+from linkplan.studies.output.document import Checklist, Item
+from linkplan.studies.output.motion import Motion
+from linkplan.studies.output.numbers import significant
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
 # residual alone does not decide it.
@@ -84,78 +83,42 @@ def _margins(certificate: Certificate) -> list[Item]:
 
 def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     """Return the numerical checks of the motion: dynamics, velocity, ends, closure, and the integrated state."""
-    mechanism, when = plan.problem.mechanism, certificate.worst_time_s
-    items = [
-        _dynamics(plan, certificate),
-        _item(
-            "velocity less the position's slope, of the largest speed",
-            not any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures),
-            100 * certificate.velocity_residual,
-            100 * VELOCITY_SHARE,
-            "%",
-            when.get("velocity_residual"),
-        ),
-        _item(
-            "error at start and goal, relative to the range or the largest speed",
-            certificate.boundary_error <= BOUNDARY_SHARE,
-            certificate.boundary_error,
-            BOUNDARY_SHARE,
-            "",
-            None,
-        ),
-    ]
-    motion = plan.problem.motion
+    mechanism, motion, when = plan.problem.mechanism, plan.problem.motion, certificate.worst_time_s
+    kinds = {joint.kind for joint in mechanism.independent_joints}
+    share, residual = float(certificate.residual_share.max(initial=0.0)), certificate.dynamics_residual
+    efforts = " or ".join(dict.fromkeys("N.m" if joint.kind == "hinge" else "N" for joint in mechanism.independent_joints))
+    velocity_kept = not any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures)
+    ends = "error at start and goal, relative to the range or the largest speed"
+    # label, passed, worst, limit, unit, time of the worst value
+    rows: list[tuple] = [
+        ("effort by inverse dynamics less the planned one", share <= 1.0, residual, residual / share if share > 0 else None,
+         efforts, when.get("dynamics_residual")),
+        ("velocity less the position's slope, of the largest speed", velocity_kept, 100 * certificate.velocity_residual,
+         100 * VELOCITY_SHARE, "%", when.get("velocity_residual")),
+        (ends, certificate.boundary_error <= BOUNDARY_SHARE, certificate.boundary_error, BOUNDARY_SHARE, "", None),
+    ]  # fmt: skip
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        allowed = BOUNDARY_SHARE * mechanism.extent_m
-        error = certificate.site_error_m
-        items.append(_item("error of sites at start, waypoints and goal", error <= allowed, error, allowed, "m", None))
-    items += [*_closure_gaps(plan, certificate), *_integration_errors(plan, certificate)]
+        allowed, error = BOUNDARY_SHARE * mechanism.extent_m, certificate.site_error_m
+        rows.append(("error of sites at start, waypoints and goal", error <= allowed, error, allowed, "m", None))
+    if mechanism.closures:
+        allowed = max(CLOSURE_M, mechanism.closed_m)
+        held, at = certificate.closure_gap_m <= allowed, when.get("closure_gap_m")
+        for unit, gap in certificate.closure_gaps.items():
+            limit = allowed / max(closure.per_unit for closure in mechanism.closures if closure.unit == unit)
+            rows.append(("gap of the kinematic loops", held, gap, limit, unit, at))
+    for kind, error, allowed, unit in (
+        ("hinge", certificate.integration_error_deg, INTEGRATION_DEG, "deg"),
+        ("slide", certificate.integration_error_m, INTEGRATION_M, "m"),
+    ):
+        if kind in kinds:
+            label = "state integrated under the planned effort, less the planned state"
+            rows.append((label, error <= allowed, error, allowed, unit, None))
+    items = [_item(*row) for row in rows]
     items = [replace(item, worst=significant(item.worst, 2), limit=significant(item.limit, 2)) for item in items]
     if mechanism.closures:
         what = "least det J_z, relative to home (0 at a singular pose)"
         items.append(_item(what, True, certificate.singularity_ratio, None, "", None))
     return items
-
-
-def _dynamics(plan: Plan, certificate: Certificate) -> Item:
-    mechanism, residual = plan.problem.mechanism, certificate.dynamics_residual
-    share = float(certificate.residual_share.max(initial=0.0))
-    units = " or ".join(dict.fromkeys("N.m" if joint.kind == "hinge" else "N" for joint in mechanism.independent_joints))
-    return _item(
-        "effort by inverse dynamics less the planned one",
-        share <= 1.0,
-        residual,
-        residual / share if share > 0 else None,
-        units,
-        certificate.worst_time_s.get("dynamics_residual"),
-    )
-
-
-def _closure_gaps(plan: Plan, certificate: Certificate) -> list[Item]:
-    mechanism = plan.problem.mechanism
-    if not mechanism.closures:
-        return []
-    allowed = max(CLOSURE_M, mechanism.closed_m)
-    held, at = certificate.closure_gap_m <= allowed, certificate.worst_time_s.get("closure_gap_m")
-    items = []
-    for unit, gap in certificate.closure_gaps.items():
-        limit = allowed / max(closure.per_unit for closure in mechanism.closures if closure.unit == unit)
-        items.append(_item("gap of the kinematic loops", held, gap, limit, unit, at))
-    return items
-
-
-def _integration_errors(plan: Plan, certificate: Certificate) -> list[Item]:
-    kinds = {joint.kind for joint in plan.problem.mechanism.independent_joints}
-    return [
-        _item(
-            "state integrated under the planned effort, less the planned state", error <= allowed, error, allowed, unit, None
-        )
-        for kind, error, allowed, unit in (
-            ("hinge", certificate.integration_error_deg, INTEGRATION_DEG, "deg"),
-            ("slide", certificate.integration_error_m, INTEGRATION_M, "m"),
-        )
-        if kind in kinds
-    ]
 
 
 def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:

@@ -10,8 +10,8 @@ from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 from linkplan.models.tree.tendons import is_fixed, path_of
-from linkplan.studies.report.document import Drive, Mark
-from linkplan.studies.report.numbers import rounded
+from linkplan.studies.output.document import Drive, Mark
+from linkplan.studies.output.numbers import rounded
 
 # MuJoCo's value of `wrap_obj` for a pulley.
 _PULLEY_OBJECT = -2

@@ -6,9 +6,9 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.phase_plane.grid import Plane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan import Plan
-from linkplan.studies.report.document import Axis, Curve, Plane
-from linkplan.studies.report.motion import Motion
-from linkplan.studies.report.numbers import drawn_rows, rounded, times
+from linkplan.studies.output.document import Axis, Curve, Plane
+from linkplan.studies.output.motion import Motion
+from linkplan.studies.output.numbers import drawn_rows, rounded, times
 
 
 def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) -> Plane | None:

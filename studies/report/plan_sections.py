@@ -1,7 +1,5 @@
 """The sections of a plan: verdict, motion, limits, certificate, the solves before it, its problem."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
@@ -9,13 +7,13 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.problem_file import file_text
 from linkplan.planner.plan import Plan, not_honoured
+from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, Text
+from linkplan.studies.output.draw_plan import time_plots
+from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.motion import motion_of
+from linkplan.studies.output.plan_blocks import facts, solves
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
-from linkplan.studies.report.columns import columns
-from linkplan.studies.report.document import Block, Code, Facts, Plot, Section, Table, Text
-from linkplan.studies.report.lines import TIME, Line, plots
-from linkplan.studies.report.motion import Motion, motion_of
-from linkplan.studies.report.numbers import significant
 from linkplan.studies.report.phase import phase_plane
 from linkplan.studies.report.robust_sections import robust_section
 
@@ -36,46 +34,37 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
     """
     title, first = f"Plan: {plan.problem.name}", _verdict(plan, said=verdict)
     if plan.trajectory is None or plan.certificate is None:
-        return [Section(title=title, blocks=[*first, *_solves(plan), *_problem(plan)], depth=depth)]
+        return [Section(title=title, blocks=[*first, _solves(plan), *_problem(plan)], depth=depth)]
     try:
         motion = motion_of(plan)
     except AssemblyError as error:
         lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
         return [Section(title=title, blocks=[*first, lost, *_problem(plan)], depth=depth)]
     group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
+    over_time = [plot for of in time_plots(plan, motion, group, period).values() for plot in of]
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
     below = depth + 1
     robust = robust_section(plan, motion, group, period, depth=below)
     return [
         Section(title=title, blocks=[*first, *seen], depth=depth),
-        Section(title="Motion and effort", blocks=_time_plots(plan, motion, group, period), depth=below),
+        Section(title="Motion and effort", blocks=over_time, depth=below),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
         *([] if robust is None else [robust]),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=below),
-        Section(title="Solves and mesh", blocks=[*_solves(plan), _mesh(plan, group, period)], depth=below),
+        Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=below),
         Section(title="Problem", blocks=_problem(plan), depth=below),
     ]
 
 
 def _verdict(plan: Plan, *, said: bool) -> list[Block]:
-    problem, trajectory, certificate = plan.problem, plan.trajectory, plan.certificate
+    problem = plan.problem
     message = plan.message[:1].upper() + plan.message[1:]
     rows = [("mechanism", _mechanism_said(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
-    if trajectory is not None:
-        rows.append(("duration", f"{trajectory.duration_s:.8g} s"))
-    if plan.objective is not None:
-        rows.append(("value of the objective", f"{plan.objective:.6g} {problem.objective.unit}".rstrip()))
-    if certificate is not None:
-        rows += [
-            (f"largest effort of {actuator.name}", f"{peak:.4g} {actuator.unit}, limit {low:g} to {high:g} {actuator.unit}")
-            for actuator, peak, (low, high) in zip(
-                problem.mechanism.actuators[:12], certificate.peak_effort, problem.limits.effort, strict=False
-            )
-        ]
+    known = facts(plan) if plan.trajectory is not None and plan.certificate is not None else []
     notes = [Text(text=text, tone="note") for text in (*problem.notes, *not_honoured(plan))]
     message_too = [Text(text=message, tone="good" if plan.passed else "bad")] if said else []
-    return [*message_too, Facts(rows=rows), *notes]
+    return [*message_too, Facts(rows=[*rows, *known]), *notes]
 
 
 def _mechanism_said(plan: Plan) -> str:
@@ -106,66 +95,6 @@ def _animation(plan: Plan, group: str, period: float | None) -> Block:
     )
 
 
-def _time_plots(plan: Plan, motion: Motion, group: str, period: float | None) -> list[Plot]:
-    mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time_s
-    independent, dependent = list(mechanism.independent), list(mechanism.dependent)
-    reference = plan.problem.reference
-
-    def joints(which: Sequence[int], values: np.ndarray, bounds: np.ndarray, per: str) -> list[Line]:
-        return [
-            Line(
-                name=(joint := mechanism.joints[k]).name,
-                values=joint.shown(1.0) * values[:, k],
-                unit=f"{joint.unit}{per}",
-                limits=(joint.shown(float(bounds[k, 0])), joint.shown(float(bounds[k, 1]))),
-            )
-            for k in which
-        ]
-
-    def over_time(title: str, what: str, lines: Sequence[Line]) -> list[Plot]:
-        return plots(title, what, TIME, time, lines, group=group, period=period)
-
-    positions = joints(independent, motion.pose, limits.position, "")
-    if reference is not None:
-        wanted = reference.derivative(time)
-        positions += [
-            Line(
-                name=f"{joint.name}, reference",
-                values=joint.shown(1.0) * wanted[:, k],
-                unit=joint.unit,
-                look="dash",
-                colour=None,
-            )
-            for k, joint in enumerate(mechanism.independent_joints)
-        ]
-    efforts = [
-        Line(name=actuator.name, values=motion.effort[:, j], unit=actuator.unit, limits=tuple(limits.effort[j]))
-        for j, actuator in enumerate(mechanism.actuators)
-    ]
-    powers = [
-        Line(name=actuator.name, values=motion.power[:, j], unit="W", limits=tuple(limits.power[j]))
-        for j, actuator in enumerate(mechanism.actuators)
-    ]
-    forces = [
-        Line(
-            name=name,
-            values=motion.closure_force[:, c],
-            unit="N",
-            limits=(-np.inf, float(limits.closure_force[c])) if len(limits.closure_force) else (-np.inf, np.inf),
-        )
-        for c, name in enumerate(mechanism.closure_names)
-    ]
-    return [
-        *over_time("Position of the independent joints", "position", positions),
-        *over_time("Position of the dependent joints", "position", joints(dependent, motion.pose, limits.position, "")),
-        *over_time("Speed of the independent joints", "speed", joints(independent, motion.rates, limits.speed, "/s")),
-        *over_time("Speed of the dependent joints", "speed", joints(dependent, motion.rates, limits.speed, "/s")),
-        *over_time("Effort of the actuators", "effort", efforts),
-        *over_time("Mechanical power of the actuators", "power", powers),
-        *over_time("Force of the closures", "closure force", forces),
-    ]
-
-
 def _passed(plan: Plan) -> Block:
     certificate = plan.certificate
     if certificate.passed:
@@ -173,27 +102,10 @@ def _passed(plan: Plan) -> Block:
     return Text(text=f"The certificate does NOT pass: {'; '.join(certificate.failures)}.", tone="bad")
 
 
-def _solves(plan: Plan) -> list[Block]:
+def _solves(plan: Plan) -> Block:
     if not plan.history:
-        return [Text(text="There is no history of solves: the motion needed none, or was saved without it.", tone="note")]
-    heads = columns("what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]")
-    heads += columns("integration error [deg]", "time to build [s]", "time to solve [s]")
-    rows = [
-        [
-            step.what,
-            step.scheme,
-            step.intervals,
-            step.segments,
-            step.converged,
-            step.solver_status,
-            significant(step.objective, 9),
-            significant(step.integration_error_deg, 3),
-            significant(step.build_s, 3),
-            significant(step.solve_s, 3),
-        ]
-        for step in plan.history
-    ]
-    return [Table(title="Attempts in their order, each with its mesh", columns=heads, rows=rows)]
+        return Text(text="There is no history of solves: the motion needed none, or was saved without it.", tone="note")
+    return solves(plan)
 
 
 def _mesh(plan: Plan, group: str, period: float | None) -> Plot:

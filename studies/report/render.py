@@ -6,17 +6,16 @@ The page fetches nothing: its content security policy allows its own scripts by 
 import base64
 import hashlib
 import html
-import json
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
+
+import msgspec
 
 from linkplan.models.catalogue import is_folder, is_there
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import read_head
 from linkplan.planner.files.new_file import write_over
-from linkplan.studies.report.document import Report
+from linkplan.studies.output.document import Report
 
 # Each script uses only those before it.
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "player", "blocks", "main")
@@ -24,15 +23,9 @@ _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "pla
 _OURS = b'<meta name="generator" content="linkplan">'
 
 
-def as_record(value: object) -> object:
-    """Return a document in the types of JSON: an object for every block, with its kind."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: as_record(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): as_record(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [as_record(item) for item in value]
-    return value
+def document_json(report: Report) -> bytes:
+    """Return a document as JSON."""
+    return msgspec.json.encode(report, enc_hook=lambda value: value.item())  # numpy's numbers
 
 
 def report_html(report: Report) -> str:
@@ -40,15 +33,14 @@ def report_html(report: Report) -> str:
 
     The page contains the document as JSON with "<" escaped, so that no name can end a script. The page shows it as text.
     """
-    record = as_record(report)
-    said = json.dumps(record, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    said = document_json(report).decode()
     program = '"use strict";\n' + "\n".join(_resource(f"{name}.js") for name in _PROGRAM)
     uplot = _resource("uplot.min.js")
     scripts = {"uplot": uplot, "program": program}
     allowed = " ".join(f"'sha256-{_hash(f'{chr(10)}{text}{chr(10)}')}'" for text in scripts.values())
     parts = {
         "allowed": allowed,
-        "title": html.escape(str(record["title"])),
+        "title": html.escape(report.title),
         "style": f"{_resource('uplot.min.css')}\n{_resource('style.css')}",
         "document": said.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"),
         **scripts,

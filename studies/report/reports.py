@@ -4,27 +4,21 @@ from collections.abc import Mapping, Sequence
 
 from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
-from linkplan.studies.bode.along_motion import AlongMotion
 from linkplan.studies.bode.bode import BodeStudy
-from linkplan.studies.bode.large_study import LargeStudy
-from linkplan.studies.bode.map_study import MapStudy
 from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck
 from linkplan.studies.compare.compare import Comparison
 from linkplan.studies.decompose.decompose import Decomposition
-from linkplan.studies.experiment.experiment_text import tube_text
+from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
+from linkplan.studies.experiment.experiment_blocks import tube_text
 from linkplan.studies.experiment.study import Outcome
-from linkplan.studies.report.bode_sections import bode_sections
-from linkplan.studies.report.check_sections import check_sections, refused_section
-from linkplan.studies.report.decomposition_section import decomposition_section
-from linkplan.studies.report.document import Report, Section
+from linkplan.studies.output.document import Report, Section
+from linkplan.studies.report.check_sections import check_sections
 from linkplan.studies.report.experiment_sections import Again, experiment_sections, machine_section
-from linkplan.studies.report.loop_sections import along_section, large_section, map_section, tune_sections
+from linkplan.studies.report.loop_sections import bode_sections, tune_sections
 from linkplan.studies.report.plan_sections import plan_sections
 from linkplan.studies.report.tracking_sections import whole_comparison
 from linkplan.studies.tune.tune import Tuning
-
-Extra = MapStudy | LargeStudy | AlongMotion
 
 
 def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[Section]) -> Report:
@@ -86,23 +80,15 @@ def decomposition_report(found: Decomposition) -> Report:
     lost = [one.name for one in found.trackers if not one.machines]
     verdict = f"split: {', '.join(split) or 'no tracker'}" + (f"; lost: {', '.join(lost)}" if lost else "")
     name = found.plan.problem.name
-    sections = [decomposition_section(found), *plan_sections(found.plan)]
-    return report_of(f"Where the error comes from: {name}", verdict, found.found, sections)
+    first = Section(title=f"Where the error comes from: {name}", blocks=decomposition_blocks(found))
+    return report_of(first.title, verdict, found.found, [first, *plan_sections(found.plan)])
 
 
-def bode_report(study: BodeStudy, extras: Sequence[Extra] = (), note: str | None = None) -> Report:
-    """Return the report of a feedback loop, with the sections of `extras`: stability map, large signals, motion."""
-    name = f"{study.mechanism.name}, {study.law}"
-    sections = [*bode_sections(study, name, verdict=False), *(extra_section(extra) for extra in extras)]
+def bode_report(study: BodeStudy, extras: Sequence[Section] = (), note: str | None = None) -> Report:
+    """Return the report of a feedback loop; `extras` are the sections of further studies of it."""
+    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law}", verdict=False), *extras]
     verdict = study.message if note is None else f"{study.message}; {note}"
     return report_of(f"Feedback loop of {study.mechanism.name}", verdict, study.stable, sections)
-
-
-def extra_section(extra: Extra) -> Section:
-    """Return the section of a stability map, of large signals, or of the loop along a motion."""
-    if isinstance(extra, MapStudy):
-        return map_section(extra)
-    return large_section(extra) if isinstance(extra, LargeStudy) else along_section(extra)
 
 
 def tune_report(found: Tuning, note: str | None = None) -> Report:
@@ -115,5 +101,8 @@ def check_report(found: WholeCheck | RefusedModel) -> Report:
     """Return the report of a check."""
     n = len(found.problems)
     verdict = f"{n} problem{'s' if n != 1 else ''} found" if n else "no problems found"
-    sections = [refused_section(found)] if isinstance(found, RefusedModel) else check_sections(found)
+    if isinstance(found, RefusedModel):
+        sections = [Section(title=f"Model: {found.name}", blocks=found.blocks())]
+    else:
+        sections = check_sections(found)
     return report_of(f"Check of {found.name}", verdict, not n, sections)

@@ -7,9 +7,9 @@ import numpy as np
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.corner_efforts import corner_efforts_along
 from linkplan.planner.robustness import saved_price
-from linkplan.studies.report.document import Block, Facts, Plot, Section, Table, Text
-from linkplan.studies.report.lines import TIME, Line, plots
-from linkplan.studies.report.motion import Motion
+from linkplan.studies.output.document import Block, Facts, Plot, Section, Table, Text
+from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.motion import Motion
 
 
 def robust_section(plan: Plan, motion: Motion, group: str, period: float | None, *, depth: int = 2) -> Section | None:

@@ -387,5 +387,5 @@ def main() -> int:
 
 if __name__ == "__main__":
     with contextlib.suppress(ImportError):
-        import linkplan.studies.compare.draw_tracking  # noqa: F401  (loaded once, not in every child)
+        import linkplan.studies.compare.comparison_blocks  # noqa: F401  (loaded once, not in every child)
     sys.exit(main())

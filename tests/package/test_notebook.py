@@ -119,5 +119,5 @@ def test_the_ten_lines_do_what_they_say(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert names["plan"].status == "optimal"
     assert (tmp_path / "reach.png").is_file()
-    for words in ("'A': ", "tracker    [deg]", "payload +20 %", "Stable at all 5 poses: lqr"):
+    for words in ("'A': ", "rms error [deg]", "payload +20 %", "Stable at all 5 poses: lqr"):
         assert words in said

@@ -180,7 +180,7 @@ def test_a_loops_response_is_measured_and_drawn(problem, tmp_path):
     assert loop["measured"]["complementary"]["frequency_hz"] == pytest.approx([20.0, 100.0], rel=0.01)
     assert np.abs(loop["measured"]["complementary"]["less_predicted_db"]).max() < 0.1
     assert isinstance(result.plot(tmp_path / "bode.png"), Figure)
-    assert all(word in str(result) for word in ("PM", "[deg]"))
+    assert all(word in str(result) for word in ("phase margin", "[deg]"))
     assert told
 
 

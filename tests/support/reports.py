@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from linkplan.studies.report.document import Block, Report
+from linkplan.studies.output.document import Block, Report
 
 
 def blocks(report: Report, kind: type[Block]) -> list:

@@ -1,16 +1,21 @@
 // The plainer blocks of a report: texts, facts, tables, checklists, code.
 
 function showText(block) {
-  return make(block.tone === "lines" ? "pre" : "p", { class: `text ${block.tone}` }, block.text);
+  return make("p", { class: `text ${block.tone}` }, block.text);
 }
 
 function showFacts(block) {
   return make("dl", { class: "facts" }, ...block.rows.flatMap(([label, value]) => [make("dt", {}, label), make("dd", {}, value)]));
 }
 
+/** Tell if a cell is a number, or a number's text with digits of its own. */
+function isNumber(value) {
+  return typeof value === "number" || (typeof value === "string" && value !== "" && Number.isFinite(Number(value)));
+}
+
 /** Return a cell: numbers to the right, verdicts in words. */
 function cellOf(value) {
-  if (typeof value === "number") return make("td", { class: "number" }, said(value));
+  if (isNumber(value)) return make("td", { class: "number" }, typeof value === "number" ? said(value) : value);
   if (typeof value === "boolean") return make("td", { class: value ? "good" : "bad" }, value ? "yes" : "NO");
   const text = value === null ? "–" : String(value);
   return make("td", { class: text.length < 30 ? "short" : false }, text);
@@ -20,7 +25,7 @@ function cellOf(value) {
 const WHOLE_ROWS = 40;
 
 function showTable(block) {
-  const numbers = block.columns.map((_, k) => block.rows.some((row) => typeof row[k] === "number"));
+  const numbers = block.columns.map((_, k) => block.rows.some((row) => isNumber(row[k])));
   const heads = block.columns.map(([head, unit], k) => make("th", { scope: "col", class: numbers[k] ? "number" : false }, labelled({ label: head, unit })));
   const rows = block.rows.map((row) => make("tr", {}, ...row.map(cellOf)));
   const table = make("table", {}, make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));

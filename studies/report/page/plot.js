@@ -202,6 +202,7 @@ function buildPlot(block, place, cursor) {
   place.style.minHeight = "";
   const legend = place.querySelectorAll(".u-legend .u-series");
   for (const dots of measured.values()) legend[dots].style.display = "none";
+  block.series.forEach((one, k) => one.name || (legend[k + 1].style.display = "none"));
   function follow(time) {
     own = true;
     const left = plot.valToPos(within(block, time), "x");

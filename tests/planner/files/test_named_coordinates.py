@@ -14,7 +14,7 @@ from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.studies.output.plan_text import plan_text
+from linkplan.studies.output.plan_blocks import plan_text
 
 # The knee's reach said of the rocker C, whose motor is at O.
 AT_C = {"kind": "reach", "start_deg": {"C": -20.0}, "goal_deg": {"C": 40.0}, "duration_s": 0.3}

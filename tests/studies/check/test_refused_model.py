@@ -11,8 +11,9 @@ import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.check.inspection_text import inspection_text
+from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.cli.main import main
+from linkplan.studies.output.text import text_of
 from tests.support.mechanisms import replaced
 
 BAR = """<mujoco model="bar"><worldbody>
@@ -150,6 +151,6 @@ def test_positions_in_the_table_of_poses_are_zero_where_they_are_rounding():
     found = inspect(load_mechanism(BOOM), [{"stroke": 0.0}])
     (point,) = found.points
     drifted = replace(found, points=(replace(point, pose=np.array([-1.2e-10, 0.5, 0.0])),))
-    lines = inspection_text(drifted).split("\n\n")[1].splitlines()
+    lines = text_of(inspection_blocks(drifted)).partition("At the poses asked for")[2].splitlines()
     row = next(line for above, line in pairwise(lines) if above.startswith("---")).split()
     assert row[:3] == ["0", "28.65", "0"]

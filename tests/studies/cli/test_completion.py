@@ -8,9 +8,8 @@ import sys
 import pytest
 
 from linkplan.planner.keys.json_schema import FILES
-from linkplan.studies.cli.command_line import build_parser
+from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.completion_command import completion_script
-from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.experiment.design import DESIGNS
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES
 

@@ -11,7 +11,7 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import Comparison, _plant, rollout_record, track, tracking_reference
-from linkplan.studies.compare.draw_tracking import comparison_figure
+from linkplan.studies.compare.comparison_blocks import comparison_figure
 from linkplan.studies.experiment.statistics import mean_of
 
 pytestmark = pytest.mark.filterwarnings("error")

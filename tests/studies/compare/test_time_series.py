@@ -18,10 +18,9 @@ from linkplan.planner.planning import plan_motion
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
 from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, track
-from linkplan.studies.compare.comparison_text import comparison_text
-from linkplan.studies.compare.draw_tracking import comparison_figure
+from linkplan.studies.compare.comparison_blocks import comparison_figure, comparison_text
 from linkplan.studies.compare.time_series import run_columns, save_time_series
-from linkplan.studies.output.plan_text import plan_text
+from linkplan.studies.output.plan_blocks import plan_text
 
 SOFT = re.sub(r' solref="[^"]*" solimp="[^"]*"', "", built_in_text("optimus-knee"))
 
@@ -62,19 +61,22 @@ def test_a_run_is_saved_with_units_in_its_heads_as_csv_and_npz(tmp_path):
 def test_the_figure_has_every_joint_and_every_actuator():
     comparison = compared("five-bar")
     figure = comparison_figure(comparison)
-    shown = [axes.get_ylabel() for axes in figure.axes]
-    motions = ["O1 [deg]", "|error of O1| [deg]", "O2 [deg]", "|error of O2| [deg]", "E1 [deg]", "P [deg]"]
-    assert shown == [*motions, "act_O1 [N.m]", "act_O2 [N.m]"]
+    drawn = {axes.get_title(): axes for axes in figure.axes}
+    motions = [f"{joint}, desired and tracked" for joint in ("O1", "O2")]
+    errors = [f"Size of the error of {joint}" for joint in ("O1", "O2")]
+    assert set(drawn) == {*motions, *errors, "E1, tracked", "P, tracked", "Effort of act_O1", "Effort of act_O2"}
+    assert drawn["P, tracked"].get_ylabel() == "position [deg]"
     run, columns = comparison.nominal["pd"], run_columns(comparison.plan.problem.mechanism, comparison.nominal["pd"])
-    for axes, name in ((figure.axes[2], "O2_deg"), (figure.axes[5], "P_deg"), (figure.axes[7], "act_O2_applied_Nm")):
-        assert axes.lines[0].get_ydata() == pytest.approx(columns[name]), name
+    for title, name in ((motions[1], "O2_deg"), ("P, tracked", "P_deg"), ("Effort of act_O2", "act_O2_applied_Nm")):
+        shown = drawn[title].lines[0].get_ydata()
+        assert shown == pytest.approx(columns[name], abs=1e-4 * np.abs(columns[name]).max()), name
     assert len(run.time_s) == 500
 
 
 def test_the_table_has_the_peak_of_every_actuator():
     comparison = compared("five-bar")
     text = comparison_text(comparison)
-    head = text.split("----")[0]  # folded: a word a line
+    head = text.split("----")[0]
     assert head.count("peak") == head.count("[N.m]") == 2
     assert head.index("act_O1") < head.index("act_O2")
     for peak in rollout_record(comparison.plan, comparison.nominal["pd"])["peak_effort"].values():

@@ -273,11 +273,10 @@ def test_settings_that_cannot_be_are_refused(asked, said):
 
 
 @pytest.mark.slow
-def test_the_command_prints_within_eighty_columns_and_replays(tmp_path, ask, ask_json):
+def test_the_command_prints_and_replays(tmp_path, ask, ask_json):
     words = ["experiment", "knee-reach", "--set", SHORT, "--samples", "5", "-o", str(tmp_path / "x")]
     code, out, _ = ask(*words)
     assert code == 0
-    assert max(map(len, out.splitlines())) <= 80
     assert "success" in out
     code, said = ask_json(*words)
     assert said["trackers"]["lqr"]["success"]["n"] == 5

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
-from linkplan.studies.experiment.draw_experiment import draw_distribution
+from linkplan.studies.experiment.distributions import experiment_figure
 from linkplan.studies.experiment.metrics import Metric
 
 
@@ -14,11 +13,16 @@ def test_a_logarithmic_axis_has_several_labelled_ticks_within_it_however_short(s
     results["tracker"][:100], results["tracker"][100:] = "pd", "ct"
     results["chatter"][:100] = np.linspace(25.0, 60.0, 100)
     results["chatter"][100:] = np.linspace(0.5, 1.0, 100) * slowest
-    figure = Figure()
-    axes = figure.subplots()
-    draw_distribution(axes, results, ["pd", "ct"], "chatter", Metric(text="total variation of the effort", unit="N.m"))
+    metrics = {"chatter": Metric(text="total variation of the effort", unit="N.m")}
+    figure = experiment_figure(results, ["pd", "ct"], metrics, "machines", None)
+    axes = figure.axes[0]
     assert axes.get_xscale() == "log"
     figure.draw_without_rendering()
     low, high = axes.get_xlim()
-    ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
-    assert len([tick for tick, label in ticks if low <= tick <= high and label.get_text()]) >= 3
+    ticks = [
+        tick
+        for minor in (False, True)
+        for tick, label in zip(axes.get_xticks(minor=minor), axes.get_xticklabels(minor=minor), strict=True)
+        if low <= tick <= high and label.get_text()
+    ]
+    assert len(ticks) >= 3

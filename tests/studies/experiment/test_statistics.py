@@ -7,7 +7,7 @@ import scipy.stats
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread, spread_of
 from linkplan.studies.experiment.design import REPLICATES, replicate_of, values_of
-from linkplan.studies.experiment.experiment_text import estimated
+from linkplan.studies.experiment.experiment_blocks import estimated
 from linkplan.studies.experiment.statistics import Estimate, mean_of, pair_of, share_of
 
 REPEATS = 500

@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.studies.output.digits import error_figure, known_digits, radius_figure
 from linkplan.studies.output.objective_unit import objective_unit
-from linkplan.studies.output.plan_text import plan_text
+from linkplan.studies.output.plan_blocks import plan_text
 from tests.support.plans import optimal, problem_of
 
 

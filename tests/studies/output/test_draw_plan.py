@@ -2,20 +2,19 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.planning_problem import Motion, PlanningProblem
 from linkplan.planner.trajectory import Trajectory
-from linkplan.studies.output.draw_plan import draw_effort, draw_position, plan_figure
+from linkplan.studies.output.draw_plan import plan_figure
 from tests.support.arms import LOWER, UPPER
-from tests.support.figures import saved_figures
+from tests.support.figures import curves, saved_figures
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of
 
-# A line's points against the cubics that it shows, relative to the largest: rounding of Bernstein polynomials.
-DRAWN = 1e-12
+# A line's points against the cubics that it shows, relative to the largest: a page's numbers have five digits.
+DRAWN = 6e-5
 KINDS = ["hinge"] * 5 + ["slide"] * 4
 
 
@@ -52,7 +51,7 @@ def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():
     waypoints = [{"at": {"foot": {"x": 0.45}}, "time_s": 0.3}]
     limits = {"foot": {"x": [0.1, 0.5]}}
     plan = plan_of(arm_of(UPPER, LOWER), motion | {"waypoints": waypoints}, limits)
-    axes = plan_figure(plan).axes[-1]
+    axes = next(axes for axes in plan_figure(plan).axes if axes.get_xlabel() == "x [m]")
     lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
     path = places_along(plan, per_interval=10)[:, [0, 2]]
     assert lines["path of foot"] == pytest.approx(path, abs=1e-9)
@@ -65,43 +64,45 @@ def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():
 
 
 def test_a_plan_without_sites_has_no_panel_of_them():
-    assert len(plan_figure(many()).axes) == 6  # three panels, each with a side for slides
+    assert len(plan_figure(many()).axes) == 6  # a panel each of hinges and of slides
 
 
 def test_a_plan_s_page_has_every_coordinate_s_position_speed_and_effort_in_its_unit(tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     plan_figure(many(), tmp_path / "plan.png")
     assert (tmp_path / "plan.png").exists()
-    time, n_hinges = many().trajectory.dense_times(10), KINDS.count("hinge")
-    cubic, speed, effort = 3 * time**2 - 2 * time**3, 6 * time * (1 - time), 6 - 12 * time
+    n_hinges = KINDS.count("hinge")
+
+    def cubic(time):
+        return 3 * time**2 - 2 * time**3
+
+    def speed(time):
+        return 6 * time * (1 - time)
+
+    def effort(time):
+        return 6 - 12 * time
+
     shown = {
-        "position [deg]": (n_hinges, np.degrees(cubic)),
+        "position [deg]": (n_hinges, lambda time: np.degrees(cubic(time))),
         "position [m]": (len(KINDS) - n_hinges, cubic),
-        "speed [deg/s]": (n_hinges, np.degrees(speed)),
+        "speed [deg/s]": (n_hinges, lambda time: np.degrees(speed(time))),
         "speed [m/s]": (len(KINDS) - n_hinges, speed),
         "effort [N.m]": (n_hinges, effort),
         "effort [N]": (len(KINDS) - n_hinges, effort),
     }
-    sides = {axes.get_ylabel(): axes for axes in saved["plan.png"].axes}
-    assert set(sides) == set(shown)
-    assert sides["effort [N.m]"].get_xlabel() == "time [s]"
+    panels = {axes.get_ylabel(): axes for axes in saved["plan.png"].axes}
+    assert set(panels) == set(shown)
+    assert panels["effort [N.m]"].get_xlabel() == "time [s]"
     for label, (n, expected) in shown.items():
-        drawn = [np.array(line.get_data()) for line in sides[label].lines if len(line.get_xdata()) == len(time)]
-        assert len(drawn) == n
-        for line in drawn:
-            np.testing.assert_allclose(line, [time, expected], atol=DRAWN * np.abs(expected).max())
+        drawn = curves(panels[label])
+        lines = [line for name, line in drawn.items() if not name.startswith("limit")]
+        assert len(lines) == n
+        for time, values in lines:
+            np.testing.assert_allclose(values, expected(time), atol=DRAWN * np.abs(expected(time)).max())
 
 
 def test_more_coordinates_than_colours_are_told_apart_by_their_styles():
-    axes = Figure().subplots()
-    draw_position(axes, many())
-    looks = [(line.get_color(), line.get_linestyle()) for line in axes.get_legend_handles_labels()[0]]
-    assert len(set(looks)) == len(looks) == len(KINDS)
+    from linkplan.studies.output.lines import line_style
 
-
-def test_torques_and_forces_have_an_axis_each():
-    figure = Figure()
-    axes = figure.subplots()
-    draw_effort(axes, many())
-    assert [side.get_ylabel() for side in figure.axes] == ["effort [N.m]", "effort [N]"]
-    assert axes.get_legend_handles_labels()[1][-2:] == ["m8 [N]", "effort limit"]
+    looks = [tuple(line_style(k).values()) for k in range(len(KINDS))]
+    assert len(set(looks)) == len(KINDS)

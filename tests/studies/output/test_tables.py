@@ -1,62 +1,89 @@
-"""Tables on the terminal: never wider than 80 columns, nothing lost, and one block where that suffices."""
+"""Tables: nothing of them is lost in a pipe or on a terminal of any width, and no line is wider than the terminal."""
 
+import io
+import re
+
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linkplan.studies.output.tables import TABLE_WIDTH, described, table
+from linkplan.studies.output.document import Facts, Table, Text, table_of
+from linkplan.studies.output.tables import table
+from linkplan.studies.output.terminal import drawn
+from linkplan.studies.output.text import text_of
 
-WORD = st.text(st.characters(whitelist_categories=("Lu", "Ll", "Nd"), whitelist_characters="_.-[]"), min_size=1, max_size=50)
+SEQUENCE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
+WORD = st.text(st.characters(whitelist_categories=("Lu", "Ll", "Nd"), whitelist_characters="_.-"), min_size=1, max_size=50)
 HEADS = st.lists(st.lists(WORD, min_size=1, max_size=4).map(" ".join), min_size=1, max_size=14)
 
 
-def letters(text: str) -> list[str]:
-    return sorted(text.replace(" ", "").replace("\n", ""))
+def on_a_terminal(blocks, width: int, monkeypatch) -> str:
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("TERM", "xterm")
+    return SEQUENCE.sub("", drawn(io.StringIO(), blocks))
 
 
 @settings(max_examples=100, deadline=None)
 @given(data=st.data(), head=HEADS)
-def test_no_line_of_any_table_exceeds_eighty_columns_and_every_head_is_there(data, head):
+def test_no_line_of_any_table_is_wider_than_the_terminal_and_every_letter_is_there(data, head):
     cell = st.one_of(st.floats(), st.booleans(), st.none(), st.lists(WORD, min_size=1, max_size=6).map(" ".join))
     rows = data.draw(st.lists(st.lists(cell, min_size=len(head), max_size=len(head)), max_size=3))
-    shown = table(head, rows)
-    assert max(map(len, shown.splitlines())) <= TABLE_WIDTH
-    said = letters(shown)
-    for title in head:
-        for letter in set(title) - {" "}:
-            assert said.count(letter) >= sum(one.count(letter) for one in head)
+    block = table_of("", [(title, "") for title in head], rows)
+    with pytest.MonkeyPatch.context() as patch:
+        shown = on_a_terminal([block], 80, patch)
+    assert max(map(len, shown.splitlines())) <= 80
+    wanted = "".join(text_of([block]).split())
+    for letter in set("".join(head)) - {" ", "-"}:
+        assert shown.count(letter) >= wanted.count(letter)
 
 
-def test_a_table_that_fits_stands_in_one_block_under_heads_of_one_line():
+def test_a_table_in_a_pipe_is_as_wide_as_it_is():
     assert table(["O [deg]", "force B [N]"], [[1.0, 2.0]]).splitlines() == [
         "O [deg]  force B [N]",
         "-------  -----------",
         "1                  2",
     ]
+    wide = table(["case", *(f"a_rather_long_quantity_{k} [kg m2]" for k in range(9))], [["first", *map(float, range(9))]])
+    assert len(wide.splitlines()) == 3
+    assert wide.splitlines()[2].split() == ["first", *map(str, range(9))]
 
 
-def test_heads_are_folded_before_columns_are_laid_out_in_blocks():
-    head = ["O [deg]", *(f"weight alone joint_{k} [N.m]" for k in range(5))]
-    shown = table(head, [[1.5] * 6])
-    assert "\n\n" not in shown
-    assert shown.splitlines()[-1].split() == ["1.5"] * 6
-    assert len(shown.splitlines()) > 3
+def test_heads_are_folded_before_columns_are_laid_out_in_parts(monkeypatch):
+    heads = ["O [deg]", *(f"weight alone joint_{k} [N.m]" for k in range(5))]
+    shown = on_a_terminal([table_of("", heads, [[1.5] * 6])], 80, monkeypatch)
+    assert [line.split() for line in shown.splitlines() if "1.5" in line] == [["1.5"] * 6]
 
 
-def test_every_block_of_a_wide_table_begins_with_the_first_column():
-    shown = table(["case", *(f"a_rather_long_quantity_{k} [kg m2]" for k in range(9))], [["first", *map(float, range(9))]])
-    blocks = shown.split("\n\n")
-    assert len(blocks) > 1
-    assert all(block.splitlines()[-1].startswith("first ") for block in blocks)
-    assert [x for block in blocks for x in block.splitlines()[-1].split()[1:]] == [str(k) for k in range(9)]
+def test_every_part_of_a_wide_table_begins_with_the_first_column(monkeypatch):
+    heads = ["case", *(f"a_rather_long_quantity_{k} [kg m2]" for k in range(9))]
+    shown = on_a_terminal([table_of("", heads, [["first", *map(float, range(9))]])], 80, monkeypatch)
+    rows = [line.split() for line in shown.splitlines() if line.startswith("first ")]
+    assert len(rows) > 1
+    assert [x for row in rows for x in row[1:]] == [str(k) for k in range(9)]
 
 
-def test_a_unit_is_never_folded():
-    shown = table(["one two [kg m2]"] * 12, [[1.0] * 12])
-    assert shown.count("[kg m2]") >= 12
+def test_a_document_is_read_from_top_to_bottom():
+    blocks = [
+        Text(text="a verdict"),
+        Facts(rows=[("label", "value with its unit")]),
+        table_of("A table", ["pose", "gain [dB]", "stable"], [["O = 1 deg", 12.3456789, True], ["O = 2 deg", None, False]]),
+        Text(text="something to know", tone="note"),
+    ]
+    assert text_of(blocks).splitlines() == [
+        "a verdict",
+        "label: value with its unit",
+        "",
+        "A table",
+        "pose       gain [dB]  stable",
+        "---------  ---------  ------",
+        "O = 1 deg      12.35     yes",
+        "O = 2 deg          -      NO",
+        "",
+        "note: something to know",
+    ]
 
 
-def test_what_a_name_is_goes_on_below_itself():
-    lines = described({"short": "x " * 60, "a-longer-name": "y"})
-    assert max(map(len, lines[0].splitlines())) <= TABLE_WIDTH
-    assert lines[0].splitlines()[1].startswith(" " * len("  a-longer-name  x"[:-1]))
-    assert lines[1] == "  a-longer-name  y"
+def test_names_of_a_model_may_have_brackets():
+    found = table_of("", ["case", ("joint [left]", "deg"), "speed [deg/s]"], [])
+    assert isinstance(found, Table)
+    assert found.columns == [("case", ""), ("joint [left]", "deg"), ("speed", "deg/s")]

@@ -2,8 +2,9 @@
 
 import pytest
 
-from linkplan.studies.report.cause_sections import decomposition_charts, sensitivity_section
-from linkplan.studies.report.document import Bars
+from linkplan.studies.decompose.decomposition_blocks import decomposition_charts
+from linkplan.studies.experiment.sensitivity_blocks import sensitivity_charts
+from linkplan.studies.output.document import Bars
 
 PARTS = {"plan": "discretisation of the plan", "sampling": "sampling and delay", "model": "model error: masses, lengths"}
 DECOMPOSED = {
@@ -32,7 +33,7 @@ def record(design: str, effects: dict, middle: float = 0.3) -> dict:
 
 
 def chart(said: dict) -> Bars:
-    (found,) = [block for block in sensitivity_section(said).blocks if isinstance(block, Bars)]
+    (found,) = sensitivity_charts(said, "rms_error_deg")
     return found
 
 

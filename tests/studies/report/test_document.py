@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -10,8 +11,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.report.document import Animation, Checklist, Plane, Plot, Table
-from linkplan.studies.report.render import as_record, report_html
+from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table
+from linkplan.studies.report.render import document_json, report_html
 from linkplan.studies.report.reports import check_report, comparison_report, plan_report
 from tests.support.linkages import RSSR
 from tests.support.plans import LIMIT, optimal
@@ -174,7 +175,7 @@ def test_pages_are_small(report, compared):
 
 def test_no_name_ends_a_script_or_begins_an_element(report):
     hostile = '</script><img src=x onerror="alert(1)"><!-- <script>'
-    page = report_html(replace(report, title=hostile, verdict=hostile))
+    page = report_html(msgspec.structs.replace(report, title=hostile, verdict=hostile))
     assert page.count("</script>") == 3
     assert "<img" not in page
     said = page.split('id="document">')[1].split("</script>")[0]
@@ -191,4 +192,4 @@ def test_a_page_asks_for_nothing_from_elsewhere(report):
 
 
 def test_a_document_is_of_json_s_own_types(report):
-    assert json.loads(json.dumps(as_record(report), allow_nan=False))["title"] == "Plan knee-reach"
+    assert json.loads(document_json(report))["title"] == "Plan knee-reach"

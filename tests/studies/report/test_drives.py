@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.report.document import Drive
+from linkplan.studies.output.document import Drive
 from linkplan.studies.report.drives import drives_of
 from tests.support.linkages import GRIPPER
 from tests.support.mechanisms import replaced

@@ -8,9 +8,9 @@ import pytest
 from linkplan.planner.planning import silent
 from linkplan.studies.cli.main import main
 from linkplan.studies.experiment.experiment import Settings
-from linkplan.studies.experiment.experiment_text import estimated
+from linkplan.studies.experiment.experiment_blocks import estimated
 from linkplan.studies.experiment.study import RESULTS, run_experiment
-from linkplan.studies.report.document import Code, Plot, Table
+from linkplan.studies.output.document import Code, Plot, Table
 from linkplan.studies.report.reading import folder_report
 from linkplan.studies.report.reports import experiment_report
 from tests.support.plans import optimal

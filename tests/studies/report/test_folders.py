@@ -7,9 +7,9 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.studies.cli.main import main
-from linkplan.studies.report.document import Checklist, Report, Table, Text
+from linkplan.studies.output.document import Checklist, Report, Table, Text
 from linkplan.studies.report.reading import folder_report
-from linkplan.studies.report.render import as_record, write_report
+from linkplan.studies.report.render import document_json, write_report
 from linkplan.studies.report.reports import plan_report
 from linkplan.studies.report.saving import DOCUMENT, save_report
 from tests.support.plans import optimal, saved_plan
@@ -31,7 +31,7 @@ def test_a_saved_document_is_read_again(tmp_path):
     assert (tmp_path / "report.html").is_file()
     again = folder_report(tmp_path)
     assert isinstance(again, Report)
-    assert json.loads(json.dumps(as_record(again))) == json.loads(json.dumps(as_record(report)))
+    assert json.loads(document_json(again)) == json.loads(document_json(report))
 
 
 def test_a_folder_of_an_earlier_version_shows_its_figures_and_says_what_lacks(tmp_path):
@@ -58,10 +58,10 @@ DAMAGED = {
     "a list": ("[]", "Expected `object`, got `array`"),
     "a title that is a number": ('{"title": 1}', "at `$.title`"),
     "a section that is a number": (WITH_SECTIONS % "[1]", "at `$.sections[0]`"),
-    "a block without a kind": (WITH_BLOCK % "{}", "kind is one of text, facts, table"),
-    "a block of another kind": (WITH_BLOCK % '{"kind": "film"}', "got 'film'"),
-    "a text that is a number": (WITH_BLOCK % '{"kind": "text", "text": 1}', "Expected `str`, got `int` - at `$.text`"),
-    "a cell that is a list": (WITH_BLOCK % '{"kind": "table", "title": "", "columns": [], "rows": [[[]]]}', "kind 'table'"),
+    "a block without a kind": (WITH_BLOCK % "{}", "missing required field `kind`"),
+    "a block of another kind": (WITH_BLOCK % '{"kind": "film"}', "Invalid value 'film'"),
+    "a text that is a number": (WITH_BLOCK % '{"kind": "text", "text": 1}', "Expected `str`, got `int`"),
+    "a cell that is a list": (WITH_BLOCK % '{"kind": "table", "title": "", "columns": [], "rows": [[[]]]}', "got `array`"),
     "a row that is too short": (
         WITH_BLOCK % '{"kind": "table", "title": "", "columns": [["a", ""]], "rows": [[]]}',
         "0 values",

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from linkplan.planner.robustness import Price, with_price
+from linkplan.studies.compare import comparison_blocks
 from linkplan.studies.compare.compare import compare
+from linkplan.studies.output.document import Plot, Table, Text
+from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.report import tracking_sections
-from linkplan.studies.report.document import Plot, Table, Text
-from linkplan.studies.report.lines import TIME, Line, plots
 from linkplan.studies.report.plan_sections import plan_sections
 from tests.support.arms import arm
 from tests.support.bodies import body_plan
@@ -27,8 +28,8 @@ def test_of_many_lines_each_is_drawn_once_in_one_of_several_plots():
 
 
 def test_every_joint_and_actuator_is_drawn_those_of_the_smaller_figures_folded(monkeypatch):
-    for limit in ("_MAX_JOINTS_SHOWN", "_MAX_PEAK_COLUMNS"):
-        monkeypatch.setattr(tracking_sections, limit, 1)  # as eight joints are to six
+    monkeypatch.setattr(tracking_sections, "_MAX_JOINTS_SHOWN", 1)  # as eight joints are to six
+    monkeypatch.setattr(comparison_blocks, "MAX_PEAK_COLUMNS", 1)
     motion = 'kind = "reach"\nstart_deg = { J1 = 0.0, J2 = 0.0 }\ngoal_deg = { J1 = 20.0, J2 = 30.0 }\nduration_s = 0.5\n'
     plan = body_plan(arm(0.3, 0.25), motion)
     assert plan.status == "optimal", plan.message

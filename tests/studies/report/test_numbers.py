@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from linkplan.studies.report.numbers import MAX_SAMPLES, drawn_rows, rounded
+from linkplan.studies.output.numbers import MAX_SAMPLES, drawn_rows, rounded
 
 
 def test_a_peak_of_one_sample_stays():

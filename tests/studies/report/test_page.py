@@ -3,8 +3,8 @@
 import pytest
 
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.report.document import Axis, Bar, Bars, Checklist, Plot, Section, Series, Span
-from linkplan.studies.report.lines import TIME
+from linkplan.studies.output.document import Axis, Bar, Bars, Checklist, Plot, Section, Series, Span
+from linkplan.studies.output.lines import TIME
 from linkplan.studies.report.render import write_report
 from linkplan.studies.report.reports import comparison_report, plan_report, report_of
 from tests.support.bodies import QUARTER_TURN, body_plan

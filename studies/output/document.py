@@ -1,12 +1,20 @@
 """A report as a document: sections of blocks of JSON values, independent of their presentation.
 
-Every number has the unit given with it. Names come from models and are always treated as text.
+Every number has the unit given with it. Names come from models and are always treated as text. In JSON, the kind of a block
+is its class in small letters.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct
+
+from linkplan.studies.output.numbers import significant
 
 Numbers = Sequence[float | None]  # None where there is no value
+# The end of the name of dots that were measured of the line with the name before it: they share its entry of the legend.
+MEASURED = ", measured"
+# The colours of causes that raise a figure, lower it, or act together with others; the same in all charts.
+RAISING_COLOUR, LOWERING_COLOUR, TOTAL_COLOUR = 1, 0, 5
 
 
 def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None:
@@ -15,39 +23,56 @@ def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None
         raise ValueError(f"{what} has {len(values)} values for {len(others)} {of}")
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Text:
-    """A paragraph. `tone` is "plain", "good", "bad", "note" or, for preformatted lines of a terminal, "lines"."""
+class Text(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
+    """A paragraph. `tone` is "plain", "good", "bad" or "note"."""
 
     text: str
     tone: str = "plain"
-    kind: str = field(default="text", init=False)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Facts:
+class Facts(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Short facts: (label, value with its unit)."""
 
     rows: Sequence[tuple[str, str]]
-    kind: str = field(default="facts", init=False)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Table:
+class Table(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Rows under columns (head, unit); a cell is a number, a word, True or False, or None. `title` may be empty."""
 
     title: str
     columns: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[bool | int | float | str | None]]
-    kind: str = field(default="table", init=False)
 
     def __post_init__(self) -> None:
         for row in self.rows:
             _same_length(f"a row of table '{self.title}'", row, "columns", self.columns)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Item:
+def table_of(title: str, heads: Sequence[str | tuple[str, str]], rows: Sequence[Sequence], digits: int = 4) -> Table:
+    """Return a table of raw values.
+
+    Args:
+        title: of the table; it may be empty.
+        heads: like "phase margin [deg]", or (head, unit) for the name of a part of a model, which may have brackets.
+        rows: of cells; numbers are rounded, and those that are not finite are left out.
+        digits: significant digits of numbers.
+    """
+    columns = []
+    for head in heads:
+        text, bracket, unit = head.partition(" [") if isinstance(head, str) else (head[0], head[1], head[1])
+        columns.append((text, unit.removesuffix("]") if bracket else ""))
+    return Table(title=title, columns=columns, rows=[[_cell(cell, digits) for cell in row] for row in rows])
+
+
+def _cell(value: object, digits: int) -> bool | int | float | str | None:
+    """Return a cell in JSON types."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    kind = getattr(value, "dtype", None)
+    return bool(value) if kind is not None and kind.kind == "b" else significant(float(value), digits)
+
+
+class Item(Struct, frozen=True, kw_only=True, eq=False):
     """One line of a checklist: the worst value, its limit, their unit, and the instant [s] of the worst value."""
 
     label: str
@@ -58,18 +83,15 @@ class Item:
     instant_s: float | None = None
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Checklist:
+class Checklist(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Items with their verdicts; an item with an instant moves the cursor of `group` there."""
 
     title: str
     group: str
     items: Sequence[Item]
-    kind: str = field(default="checklist", init=False)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Axis:
+class Axis(Struct, frozen=True, kw_only=True, eq=False):
     """An axis: label, unit ("1" for none), logarithmic or linear, and its ends if they differ from those of the data."""
 
     label: str
@@ -78,11 +100,10 @@ class Axis:
     ends: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Series:
+class Series(Struct, frozen=True, kw_only=True, eq=False):
     """A line over the x of a plot or over its own x. `look` is "line", "dash", "dots" or "points"; `colour` counts from 0.
 
-    Without a colour, the line has the colour of text.
+    Without a colour, the line has the colour of text. A line without a name has no entry in the legend.
     """
 
     name: str
@@ -93,16 +114,14 @@ class Series:
     width: float = 1.6
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Limit:
+class Limit(Struct, frozen=True, kw_only=True, eq=False):
     """A limit drawn across a plot, in the unit of its vertical axis."""
 
     name: str
     value: float
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Plot:
+class Plot(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Quantities over a common increasing x (n,). Plots of one `group` share a cursor; a plot without a group shares none.
 
     For a periodic motion, the cursor's position is taken modulo `period`.
@@ -116,15 +135,13 @@ class Plot:
     series: Sequence[Series]
     limits: Sequence[Limit] = ()
     period: float | None = None
-    kind: str = field(default="plot", init=False)
 
     def __post_init__(self) -> None:
         for one in self.series:
             _same_length(f"'{one.name}' in plot '{self.title}'", one.y, "places", self.x if one.x is None else one.x)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Curve:
+class Curve(Struct, frozen=True, kw_only=True, eq=False):
     """A curve in a plane through points (n,), (n,). `look` as for `Series`, or "cross", "star", "area" (filled, closed)."""
 
     name: str
@@ -138,8 +155,7 @@ class Curve:
         _same_length(f"curve '{self.name}'", self.y, "places", self.x)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Heat:
+class Heat(Struct, frozen=True, kw_only=True, eq=False):
     """Values (n_y, n_x) over a grid: low values are blue, high values red, between `ends`; None is left blank."""
 
     name: str
@@ -155,8 +171,7 @@ class Heat:
             _same_length(f"a row of map '{self.name}'", row, "columns", self.x)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Plane:
+class Plane(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Curves in a plane: a phase plane, a Nyquist curve, a map of gains.
 
     `track` is the index of the curve along which a dot moves with the cursor of `group`, at `track_times` (n,).
@@ -173,11 +188,9 @@ class Plane:
     track: int | None = None
     track_times: Numbers = ()
     period: float | None = None
-    kind: str = field(default="plane", init=False)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Span:
+class Span(Struct, frozen=True, kw_only=True, eq=False):
     """A part of a bar, from `start` to `end`; `low` and `high` are the ends of the interval around `end`, if any."""
 
     name: str
@@ -188,8 +201,7 @@ class Span:
     high: float | None = None
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Bar:
+class Bar(Struct, frozen=True, kw_only=True, eq=False):
     """A line of a bar chart: its name, its parts below one another, and a note at its end."""
 
     label: str
@@ -197,8 +209,7 @@ class Bar:
     note: str = ""
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Bars:
+class Bars(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Horizontal bars on one axis. They start at `line`; `note_name` is the heading of their notes."""
 
     title: str
@@ -207,11 +218,9 @@ class Bars:
     line: float = 0.0
     line_name: str = ""
     note_name: str = ""
-    kind: str = field(default="bars", init=False)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Body:
+class Body(Struct, frozen=True, kw_only=True, eq=False):
     """A body of an animation: its pins at every frame, flat: (n_frames, n_pins * dimension) [m]."""
 
     name: str
@@ -220,8 +229,7 @@ class Body:
     points: Sequence[Numbers]
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Mark:
+class Mark(Struct, frozen=True, kw_only=True, eq=False):
     """The drawing of an actuator's effort: an "arc" about an axis, an "arrow" along an axis, or a "line" (a tendon).
 
     `at` is the position (n_frames, dimension) [m]; for a line, each row holds all its points. `axis` holds unit vectors of
@@ -233,8 +241,7 @@ class Mark:
     axis: Sequence[Numbers]
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Drive:
+class Drive(Struct, frozen=True, kw_only=True, eq=False):
     """An actuator of an animation: its effort (n_frames,) [`unit`], its limits, and its marks, if it has any."""
 
     name: str
@@ -244,8 +251,7 @@ class Drive:
     limits: tuple[float | None, float | None]
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Ghost:
+class Ghost(Struct, frozen=True, kw_only=True, eq=False):
     """The same bodies in another motion on the same frames, such as a tracked one, and the actuators in that motion."""
 
     name: str
@@ -253,8 +259,7 @@ class Ghost:
     drives: Sequence[Drive] = ()
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Animation:
+class Animation(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """A mechanism in motion over times (n_frames,) [`unit`]: in its plane (`dimension` 2) or in space (3).
 
     `labels` are the joints' names and positions, (n_frames, dimension) each; `paths` are the positions of named sites;
@@ -274,23 +279,19 @@ class Animation:
     planned: str = "planned"
     period: float | None = None
     unit: str = "s"
-    kind: str = field(default="animation", init=False)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Code:
+class Code(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Text to copy, for example a problem file."""
 
     title: str
     text: str
-    kind: str = field(default="code", init=False)
 
 
 Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Code
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Section:
+class Section(Struct, frozen=True, kw_only=True, eq=False):
     """Blocks under a title. A section of `depth` 2 belongs to the last section of depth 1. A folded one opens on demand."""
 
     title: str
@@ -299,8 +300,7 @@ class Section:
     folded: bool = False
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Report:
+class Report(Struct, frozen=True, kw_only=True, eq=False):
     """A whole document: title, verdict, software versions, and its sections in order."""
 
     title: str

@@ -7,6 +7,8 @@ import numpy as np
 
 # Samples of a line: about half the width of a screen in pixels.
 MAX_SAMPLES = 800
+# A smaller range of values, as a share of the largest, may be rounding errors: it is not resolved.
+_LEAST_SPAN_SHARE = 1e-4
 
 
 def significant(value: float | None, digits: int = 4) -> float | None:
@@ -17,14 +19,17 @@ def significant(value: float | None, digits: int = 4) -> float | None:
 def rounded(values: np.ndarray, *, log: bool = False, digits: int = 5) -> list:
     """Return values (n,) or (n, m) as lists, rounded.
 
-    The digits are counted from the largest value; with `log`, every value has four significant digits of its own. Values
-    that are not finite or, with `log`, not positive become None.
+    The digits are counted from the largest value or, of values (n,) that hardly change, from ten times their range. With
+    `log`, every value has four significant digits of its own. Values that are not finite or, with `log`, not positive
+    become None.
     """
     values = np.asarray(values, dtype=float)
     if values.ndim > 1:
         scale = _scale(values)
         return [_rounded(row, scale, log, digits) for row in values]
-    return _rounded(values, _scale(values), log, digits)
+    known = values[np.isfinite(values)]
+    span = 10 * float(np.ptp(known)) if len(known) else 0.0
+    return _rounded(values, min(_scale(values), max(span, _LEAST_SPAN_SHARE * _scale(values))), log, digits)
 
 
 def _scale(values: np.ndarray) -> float:

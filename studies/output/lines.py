@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.studies.report.document import Axis, Limit, Plot, Series
-from linkplan.studies.report.numbers import drawn_rows, rounded, times
+from linkplan.studies.output.document import Axis, Limit, Plot, Series
+from linkplan.studies.output.numbers import drawn_rows, rounded, times
 
 # More lines of one unit are divided among several plots.
 _MAX_LINES_PER_PLOT = 9
@@ -16,6 +16,15 @@ def line_style(index: int) -> dict[str, str | int]:
     """Return look and colour of line `index` of a plot: six colours, first with full lines, then with dashed ones."""
     looks, n_colours = ("line", "dash", "dashdot"), 6
     return {"look": looks[index // n_colours % len(looks)], "colour": index % n_colours}
+
+
+# The index of each built-in tracker's colour among the seven of `drawing.SERIES`.
+TRACKER_COLOURS = {"pd": 1, "pd+ff": 2, "lqr": 0, "lqi": 5, "gs-pd+ff": 3, "ct": 6, "mpc": 4}
+
+
+def tracker_colour(tracker: str, other: int) -> int:
+    """Return the index of a tracker's colour, the same everywhere; `other` for a tracker that is not built in."""
+    return TRACKER_COLOURS.get(tracker, other % 7)
 
 
 def overlaid_width(index: int, n_lines: int) -> float:

@@ -1,0 +1,323 @@
+"""A feedback loop as a document: margins, responses predicted and measured, Nyquist curves, margins along a line."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
+from linkplan.studies.bode.curves import lowest_hz, measured_phase, sensitivity_along, shifted_phase
+from linkplan.studies.bode.scan import Scan, bounds_text
+from linkplan.studies.bode.touching import contact_sentence
+from linkplan.studies.check.softness import gap_sentence, held_gap
+from linkplan.studies.frequency.margins import frequency_grid
+from linkplan.studies.output.digits import radius_figure
+from linkplan.studies.output.document import (
+    Axis,
+    Block,
+    Curve,
+    Facts,
+    Heat,
+    Limit,
+    Plane,
+    Plot,
+    Series,
+    Table,
+    Text,
+    table_of,
+)
+from linkplan.studies.output.lines import Line, line_style, plots
+from linkplan.studies.output.numbers import drawn_rows, rounded
+
+# Half the width of the Nyquist plane in units of |L| for stable loops, and the largest gain that is drawn. The critical
+# point is at -1.
+_NYQUIST_HALF_WIDTH, _MAX_NYQUIST_GAIN = 2.5, 30.0
+# Responses of less coherence are measured badly.
+COHERENT = 0.99
+_FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
+
+
+def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
+    """Return the margins at every pose, the worst case over the reach, and the agreement with the measurement.
+
+    The verdict is left out where the page's header shows it.
+    """
+    message = study.message[:1].upper() + study.message[1:]
+    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
+    rows = [("mechanism", study.mechanism.name), ("tracker", study.law), ("feedback loop", study.loop_name)]
+    if study.mechanism.dof > 1:
+        names = ", ".join(joint.name for joint in study.mechanism.independent_joints)
+        text = (
+            f"each loop is broken at the effort on its coordinate ({names}), made by"
+            f" {', '.join(actuator.name for actuator in study.mechanism.actuators)} together; the others' loops are closed"
+        )
+        blocks.append(Text(text=text))
+    scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
+    notes = [
+        Text(text=note, tone="note") for note in (*crossovers_of(study), contacts_of(study), softness_of(study)) if note
+    ]
+    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *notes]
+
+
+def _measured(study: BodeStudy) -> list[tuple[str, str]]:
+    """Return the agreement of measurement and prediction, or the reason why nothing was measured."""
+    deviation, c = study.worst_deviation, study.conditions
+    if deviation is not None:
+        solref = ", ".join(f"{x[0]:g} {x[1]:g}" for x in c["solref"]) or "none"
+        how = f"{study.method}, {study.simulated_steps} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
+        differ = f"differ from the prediction by at most {deviation[0]:.2g} dB and {deviation[1]:.2g} deg"
+        return [
+            ("measured closed-loop responses", f"{differ} ({how}, {c['integrator']}, closure constraints' solref {solref})")
+        ]
+    if study.method is None:
+        return []
+    why = "an unstable feedback loop holds no operating point"
+    if any(point.margins.stable for point in study.points):
+        why = "contacts push at the poses where the feedback loop is stable"
+    return [("not measured", why)]
+
+
+def _margins(study: BodeStudy) -> Table:
+    """Return the table of margins, a row for each loop and pose."""
+    mechanism = study.mechanism
+    several = mechanism.dof > 1
+    inertias = " or ".join(dict.fromkeys("kg m2" if j.kind == "hinge" else "kg" for j in mechanism.independent_joints))
+    heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
+    heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
+    heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
+    rows = []
+    for entry in study.points:
+        m, name = entry.margins, entry.point.name
+        delay = None if m.delay_margin_s is None else 1e3 * m.delay_margin_s
+        figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
+        figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
+        inertia = entry.point.inertia[entry.channel, entry.channel]
+        verdicts = [bool(m.stable), bool(entry.settles_in_mujoco), radius_figure(m.spectral_radius)]
+        loop = f"{mechanism.independent_joints[entry.channel].name} at {name}" if several else name
+        rows.append([loop, inertia, *verdicts, *figures])
+    return table_of("Margins at every pose", heads, rows)
+
+
+def _worst_of(study: BodeStudy, scan: Scan) -> str:
+    """Return the worst margins along a line."""
+    line, joints = scan.line, study.mechanism.independent_joints
+    ends = f"{line.said(scan.positions[0], 4)} to {line.said(scan.positions[-1], 4)} {line.unit}"
+    of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
+    worst = f"{line.place(scan.positions[scan.worst])}: {bounds_text(scan.margins[scan.worst])}"
+    text = f"over {line.name} from {ends} the worst{of_loop} is {worst}"
+    for name, words, unit in (("gain_margin_db", "gain margin", "dB"), ("phase_margin_deg", "phase margin", "deg")):
+        least = scan.least(name) if all(m.stable for m in scan.margins) else None
+        if least is not None:
+            text += f"; least {words} {least[0]:.3g} {unit} at {line.place(scan.positions[least[1]])}"
+    return text
+
+
+def crossovers_of(study: BodeStudy) -> list[str]:
+    """Return a sentence for each feedback loop with several gain crossovers."""
+    found = []
+    for entry in study.points:
+        at, others = entry.margins.crossover_hz, entry.margins.other_crossovers_hz
+        if others:
+            joint = study.mechanism.independent_joints[entry.channel].name
+            loop = f"{joint} at {entry.point.name}" if study.mechanism.dof > 1 else entry.point.name
+            frequencies = ", ".join(f"{f:.4g}" for f in others)
+            found.append(f"{loop}: the gain is one at {frequencies} Hz too; the phase margin is least at {at:.4g} Hz")
+    return found
+
+
+def contacts_of(study: BodeStudy) -> str | None:
+    """Return the sentence on contacts at the poses, or None if there is no contact."""
+    return contact_sentence(study.contacts, len(study.points) // study.mechanism.dof)
+
+
+def softness_of(study: BodeStudy) -> str | None:
+    """Return the sentence on the closure gap at the poses, or None if it is small."""
+    gaps = [held_gap(study.mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == 0]
+    return gap_sentence(study.mechanism, max(gaps), error=" while the poses are held")
+
+
+def _name(entry: BodePoint) -> str:
+    return entry.point.name + ("" if entry.margins.stable else " (unstable)")
+
+
+def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dict[str, list[Plot]]:
+    """Return the plots of the open loop, and of the reference to the position: gain, phase, measured less predicted.
+
+    Lines are predictions of the sampled loop, dots measurements; the dotted lines are those of continuous time.
+    """
+    reference = "reference" if study.law == "pd" else "reference+ff"
+    titles = {"loop": "Open loop L", reference: f"{reference.replace('+', ' with ')} to position"}
+    found: dict[str, list[Plot]] = {}
+    for quantity, title in titles.items():
+        title = title[:1].upper() + title[1:]
+        ends = (-40.0, 20.0) if quantity != "loop" else None
+        limit = Limit(name="crossover at", value=0.0) if quantity == "loop" else Limit(name="bandwidth at", value=-3.0)
+        gain, phase, off_db, off_deg = [], [], [], []
+        for k, entry in enumerate(entries):
+            ideal, look = _curve(entry, quantity, sampled=False), line_style(k)
+            frequency, db, deg = _curve(entry, quantity)
+            beside = look | {"look": "dots", "width": 0.9}
+            gain += [(_name(entry), frequency, db, look), ("", ideal[0], ideal[1], beside)]
+            phase += [(_name(entry), frequency, deg, look), ("", ideal[0], ideal[2], beside)]
+            response = entry.measured.get(quantity)
+            if response is None:
+                continue
+            dots = {**look, "look": "points"}
+            gain.append((f"{entry.point.name}, measured", response.frequency_hz, response.db, dots))
+            phase.append(
+                (f"{entry.point.name}, measured", response.frequency_hz, measured_phase(response, frequency, deg), dots)
+            )
+            less_db, less_deg = response.against(entry.predicted[quantity])
+            for off, less in ((off_db, less_db), (off_deg, less_deg)):  # a line through coherent ones, a dot for each
+                coherent = np.where(response.coherence > COHERENT, less, np.nan)
+                off += [(entry.point.name, response.frequency_hz, coherent, look), ("", response.frequency_hz, less, dots)]
+        limits = {"gain": [limit], "phase": [Limit(name="phase", value=-180.0)] if quantity == "loop" else []}
+        found[quantity] = [
+            _plot(f"{title}: gain", "gain", "dB", gain, group, limits["gain"], ends),
+            _plot(f"{title}: phase", "phase", "deg", phase, group, limits["phase"]),
+        ]
+        if off_db:
+            found[quantity] += [
+                _plot(f"{title}: gain, measured less predicted", "difference", "dB", off_db, group),
+                _plot(f"{title}: phase, measured less predicted", "difference", "deg", off_deg, group),
+            ]
+    return found
+
+
+def _curve(entry: BodePoint, quantity: str, *, sampled: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return frequencies (n,) [Hz], gain [dB] and phase [deg] of a predicted response, thinned."""
+    loop = entry.sampled if sampled else entry.continuous
+    curve = response_curves(loop, entry.channel, [quantity])[quantity]
+    shown = curve.frequency_hz >= lowest_hz(entry)
+    frequency, db = curve.frequency_hz[shown], curve.db[shown]
+    phase = shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
+    rows = drawn_rows(np.column_stack([db, phase]), most=220)
+    return frequency[rows], db[rows], phase[rows]
+
+
+def _plot(title: str, what: str, unit: str, curves, group: str, limits: Sequence[Limit] = (), ends=None) -> Plot:
+    """Return a plot over frequency of curves: name, frequencies, values, look."""
+    series = [
+        Series(name=name, x=rounded(frequency, log=True), y=rounded(values), **look)
+        for name, frequency, values, look in curves
+    ]
+    lowest, highest = min(float(c[1][0]) for c in curves), max(float(c[1][-1]) for c in curves)
+    return Plot(
+        title=title,
+        group=group,
+        x_axis=_FREQUENCY,
+        y_axis=Axis(label=what, unit=unit, ends=ends),
+        x=rounded(np.array([lowest, highest]), log=True),
+        series=series,
+        limits=limits,
+    )
+
+
+def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
+    """Return the plots of |S| with its peaks, |T| and the response of the effort."""
+    found = []
+    for quantity, title in (
+        ("sensitivity", "Sensitivity |S|"),
+        ("complementary", "Complementary sensitivity |T|"),
+        ("control", "Reference to effort"),
+    ):
+        curves, unit = [], "dB"
+        for k, entry in enumerate(entries):
+            frequency, db, _ = _curve(entry, quantity)
+            look = line_style(k)
+            curves.append((_name(entry), frequency, db, look))
+            if quantity == "sensitivity":
+                peak = int(np.argmax(db))
+                curves.append(("", frequency[peak : peak + 1], db[peak : peak + 1], look | {"look": "points"}))
+            if quantity == "control":
+                unit = f"dB of {entry.sampled.response(quantity, np.array([frequency[0]]), entry.channel).unit}"
+            if quantity in entry.measured:
+                response = entry.measured[quantity]
+                dots = {**look, "look": "points"}
+                curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.db, dots))
+        ends = None if quantity == "control" else (-50.0, 25.0)
+        limits = [] if quantity == "control" else [Limit(name="gain one,", value=0.0)]
+        found.append(_plot(title, "gain", unit, curves, group, limits, ends))
+    return found
+
+
+def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
+    """Return the open loops in the complex plane, with the critical point and the disk of the least disk margin."""
+    turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 121))
+    title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.measured for entry in entries) else ''}"
+    curves = [Curve(name="unit circle", x=rounded(turn.real), y=rounded(turn.imag), look="dots", colour=None, width=1.0)]
+    stable = [entry for entry in entries if entry.margins.disk_margin is not None]
+    if stable:
+        alpha = min(min(entry.margins.disk_margin for entry in stable), 1.999)
+        disk = 1.0 / (0.5 + turn / alpha) - 1.0  # the disk that L does not enter: |S - 1/2| = 1 / alpha
+        least = min(stable, key=lambda entry: entry.margins.disk_margin)
+        gain = least.margins.disk_gain_margin_db or np.inf
+        phase = least.margins.disk_phase_margin_deg
+        title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"
+        curves.append(Curve(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
+    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.timing.period_s)[::3]
+    for k, entry in enumerate(entries):
+        gain = entry.sampled.gains("loop", grid, entry.channel)
+        # The plane has the part of every curve that is closest to the origin.
+        half_width = max(half_width, 1.3 * min(float(np.abs(gain).min()), _MAX_NYQUIST_GAIN))
+        gain = np.where(np.abs(gain) < _MAX_NYQUIST_GAIN, gain, np.nan)  # no straight line across a resonance
+        curves.append(Curve(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
+        if "loop" in entry.measured:
+            points = entry.measured["loop"].gain
+            points = points[np.abs(points) < _MAX_NYQUIST_GAIN]
+            dots = {**line_style(k), "look": "points"}
+            curves.append(Curve(name="", x=rounded(points.real), y=rounded(points.imag), **dots))
+    curves.append(Curve(name="critical point -1", x=[-1.0], y=[0.0], look="cross", colour=None, width=2.0))
+    ends = (-half_width, half_width)
+    return Plane(
+        title=title,
+        x_axis=Axis(label="real part of L", unit="1", ends=ends),
+        y_axis=Axis(label="imaginary part of L", unit="1", ends=ends),
+        curves=curves,
+        equal=True,
+    )
+
+
+def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]:
+    """Return the sensitivity and the margins over a line of positions; the title names the position of the worst margin."""
+    line = scan.line
+    x = np.array([line.shown(position) for position in scan.positions])
+    axis = Axis(label=line.name if line.name != "t" else "time", unit=line.unit)
+    group = f"along:{name}"
+    margins = [
+        Line(name="phase margin", values=scan.column("phase_margin_deg"), unit="deg"),
+        Line(name="disk phase margin", values=scan.column("disk_phase_margin_deg"), unit="deg"),
+    ]
+    highest = float(np.nanmax([line.values for line in margins], initial=0.0))
+    lost = np.array([0.0 if not bounds.stable else np.nan for bounds in scan.margins])
+    if np.isfinite(lost).any():
+        margins.append(Line(name="unstable", values=lost, unit="deg", look="points", colour=4))
+    crossings = [
+        Line(name="crossover", values=scan.column("crossover_hz"), unit="Hz"),
+        Line(name="bandwidth", values=scan.column("bandwidth_hz"), unit="Hz"),
+    ]
+    title = f"Margins; the worst is at {line.place(scan.positions[scan.worst])}"
+    return [
+        _map(study, scan, axis, x),
+        *plots(title, "margin", axis, x, margins, group=group, ends=(0.0, max(10.0, 1.08 * highest))),
+        *plots("Crossover and bandwidth", "frequency", axis, x, crossings, group=group, log=True),
+    ]
+
+
+def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
+    """Return the map of the sensitivity over position and frequency."""
+    grid, heat = sensitivity_along(study, scan, every=16)
+    return Plane(
+        title="Sensitivity |S| over position and frequency",
+        x_axis=replace(axis, ends=(float(x[0]), float(x[-1])) if len(x) > 1 else None),
+        y_axis=Axis(label="frequency", unit="Hz", log=True, ends=(float(grid[0]), float(grid[-1]))),
+        curves=[Curve(name="crossover", x=rounded(x), y=rounded(scan.column("crossover_hz"), log=True), colour=None)],
+        heat=Heat(
+            name="|S|, blank where it is unstable; red amplifies",
+            unit="dB",
+            x=rounded(x),
+            y=rounded(grid, log=True),
+            values=rounded(heat, digits=3),
+            ends=(-12.0, 12.0),
+        ),
+    )

@@ -1,0 +1,227 @@
+"""Further studies of a feedback loop as documents: the map of stable gains, large signals, the loop along a motion."""
+
+from collections.abc import Sequence
+
+import contourpy
+import numpy as np
+
+from linkplan.studies.bode.along_motion import AlongMotion
+from linkplan.studies.bode.large_study import LargeStudy
+from linkplan.studies.bode.map_study import TRIAL_GAIN_SHARE, MapStudy, agreement
+from linkplan.studies.bode.scan import bounds_text
+from linkplan.studies.frequency.feedback_loops import LAW_NAMES
+from linkplan.studies.frequency.floquet import floquet_text
+from linkplan.studies.output.digits import radius_figure
+from linkplan.studies.output.document import MEASURED, Axis, Block, Curve, Facts, Heat, Plane, Plot, Series, Text, table_of
+from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.numbers import rounded
+
+# Smaller shares of a disturbance are drawn at this share: they are rounding errors of the simulator.
+_LEAST_SHARE = 1e-12
+
+Marked = Sequence[tuple[str, float, float]]
+
+
+def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
+    """Return a stability map; `marked` are gains (name, kp, kd), by default those of the study."""
+    found = study.found
+    joint = found.points[0].mechanism.independent_joints[0]
+    stiffness, damping = ("N.m/rad", "N.m.s/rad") if joint.kind == "hinge" else ("N/m", "N.s/m")
+    right, tried = agreement(found)
+    delay = f", delay {found.timing.delay_s:g} s" if found.timing.delay_steps else ""
+    rows = [
+        ("sampled every", f"{found.timing.period_s:g} s{delay}"),
+        ("gains next to the stability boundary tried in MuJoCo", f"{tried}, as predicted {right}"),
+    ]
+    gains = f"kp = {study.kp:g} {stiffness}, kd = {study.kd:g} {damping}"
+    if study.longest_s is None:
+        rows.append(("longest control period", f"{gains} is unstable at any"))
+    elif np.isfinite(study.longest_s):
+        period = f"{1e3 * study.longest_s:.4g} ms ({1e-3 / study.longest_s:.4g} kHz)"
+        rows.append(("longest control period", f"{period} for {gains}, at {study.longest_at.name}"))
+    marked = marked or [("these gains", study.kp, study.kd)]
+    low, high = np.nan_to_num(study.critical, nan=0.0).T
+    at = np.array([joint.shown(point.state[0]) for point in found.points])
+    axis = Axis(label=joint.name, unit=joint.unit)
+    inertia = np.array([float(point.inertia[0, 0]) for point in found.points])
+    heads = [f"inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]", f"least kd [{damping}]", f"largest kd [{damping}]"]
+    stable = zip(at, inertia, *study.critical.T, strict=True)
+    table = table_of(f"Stable kd at kp = {study.kp:g} {stiffness}", [(joint.name, joint.unit), *heads], list(stable))
+    lines = [Line(name=f"largest stable kd at kp = {study.kp:g}", values=high, unit=damping, colour=4)]
+    if not found.timing.delay_steps:
+        lines.append(
+            Line(name="2 J / T", values=2 * inertia / found.timing.period_s, unit=damping, look="dots", colour=None)
+        )
+    if low.max(initial=0.0) > 0:
+        lines.append(Line(name="least stable kd", values=low, unit=damping))
+    lines += [
+        Line(name=name, values=np.full(len(at), kd), unit=damping, look="dash", colour=1 + k)
+        for k, (name, _, kd) in enumerate(marked)
+    ]
+    for settles, name in ((True, "settles in MuJoCo"), (False, "does not settle")):
+        for column, share in enumerate((1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE)):
+            tried_kd = np.where(study.settles_near_border[:, column] == settles, share * high, np.nan)
+            if np.isfinite(tried_kd).any():
+                name = "" if any(line.name == name for line in lines) else name
+                lines.append(Line(name=name, values=tried_kd, unit=damping, look="points", colour=None if settles else 1))
+    critical = plots("Stable kd over the position", "kd", axis, at, lines, group=f"along:map:{joint.name}", log=True)
+    return [Facts(rows=rows), table, _gains(study, marked, stiffness, damping), *critical]
+
+
+def _gains(study: MapStudy, marked: Marked, stiffness: str, damping: str) -> Plane:
+    found = study.found
+    kp, kd, radius = found.border
+    curves = [Curve(name="predicted stability boundary", colour=4, width=2.2, **_contour(kd, kp, radius, 1.0))]
+    for k, level in enumerate((15.0, 30.0, 45.0, 60.0)):
+        line = _contour(found.kd, found.kp, found.phase_margin_deg, level)
+        if line["x"]:
+            curves.append(Curve(name=f"phase margin {level:g} deg", colour=0, width=0.8 + 0.4 * k, look="dash", **line))
+    if found.trials is not None:
+        tried = np.array([(kp, kd) for kp, kd, _ in found.tried]).reshape(-1, 2)
+        for settles, look, name in ((True, "points", "settles in MuJoCo"), (False, "cross", "does not settle")):
+            which = found.trials.settles == settles
+            x, y = (rounded(tried[which, column], log=True) for column in (1, 0))
+            curves.append(Curve(name=name, x=x, y=y, look=look, colour=None))
+    curves += [Curve(name=name, x=[kd], y=[kp], look="star", colour=1 + k) for k, (name, kp, kd) in enumerate(marked)]
+    return Plane(
+        title="Stable gains over all positions",
+        x_axis=Axis(label="kd", unit=damping, log=True, ends=(float(found.kd[0]), float(found.kd[-1]))),
+        y_axis=Axis(label="kp", unit=stiffness, log=True, ends=(float(found.kp[0]), float(found.kp[-1]))),
+        curves=curves,
+        heat=Heat(
+            name="least phase margin, blank where it is unstable",
+            unit="deg",
+            x=rounded(found.kd, log=True),
+            y=rounded(found.kp, log=True),
+            values=rounded(found.phase_margin_deg, digits=3),
+            ends=(90.0, 0.0),
+        ),
+    )
+
+
+def _contour(x: np.ndarray, y: np.ndarray, values: np.ndarray, level: float) -> dict:
+    """Return the contour lines (x, y) of values (n_y, n_x) at a level, separated by None."""
+    lines = contourpy.contour_generator(x, y, np.ma.masked_invalid(values)).lines(level)
+    gap = np.array([[np.nan, np.nan]])
+    rows = np.vstack([part for line in lines for part in (line, gap)]) if lines else np.empty((0, 2))
+    return {"x": rounded(rows[:, 0], log=True), "y": rounded(rows[:, 1], log=True)}
+
+
+def along_blocks(found: AlongMotion) -> list[Block]:
+    """Return a loop frozen along a motion and, for a periodic motion, the decay of a disturbance."""
+    time, joints = found.reference.time_s[found.instants], found.plan.problem.mechanism.independent_joints
+    worst = bounds_text(found.margins[found.worst])
+    if len(joints) > 1:
+        worst += f", of the loop of {joints[found.channels[found.worst]].name}"
+    frozen = (
+        f"{LAW_NAMES[found.law]} at frozen instants along {found.plan.problem.name}: worst at"
+        f" {1e3 * time[found.worst]:.4g} ms ({worst}); the largest frozen pole is {radius_figure(float(found.radius.max()))}"
+    )
+    cycle = found.floquet
+    none = "the motion is not periodic: there are no Floquet multipliers"
+    blocks: list[Block] = [Text(text=frozen), Text(text=none if cycle is None else floquet_text(cycle))]
+
+    def figure(name: str) -> np.ndarray:
+        return np.array([np.nan if getattr(m, name) is None else getattr(m, name) for m in found.margins], dtype=float)
+
+    margins = [
+        Line(name="phase margin", values=figure("phase_margin_deg"), unit="deg"),
+        Line(name="disk phase margin", values=figure("disk_phase_margin_deg"), unit="deg"),
+    ]
+    several = ", the worst coordinate's loop" if len(joints) > 1 else ""
+    title = f"Margins at frozen instants{several}"
+    blocks += plots(title, "margin", TIME, time, margins, group=f"time:{found.plan.problem.name}")
+    if cycle is not None:
+        clear = slice(None, cycle.last_visible_sample + 1)
+        shares = [np.maximum(size[clear], _LEAST_SHARE) for size in (cycle.size, cycle.measured_size)]
+        decay = [
+            Line(name="predicted", values=shares[0], unit="1"),
+            Line(name="measured in MuJoCo", values=shares[1], unit="1", look="dash"),
+        ]
+        title = f"Remaining share of the worst disturbance; largest multiplier {np.abs(cycle.multipliers[0]):.3g} a cycle"
+        blocks += plots(title, "share", TIME, cycle.time_s[clear], decay, log=True)
+    return blocks
+
+
+def large_blocks(study: LargeStudy) -> list[Block]:
+    """Return large signals: gain at saturation, the describing function, feasible amplitudes."""
+    signals, curve = study.signals, study.curve
+    joint = curve.point.mechanism.independent_joints[curve.channel]
+    texts: list[Block] = [Text(text=f"large signals at {curve.point.name}")]
+    cut = signals.saturated > 0.05
+    if np.any(cut):
+        deviation = np.abs(np.abs(signals.describing[cut]) / signals.describing_predicted[cut] - 1).max()
+        off = np.abs(20 * np.log10(np.abs(signals.measured[cut] / signals.predicted[cut]))).max()
+        said = (
+            f"past the limit ({int(cut.sum())} points) the measured describing function is within {100 * deviation:.2g} % of"
+            f" the saturation's, and the closed loop within {off:.2g} dB of harmonic balance"
+        )
+        texts.append(Text(text=said))
+    places = list(zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True))
+    followed = [
+        [joint.shown(a), f if f > 0 else "at no frequency", reason] for a, f, reason in places[:: max(1, len(places) // 6)]
+    ]
+    heads = [f"amplitude [{joint.unit}]", "can be followed up to [Hz]", "because of"]
+    texts.append(table_of("Feasible amplitudes", heads, followed))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        measured, predicted = (20 * np.log10(np.abs(x)) for x in (signals.measured, signals.predicted))
+    frequency = rounded(signals.frequency_hz, log=True)
+    series = []
+    for k, multiple in enumerate(signals.multiples):
+        name = f"command {multiple:g} of the limit"
+        series.append(Series(name=name, y=rounded(predicted[:, k]), colour=k % 7, width=1.1))
+        series.append(Series(name=name + MEASURED, y=rounded(measured[:, k]), colour=k % 7, look="points"))
+    gain = Plot(
+        title=f"Reference to position at {curve.point.name}, lines by harmonic balance",
+        group="frequency:large",
+        x_axis=Axis(label="frequency", unit="Hz", log=True),
+        y_axis=Axis(label="gain", unit="dB"),
+        x=frequency,
+        series=series,
+    )
+    ratio, known = signals.command / signals.room, np.isfinite(signals.command / signals.room)
+    order = np.argsort(ratio[known])
+    x = rounded(ratio[known][order], log=True)
+    described = (
+        ("saturation's", signals.describing_predicted, "line"),
+        ("MuJoCo", np.abs(signals.describing), "points"),
+    )
+    describing = Plane(
+        title="Describing function",
+        x_axis=Axis(label="commanded effort over its limit", unit="1", log=True),
+        y_axis=Axis(label="applied over commanded effort", unit="1", log=True),
+        curves=[
+            Curve(name=name, x=x, y=rounded(values[known][order], log=True), look=look, colour=None if look == "line" else 1)
+            for name, values, look in described
+        ],
+    )
+    live = (curve.frequency_hz > 0) & np.isfinite(curve.frequency_hz)
+    tried = np.isfinite(signals.saturated)
+    hz = np.broadcast_to(signals.frequency_hz[:, None], signals.amplitude.shape)
+    curves = [
+        Curve(
+            name="feasible for any controller",
+            x=rounded(curve.frequency_hz[live], log=True),
+            y=rounded(joint.shown(1.0) * curve.amplitude[live], log=True),
+            colour=4,
+            width=2.2,
+        )
+    ]
+    for past, look, name in ((False, "cross", "this loop, not saturated"), (True, "points", "saturated")):
+        which = tried & ((signals.saturated > 0) == past)
+        curves.append(
+            Curve(
+                name=name,
+                x=rounded(hz[which], log=True),
+                y=rounded(joint.shown(1.0) * signals.amplitude[which], log=True),
+                look=look,
+                colour=None,
+            )
+        )
+    feasible = Plane(
+        title="Feasible amplitude",
+        x_axis=Axis(label="frequency", unit="Hz", log=True),
+        y_axis=Axis(label=f"amplitude of {joint.name}", unit=joint.unit, log=True),
+        curves=curves,
+    )
+    return [*texts, gain, describing, feasible]

@@ -1,0 +1,83 @@
+"""The findings of `linkplan check` on an assembled mechanism as a document."""
+
+import numpy as np
+
+from linkplan.studies.check.check_report import effort_unit, inertia_unit
+from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
+from linkplan.studies.output.digits import error_figure
+from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+
+
+def inspection_blocks(found: Inspection) -> list[Block]:
+    """Return the findings on an assembled mechanism, its problems first."""
+    mechanism = found.mechanism
+    independent = ", ".join(joint.name for joint in mechanism.independent_joints)
+    freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
+    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {mechanism.n_q} joints)")
+    verdict = [Text(text=f"PROBLEM: {problem}", tone="bad") for problem in found.problems]
+    verdict = verdict or [Text(text="no problems found", tone="good")]
+    limits = [[a.name, a.target, a.lower, a.upper, a.unit] for a in mechanism.actuators]
+    drives = table_of("Actuators", ["actuator", "acts on", "least effort", "most effort", "unit"], limits)
+    notes = [Text(text=note, tone="note") for note in found.notes]
+    return [first, *verdict, _facts(found), _reaches(found), drives, *_sites(found), *_poses(found), *notes]
+
+
+def _facts(found: Inspection) -> Facts:
+    mechanism = found.mechanism
+    n_rows = mechanism.n_closure_rows
+    rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
+    gaps = " and ".join(f"{error_figure(gap)} {unit}" for unit, gap in found.closure_gaps.items())
+    home = [f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)]
+    rows = [
+        ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {gaps}"),
+        ("home", ", ".join(home)),
+    ]
+    if mechanism.closures:
+        rows.append(("branch", f"that of home, where det J_z is {', '.join(f'{x:.4g}' for x in branch(mechanism))}"))
+    return Facts(rows=rows)
+
+
+def _reaches(found: Inspection) -> Table:
+    heads = ["coordinate", "from", "to", "unit", "what ends it below", "above"]
+    rows = [
+        [
+            joint.name,
+            joint.said(can.lower.position, 5),
+            joint.said(can.upper.position, 5),
+            joint.unit,
+            can.lower.reason,
+            can.upper.reason,
+        ]
+        for joint, can in zip(found.mechanism.independent_joints, found.reaches, strict=True)
+    ]
+    return table_of("Reach, the other coordinates at home", heads, rows)
+
+
+def _sites(found: Inspection) -> list[Table]:
+    """Return the table of the sites at home, with rounding errors as zero."""
+    least = 1e-12 * found.mechanism.extent_m
+    rows = [[name, *np.where(np.abs(place) < least, 0.0, place)] for name, place in sites_at_home(found.mechanism).items()]
+    return [table_of("Sites at home", ["site", "x [m]", "y [m]", "z [m]"], rows, digits=6)] if rows else []
+
+
+def _poses(found: Inspection) -> list[Table]:
+    """Return the table of the poses given with the command."""
+    if not found.points:
+        return []
+    mechanism = found.mechanism
+    independent = mechanism.independent_joints
+    heads: list = [(joint.name, joint.unit) for joint in mechanism.joints]
+    heads += [
+        (f"M_{a.name}{b.name}", inertia_unit(a) if a is b else "")
+        for i, a in enumerate(independent)
+        for b in independent[i:]
+    ]
+    heads += [(f"weight alone {joint.name}", effort_unit(joint)) for joint in independent]
+    heads += [(f"hold all {joint.name}", effort_unit(joint)) for joint in independent]
+    heads += [(f"{a.name}->{joint.name}", "") for a in mechanism.actuators for joint in independent]
+    rows = []
+    for point in found.points:
+        upper = point.reduced_inertia[np.triu_indices(mechanism.dof)]
+        positions = [float(joint.said(x, 17)) for joint, x in zip(mechanism.joints, point.pose, strict=True)]
+        rows.append([*positions, *upper, *point.gravity_effort, *point.holding_effort, *point.effort_map.T.ravel()])
+    return [table_of("At the poses asked for", heads, rows)]

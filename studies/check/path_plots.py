@@ -1,0 +1,188 @@
+"""The quantities along a path of `linkplan check` as plots, and the figures of a path and of a mechanism's reach."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.reach import Reach
+from linkplan.models.tree.joints import Joint
+from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
+from linkplan.studies.check.draw_mechanism import draw_poses, mark_turning
+from linkplan.studies.check.inspection import Inspection
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure
+from linkplan.studies.output.document import Axis, Plot
+from linkplan.studies.output.lines import TIME, Line, plots
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
+MAX_COORDINATES_DRAWN = 6
+# The plots in the figure of a mechanism's reach.
+_OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")
+
+
+def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) -> None:
+    """Draw a path: the mechanism at seven poses, and the plots of its quantities."""
+    from linkplan.studies.output.figure import figure_of
+
+    poses = path.poses[np.linspace(0, len(path.poses) - 1, num=7).astype(int)]
+    if path.coordinate is not None:
+        poses = np.vstack([poses, path.mechanism.home])
+    panels: list = [lambda axes: draw_poses(axes, path.mechanism, poses), *path_plots(path)]
+    if path.coordinate is not None:
+        panels[1:] = [_marked(plot, path.mechanism, reaches[path.coordinate]) for plot in panels[1:]]
+    title = f"{path.mechanism.name}: along {path.title}, at rest"
+    figure_of(panels, saved, title=title, columns=2, panel_in=(5.3, 3.3))
+
+
+def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
+    """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
+
+    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each coordinate also has
+    a figure loop-N.png.
+    """
+    from linkplan.studies.output.figure import figure_of
+
+    reaches, mechanism = found.reaches[:3], found.mechanism
+    panels: list = []
+    for can in reaches:
+        swept = measure(mechanism, can.poses, "reach", coordinate=can.coordinate)
+        panels.append(lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can)))
+        panels += [_marked(plot, mechanism, can) for plot in path_plots(swept) if plot.title.startswith(_OF_REACH)]
+        panels += [None] * (len(panels) % 2)
+    names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
+    others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"
+    return figure_of(panels, path, title=f"{mechanism.name}{others}", columns=2, panel_in=(5.3, 3.6))
+
+
+def _marked(plot: Plot, mechanism: Mechanism, can: Reach) -> Callable[..., None]:
+    """Return the panel of a plot over a reach, with its singular poses and turning points."""
+    from linkplan.studies.output.figure import draw_plot
+
+    def draw(axes) -> None:
+        draw_plot(axes, plot)
+        mark_turning(axes, mechanism, can)
+        axes.set_title(plot.title)
+
+    return draw
+
+
+def _drawn_poses(mechanism: Mechanism, can: Reach) -> np.ndarray:
+    """Return five poses of a reach or, for a joint that turns fully, of 0.8 turns from home, and the home pose."""
+    poses = can.poses
+    if can.turns_fully:
+        index = mechanism.independent[can.coordinate]
+        travel = poses[:, index] - mechanism.home[index]
+        poses = poses[(travel >= 0) & (travel <= 1.6 * np.pi)]
+    return np.vstack([poses[np.linspace(0, len(poses) - 1, 5).astype(int)], mechanism.home])
+
+
+def over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
+    """Return the horizontal axis of a path and its values (n,): the coordinate, or the time of a motion."""
+    if path.coordinate is None and path.time_s is not None:
+        return Axis(label="time of the path", unit="s") if path.mechanism.dof > 1 else TIME, path.time_s
+    column = path.coordinate or 0
+    joint = path.mechanism.independent_joints[column]
+    return Axis(label=joint.name, unit=joint.unit), np.array([joint.shown(s) for s in path.positions[:, column]])
+
+
+def rising_order(x: np.ndarray) -> np.ndarray:
+    """Return the order (n,) in which the values of a path rise."""
+    return np.arange(len(x)) if np.all(np.diff(x) > 0) else np.argsort(x, kind="stable")
+
+
+def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
+    """Return the plots of ratios, inertias, efforts and forces along a path."""
+    mechanism, (axis, x) = path.mechanism, over(path)
+    order = rising_order(x)
+    x = x[order]
+    joints = list(enumerate(mechanism.independent_joints))
+    if path.coordinate is not None and mechanism.dof > MAX_COORDINATES_DRAWN:
+        joints = [joints[path.coordinate]]
+
+    def own(values: np.ndarray, unit, suffix: str = "") -> list[Line]:
+        return [_line(f"{joint.name}{suffix}", values[:, i], unit(joint)) for i, joint in joints]
+
+    needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
+    weights = own(needed, effort_unit)
+    # Springs that hold less than this share of the effort are rounding errors.
+    if np.abs(needed - path.gravity_effort).max() > 1e-9 * max(np.abs(needed).max(), np.finfo(float).tiny):
+        weights += own(path.gravity_effort, effort_unit, ", weight alone")
+    available: list[Line] = []
+    if mechanism.actuators:
+        available += own(path.available_effort[:, :, 0], effort_unit, ", least")
+        available += own(path.available_effort[:, :, 1], effort_unit, ", most")
+        available += own(needed, effort_unit, ", holds it still")
+    ratios, felt = _actuator_lines(path, joints)
+    dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent]
+    singular = [_line("least of J_z's blocks", path.singularity, "1")] if mechanism.closure_names else []
+    followers = [_line(j.name, j.shown(1.0) * path.poses[:, k], j.unit) for k, j in dependent]
+    forces = [_line(name, path.closure_force[:, c], "N") for c, name in enumerate(mechanism.closure_names)]
+    kinds: Sequence[tuple[str, str, list[Line], bool]] = (
+        ("Dependent joints", "position", followers, False),
+        ("Transmission ratio", "ratio", ratios, False),
+        ("Reduced inertia", "inertia", own(path.reduced_inertia.diagonal(axis1=1, axis2=2), inertia_unit), True),
+        ("Inertia that an actuator feels", "inertia", felt, True),
+        ("Effort that holds it still", "effort", weights, False),
+        ("Effort within the actuators' limits", "effort", available, False),
+        ("Distance from a singular pose", "det J_z over that at home", singular, False),
+        ("Closure force at rest", "force", forces, False),
+    )
+    found = []
+    for title, what, lines, may_grow in kinds:
+        sorted_lines = [_line(line.name, line.values[order], line.unit) for line in lines]
+        log = may_grow and _spans_much(sorted_lines)
+        found += plots(
+            title, what, axis, x, sorted_lines, group=group, log=log, ends=None if log else inner_ends(sorted_lines)
+        )
+    return found
+
+
+def _actuator_lines(path: KinematicLoopPath, joints: list[tuple[int, Joint]]) -> tuple[list[Line], list[Line]]:
+    """Return the transmission ratios to the numbered joints and the reflected inertias of the actuators that act on them."""
+    mechanism = path.mechanism
+    if not mechanism.actuators:
+        return [], []
+    acting = acts(path)
+    drivers = [(j, a) for j, a in enumerate(mechanism.actuators) if acting[[i for i, _ in joints], j].any()]
+    ratios = [
+        _line(f"{a.name} to {joint.name}", path.ratio[:, i, j], ratio_unit(joint, a.unit))
+        for i, joint in joints
+        for j, a in drivers
+        if acting[i, j]
+    ]
+    inertias = [_line(a.name, path.reflected_inertia[:, j], "kg m2" if a.unit == "N.m" else "kg") for j, a in drivers]
+    return ratios, inertias
+
+
+def _line(name: str, values: np.ndarray, unit: str) -> Line:
+    return Line(name=name, values=values, unit=unit)
+
+
+def _spans_much(lines: Sequence[Line]) -> bool:
+    """Tell if the values are positive and some line changes by more than a factor of five."""
+    rows = [line.values[np.isfinite(line.values)] for line in lines]
+    return all(len(row) and row.min() > 0 for row in rows) and any(row.max() > 5 * row.min() for row in rows)
+
+
+def inner_ends(lines: Sequence[Line]) -> tuple[float, float] | None:
+    """Return the ends of an axis for the inner 90 % of the values if the whole range is three times as high; else None.
+
+    Quantities grow without bound next to a singular pose. The whole range would press the rest of the line flat.
+    """
+    if len({line.unit for line in lines}) != 1:
+        return None
+    known_rows = [row for line in lines if len(row := line.values[np.isfinite(line.values)])]
+    if not known_rows:
+        return None
+    low, high = min(float(row.min()) for row in known_rows), max(float(row.max()) for row in known_rows)
+    inner = [np.quantile(row, (0.05, 0.95)) for row in known_rows]
+    least, most = float(np.min(inner)), float(np.max(inner))
+    if not high - low > 3 * (most - least) > 0:
+        return None
+    room = 0.3 * (most - least)
+    return least - room, most + room

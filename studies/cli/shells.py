@@ -1,3 +1,0 @@
-"""The shells with completion."""
-
-SHELLS = ("bash", "zsh", "fish")

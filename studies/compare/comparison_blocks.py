@@ -1,0 +1,241 @@
+"""Trackers' runs on a plan as a document: a table for each case, and errors and efforts over time."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record
+from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
+from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
+from linkplan.studies.output.text import text_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# The peak efforts of more actuators have a table of their own.
+MAX_PEAK_COLUMNS = 3
+
+
+def comparison_blocks(comparison: Comparison) -> list[Block]:
+    """Return a table of the trackers for each case, and notes."""
+    tables = [table for title, runs in cases_of(comparison) for table in _tables(comparison, title, runs)]
+    return [*tables, *(Text(text=note, tone="note") for note in comparison_notes(comparison))]
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return the tables of the trackers, and notes, as text."""
+    return text_of(comparison_blocks(comparison))
+
+
+def comparison_figure(comparison: Comparison, path: Path | None = None) -> "Figure":
+    """Return the figure of every tracker's motion, error and effort, saved at `path` if given.
+
+    It shows the motion and error of every independent joint, the motion of every dependent joint and the effort of every
+    actuator. The left column has the runs as modelled, the right column those with the mismatch.
+    """
+    from linkplan.studies.output.figure import figure_of, side_by_side
+
+    mechanism, cases = comparison.plan.problem.mechanism, cases_of(comparison)
+    columns = [
+        [
+            *joint_plots(comparison, runs, range(mechanism.dof)),
+            *follower_plots(comparison, runs),
+            *effort_plots(comparison, runs, range(mechanism.n_u)),
+        ]
+        for _, runs in cases
+    ]
+    title = f"{comparison.plan.problem.name}: {'; '.join(title for title, _ in cases)}"
+    return figure_of(side_by_side(*columns), path, title=title, columns=len(cases), panel_in=(5.8, 2.6))
+
+
+def cases_of(comparison: Comparison) -> list[tuple[str, Mapping[str, Rollout]]]:
+    """Return the runs as modelled and those with the mismatch, if there is one, each with its title."""
+    found: list[tuple[str, Mapping[str, Rollout]]] = [(comparison.title, comparison.nominal)]
+    if comparison.mismatch is not None:
+        found.append((comparison.mismatch.name, comparison.mismatched))
+    return found
+
+
+def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Table]:
+    """Return the table of trackers and, for many actuators, a second one of their peak efforts."""
+    plan = comparison.plan
+    units = list(dict.fromkeys(joint.unit for joint in plan.problem.mechanism.independent_joints))
+    actuators = plan.problem.mechanism.actuators
+    few, (lengths, angles) = actuators if len(actuators) <= MAX_PEAK_COLUMNS else [], gap_units(comparison.plan)
+    heads = [
+        "tracker",
+        *((f"{which} error", unit) for unit in units for which in ("rms", "largest", "final")),
+        *((f"peak of {actuator.name}", actuator.unit) for actuator in few),
+        "saturated [%]",
+        *(["closure gap [um]"] if lengths else []),
+        *(["closure gap [urad]"] if angles else []),
+        "contacts",
+        "stable",
+    ]
+    rows = []
+    for name, run in runs.items():
+        said = rollout_record(plan, run)
+        errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ("rms", "max", "final")]
+        gaps = [1e6 * gap for gap, there in zip(run.largest_gaps, (lengths, angles), strict=True) if there]
+        peaks = [said["peak_effort"][actuator.name] for actuator in few]
+        rows.append([name, *errors, *peaks, 100 * said["saturated_fraction"], *gaps, said["contacts"], said["stable"]])
+    conditions = _conditions_text(next(iter(runs.values())).conditions)
+    found = [table_of(f"{plan.problem.name}, {title}: {conditions}", heads, rows)]
+    return found if few else [*found, _peak_table(comparison, title, runs)]
+
+
+def _conditions_text(conditions: Mapping) -> str:
+    delay = conditions["delay_periods"]
+    return (
+        f"MuJoCo {conditions['mujoco']}, {conditions.get('integrator', '')}, step {conditions['timestep_s']:g} s,"
+        f" control period {conditions['control_period_s']:g} s, delay {delay} period{'' if delay == 1 else 's'}"
+    )
+
+
+def _peak_table(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> Table:
+    plan = comparison.plan
+    records = [rollout_record(plan, run)["peak_effort"] for run in runs.values()]
+    actuators = plan.problem.mechanism.actuators
+    rows = [[a.name, *(peaks[a.name] for peaks in records), a.unit] for a in actuators]
+    return table_of(f"Peak efforts, {title}", ["actuator", *((name, "") for name in runs), "unit"], rows)
+
+
+def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Sequence[int]) -> list[Plot]:
+    """Return the plots of the motion and the error of independent joints, by their number."""
+    joints, longest, found = comparison.plan.problem.mechanism.independent_joints, _longest(runs), []
+    for k in chosen:
+        joint, factor = joints[k], joints[k].shown(1.0)
+        desired = Line(name="desired", values=factor * longest.reference[:, k], unit=joint.unit, look="dash", colour=None)
+        positions = {name: factor * run.position[:, k] for name, run in runs.items()}
+        # On the logarithmic axis, errors below the simulator's rounding, about 1e-7 deg or m, are drawn at that value.
+        errors = {name: np.maximum(np.abs(factor * run.error[:, k]), 1e-7) for name, run in runs.items()}
+        title = f"{joint.name}, desired and tracked"
+        found += _plots(comparison, runs, title, "position", joint.unit, positions, extra=[desired])
+        found += _plots(comparison, runs, f"Size of the error of {joint.name}", "error", joint.unit, errors, log=True)
+    return found
+
+
+def follower_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]:
+    """Return the plots of the motion of dependent joints."""
+    mechanism, found = comparison.plan.problem.mechanism, []
+    for index in mechanism.dependent.tolist():
+        joint = mechanism.joints[index]
+        positions = {name: joint.shown(1.0) * run.pose[:, index] for name, run in runs.items()}
+        found += _plots(comparison, runs, f"{joint.name}, tracked", "position", joint.unit, positions)
+    return found
+
+
+def effort_plots(comparison: Comparison, runs: Mapping[str, Rollout], pushed: Sequence[int]) -> list[Plot]:
+    """Return the plots of the effort of actuators, by their number."""
+    actuators, limits, found = comparison.plan.problem.mechanism.actuators, _longest(runs).effort_limit, []
+    for j in pushed:
+        ends = (float(limits[j][0]), float(limits[j][1]))
+        efforts = {name: run.applied[:, j] for name, run in runs.items()}
+        title = f"Effort of {actuators[j].name}"
+        found += _plots(comparison, runs, title, "effort", actuators[j].unit, efforts, limits=ends)
+    return found
+
+
+def gap_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]:
+    """Return the plots of the closure gaps."""
+    if not comparison.plan.problem.mechanism.closures:
+        return []
+    lengths, angles = gap_units(comparison.plan)
+    found: list[Plot] = []
+    if lengths:
+        gaps = {name: 1e6 * run.gap_m for name, run in runs.items()}
+        found += _plots(comparison, runs, "Gap of the kinematic loops", "gap", "um", gaps)
+    if angles:
+        gaps = {name: 1e6 * run.gap_rad for name, run in runs.items()}
+        found += _plots(comparison, runs, "Gap of the angles that closures tie", "gap", "urad", gaps)
+    return found
+
+
+def _longest(runs: Mapping[str, Rollout]) -> Rollout:
+    return max(runs.values(), key=lambda run: len(run.time_s))
+
+
+def _plots(
+    comparison: Comparison,
+    runs: Mapping[str, Rollout],
+    title: str,
+    what: str,
+    unit: str,
+    values: Mapping[str, np.ndarray],
+    *,
+    log: bool = False,
+    extra: Sequence[Line] = (),
+    limits: tuple[float, float] = (-np.inf, np.inf),
+) -> list[Plot]:
+    """Return the plots of a quantity of every run over time."""
+    time = _longest(runs).time_s
+    lines = [
+        Line(
+            name=name,
+            values=_padded(column, len(time)),
+            unit=unit,
+            colour=_colour(runs, name),
+            look="line",
+            width=overlaid_width(k, len(runs)),
+            limits=limits,
+        )
+        for k, (name, column) in enumerate(values.items())
+    ]
+    return plots(title, what, TIME, time, [*lines, *extra], group=f"time:{comparison.plan.problem.name}", log=log)
+
+
+def _padded(values: np.ndarray, n: int) -> np.ndarray:
+    """Return values (m,) as (n,), NaN after the end of a run."""
+    return np.concatenate([values, np.full(n - len(values), np.nan)])
+
+
+def _colour(runs: Mapping[str, Rollout], name: str) -> int:
+    """Return a tracker's colour: its own, or for a user's tracker the next unused one."""
+    others = [other for other in runs if other not in TRACKER_COLOURS]
+    left = [k for k in range(7) if k not in {TRACKER_COLOURS.get(other) for other in runs}] or list(range(7))
+    return tracker_colour(name, left[others.index(name) % len(left)] if name in others else 0)
+
+
+def document_blocks(runs: Mapping[tuple[str, float], Rollout], rows: Sequence[Mapping], kp: float) -> list[Block]:
+    """Return the source document's experiment: a table, and the desired and actual angles.
+
+    Args:
+        runs: by (model, KD).
+        rows: their figures, from `document_record`.
+        kp: the common gain [N.m/rad].
+    """
+    heads = ["model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "closure gap, mean [um]"]
+    heads += ["closure gap, largest [um]", "contacts", "at the limit [%]", "stable"]
+    cells = []
+    for row in rows:
+        gaps = [1e6 * row["steady_gap_mean_m"], 1e6 * row["steady_gap_max_m"]]
+        at_limit = 100 * row["at_limit_fraction"]
+        error = row["rms_error_deg"]
+        cells.append([row["model"], row["kp"], row["kd"], error, *gaps, row["contacts"], at_limit, row["stable"]])
+    table = table_of("The source document's experiment, as printed and on the mended model", heads, cells)
+    return [table, *_document_plots(runs, kp)]
+
+
+def document_figure(blocks: Sequence[Block], path: Path) -> None:
+    """Draw the source document's figure, with a column for each model and a row for each KD, into an image file."""
+    from linkplan.studies.output.figure import figure_of, panels_of, side_by_side
+
+    panels = panels_of(blocks)
+    models = dict.fromkeys(panel.title.partition(":")[0] for panel in panels)
+    columns = [[panel for panel in panels if panel.title.partition(":")[0] == model] for model in models]
+    figure_of(side_by_side(*columns), path, columns=len(columns))
+
+
+def _document_plots(runs: Mapping[tuple[str, float], Rollout], kp: float) -> list[Plot]:
+    found = []
+    for (model, kd), run in runs.items():
+        lines = [
+            Line(name="actual", values=np.degrees(run.position[:, 0]), unit="deg", look="line", colour=1),
+            Line(name="desired", values=np.degrees(run.reference[:, 0]), unit="deg", look="dash", colour=0),
+        ]
+        title = f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad"
+        found += plots(title, "joint O", TIME, run.time_s, lines, group="time:document")
+    return found

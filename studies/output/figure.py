@@ -1,0 +1,181 @@
+"""The plots, planes and bars of a document as one figure of matplotlib, one panel each."""
+
+from collections.abc import Callable, Sequence
+from itertools import chain, zip_longest
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from linkplan.studies.output.document import MEASURED, Axis, Bars, Block, Curve, Limit, Plane, Plot, Series
+from linkplan.studies.output.drawing import BLACK, GREY, SERIES, outside_legend, page, wrapped
+
+# A panel: a block of a document, a function of an Axes for what only one study draws, or None for an empty place.
+Panel = Plot | Plane | Bars | Callable[..., None] | None
+
+_STYLES = {
+    "line": {"linestyle": "-"},
+    "dash": {"linestyle": "--"},
+    "dashdot": {"linestyle": "-."},
+    "dots": {"linestyle": ":"},
+    "points": {"linestyle": "", "marker": "o", "markersize": 4},
+    "cross": {"linestyle": "", "marker": "x", "markersize": 6},
+    "star": {"linestyle": "", "marker": "*", "markersize": 13, "markeredgecolor": BLACK},
+}
+# Letters of a figure's title on an inch of its width.
+_TITLE_LETTERS_PER_INCH = 10
+# Letters of a panel's title and of its legend on an inch of its width.
+_PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
+# The share of a bar's place that its spans take.
+_BAR_SHARE = 0.76
+
+
+def panels_of(blocks: Sequence[Block]) -> list[Panel]:
+    """Return the blocks that can be drawn as a panel."""
+    return [block for block in blocks if isinstance(block, Plot | Plane | Bars)]
+
+
+def side_by_side(*columns: Sequence[Panel]) -> list[Panel]:
+    """Return the panels of several columns, row by row."""
+    return list(chain.from_iterable(zip_longest(*columns)))
+
+
+def figure_of(
+    panels: Sequence[Panel],
+    path: Path | None = None,
+    *,
+    title: str = "",
+    columns: int = 1,
+    panel_in: tuple[float, float] = (6.0, 3.3),
+) -> Figure:
+    """Return the figure of panels, row by row, saved at `path` if it is given.
+
+    Args:
+        panels: of the figure.
+        path: of the image file.
+        title: above all panels.
+        columns: number of panels side by side.
+        panel_in: width and height of a panel [inch].
+    """
+    columns = max(1, min(columns, len(panels)))
+    rows = max(1, -(-len(panels) // columns))
+    size = panel_in[0] * columns, panel_in[1] * rows + 0.4
+    named: list[list] = []
+    with page(path, rows, columns, size) as axes:
+        for k, axis in enumerate(axes.flat):
+            panel = panels[k] if k < len(panels) else None
+            if panel is None:
+                axis.set_visible(False)
+                continue
+            if callable(panel):
+                panel(axis)
+            else:
+                _DRAWERS[type(panel)](axis, panel)
+            _legend(axis, axis.get_title() if callable(panel) else panel.title, named, panel_in[0])
+        figure = axes.flat[0].figure
+        if title:
+            figure.suptitle(wrapped(title, int(_TITLE_LETTERS_PER_INCH * size[0])), fontsize=11)
+    return figure
+
+
+def _legend(axis, title: str, named: list[list], width_in: float) -> None:
+    """Set the title of a panel `width_in` [inch] wide, and a legend unless a panel in the list `named` has the same one."""
+    handles, labels = axis.get_legend_handles_labels()
+    looks = [(label, line.get_color(), line.get_linestyle()) for line, label in zip(handles, labels, strict=True)
+             if hasattr(line, "get_color")]  # fmt: skip
+    own = any(label not in title for label in labels) and looks not in named and axis.get_legend() is None
+    rows = outside_legend(axis, row_letters=int(_LEGEND_LETTERS_PER_INCH * width_in), fontsize=8) if own else 0
+    named.append(looks)
+    if title:
+        axis.set_title(wrapped(title, int(_PANEL_LETTERS_PER_INCH * width_in)), fontsize=9.5, pad=6 + 14 * rows)
+
+
+def draw_plot(axis, plot: Plot) -> None:
+    """Draw the lines of a plot, and its limits as dotted lines with their names."""
+    for one in plot.series:
+        _draw_line(axis, one, plot.x if one.x is None else one.x)
+    _draw_limits(axis, plot.limits)
+    _set_axes(axis, plot.x_axis, plot.y_axis)
+
+
+def draw_plane(axis, plane: Plane) -> None:
+    """Draw the map and the curves of a plane."""
+    heat = plane.heat
+    if heat is not None:
+        low, high = sorted(heat.ends)
+        colours = "RdBu_r" if heat.ends[0] < heat.ends[1] else "RdBu"
+        values = _numbers(heat.values)
+        look = {"shading": "nearest", "cmap": colours, "vmin": low, "vmax": high}
+        image = axis.pcolormesh(_numbers(heat.x), _numbers(heat.y), values, **look)
+        axis.figure.colorbar(image, ax=axis, label=wrapped(f"{heat.name} [{heat.unit}]", 30))
+    for one in plane.curves:
+        if one.look == "area":
+            axis.fill(_numbers(one.x), _numbers(one.y), color=_colour(one), alpha=0.2, linewidth=0, label=one.name or None)
+        else:
+            _draw_line(axis, one, one.x)
+    _set_axes(axis, plane.x_axis, plane.y_axis)
+    if plane.equal:
+        axis.set_aspect("equal")
+
+
+def draw_bars(axis, bars: Bars) -> None:
+    """Draw bars below one another, with their notes at the right edge."""
+    shown = set()
+    for k, row in enumerate(bars.rows):
+        height = _BAR_SHARE / max(1, len(row.spans))
+        for i, span in enumerate(row.spans):
+            at = k - _BAR_SHARE / 2 + (i + 0.5) * height
+            label = None if span.name in shown else span.name
+            shown.add(span.name)
+            axis.barh(at, span.end - span.start, height, left=span.start, color=_colour(span), label=label)
+            if span.low is not None and span.high is not None:
+                off = np.abs([[span.end - span.low], [span.high - span.end]])
+                axis.errorbar(span.end, at, xerr=off, fmt="none", ecolor=GREY, elinewidth=0.9, capsize=1.5)
+        axis.annotate(row.note, (1.01, k), xycoords=axis.get_yaxis_transform(), va="center", fontsize=7.5)
+    axis.axvline(bars.line, color=BLACK, linewidth=0.9, label=bars.line_name or None)
+    axis.set_yticks(range(len(bars.rows)), [row.label for row in bars.rows])
+    axis.set_ylim(len(bars.rows) - 0.4, -0.6)
+    axis.grid(visible=False, axis="y")
+    axis.tick_params(axis="y", length=0)
+    axis.set_xlabel(_labelled(bars.axis))
+
+
+_DRAWERS: dict[type, Callable] = {Plot: draw_plot, Plane: draw_plane, Bars: draw_bars}
+
+
+def _draw_line(axis, one: Series | Curve, x: Sequence) -> None:
+    look = {"linewidth": one.width} | _STYLES[one.look]
+    axis.plot(
+        _numbers(x),
+        _numbers(one.y),
+        color=_colour(one),
+        label=None if one.name.endswith(MEASURED) else one.name or None,
+        **look,
+    )
+
+
+def _draw_limits(axis, limits: Sequence[Limit]) -> None:
+    for limit in limits:
+        axis.axhline(limit.value, color=GREY, linestyle=":", linewidth=1.2)
+        place = {"transform": axis.get_yaxis_transform(), "ha": "right", "va": "bottom"}
+        axis.text(0.995, limit.value, f"{limit.name} {limit.value:.4g}", color=GREY, fontsize=7, **place)
+
+
+def _set_axes(axis, *both: Axis) -> None:
+    for name, one in zip("xy", both, strict=True):
+        axis.set(**{f"{name}label": _labelled(one)} | ({f"{name}scale": "log"} if one.log else {}))
+        if one.ends is not None:
+            axis.set(**{f"{name}lim": one.ends})
+
+
+def _labelled(axis: Axis) -> str:
+    return axis.label if axis.unit == "1" else f"{axis.label} [{axis.unit}]"
+
+
+def _colour(one) -> str:
+    return BLACK if one.colour is None else SERIES[one.colour % len(SERIES)]
+
+
+def _numbers(values: Sequence) -> np.ndarray:
+    """Return numbers, or rows of numbers, as an array with NaN where there is no value."""
+    return np.array(values, dtype=float)

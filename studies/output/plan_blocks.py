@@ -1,0 +1,112 @@
+"""A plan as a document: its verdict, its figures, the solves before it, its certificate."""
+
+import numpy as np
+
+from linkplan.planner.certificate.certificate import Certificate
+from linkplan.planner.plan import Plan, not_honoured
+from linkplan.studies.output.digits import error_figure, figure, known_digits
+from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.output.objective_unit import objective_unit
+from linkplan.studies.output.text import text_of
+
+
+def plan_blocks(plan: Plan) -> list[Block]:
+    """Return a plan's verdict and certificate."""
+    certificate, message = plan.certificate, plan.message[:1].upper() + plan.message[1:]
+    blocks: list[Block] = [
+        Text(text=f"{plan.problem.name}: {plan.status}", tone="good" if plan.passed else "plain"),
+        Text(text=message),
+    ]
+    notes = [Text(text=note, tone="note") for note in (*plan.problem.notes, *not_honoured(plan))]
+    if plan.trajectory is None or certificate is None:
+        return [*blocks, *notes]
+    blocks += [Facts(rows=facts(plan)), *([solves(plan)] if len(plan.history) > 1 else [])]
+    if certificate.integration_restarts:
+        text = (
+            "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
+            f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
+        )
+        blocks.append(Text(text=text))
+    title = f"certificate: {'passed' if certificate.passed else 'NOT passed'}"
+    rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
+    return [*blocks, table_of(title, ["between the nodes", "worst", "unit"], rows), *notes]
+
+
+def plan_text(plan: Plan) -> str:
+    """Return a plan's verdict and certificate as text."""
+    return text_of(plan_blocks(plan))
+
+
+def facts(plan: Plan) -> list[tuple[str, str]]:
+    """Return the duration, the objective and the largest efforts of a plan with a motion, each with its unit."""
+    problem, digits = plan.problem, known_digits(plan)
+    duration = figure(plan.trajectory.duration_s, digits)
+    rows = [("duration", f"{duration} s, {plan.scheme}, {plan.intervals} intervals")]
+    if plan.objective is not None:
+        value = f"{figure(plan.objective, digits)}{objective_unit(problem)}"
+        rows.append((f"objective ({problem.objective.name})", value))
+    peaks = zip(problem.mechanism.actuators, plan.certificate.peak_effort, problem.limits.effort, strict=True)
+    return rows + [
+        (f"effort {a.name}", f"{peak:.5g} {a.unit} at the most, limit {low:g} to {high:g} {a.unit}")
+        for a, peak, (low, high) in peaks
+    ]
+
+
+def solves(plan: Plan) -> Table:
+    """Return the table of the solves before a plan."""
+    heads = ["what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]"]
+    heads += ["integration error [deg]", "time to build [s]", "time to solve [s]"]
+    digits = min(known_digits(plan), 6)
+    rows = [
+        [
+            step.what,
+            step.scheme,
+            step.intervals,
+            step.segments,
+            step.converged,
+            step.solver_status,
+            None if step.objective is None else figure(step.objective, digits),
+            step.integration_error_deg,
+            step.build_s,
+            step.solve_s,
+        ]
+        for step in plan.history
+    ]
+    return table_of("Attempts in their order, each with its mesh", heads, rows, digits=3)
+
+
+def _error_rows(plan: Plan) -> list[list]:
+    """Return the rows of the certificate's excess of effort, residuals, gaps and integration errors."""
+    mechanism, certificate = plan.problem.mechanism, plan.certificate
+    units = " or ".join(dict.fromkeys(actuator.unit for actuator in mechanism.actuators))
+    kinds = {joint.kind for joint in mechanism.independent_joints}
+    errors = {"hinge": (certificate.integration_error_deg, "deg"), "slide": (certificate.integration_error_m, "m")}
+    return [
+        ["effort beyond its limit, any instant", error_figure(certificate.effort_excess), units],
+        ["inverse dynamics minus planned effort", error_figure(certificate.dynamics_residual), units],
+        *(["closure gap", error_figure(gap), unit] for unit, gap in (certificate.closure_gaps or {"m": 0.0}).items()),
+        *(
+            ["state after integration at 1e-12", error_figure(error), unit]
+            for kind, (error, unit) in errors.items()
+            if kind in kinds
+        ),
+    ]
+
+
+def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
+    """Return the rows of the certificate's margins, largest closure forces and powers."""
+    motion, mechanism, rows = plan.problem.motion, plan.problem.mechanism, []
+    for what, per, margins in (("range", "", certificate.position_margin), ("speed limit", "/s", certificate.speed_margin)):
+        rows += [
+            [f"margin to the {what} of {joint.name}", joint.shown(margin), f"{joint.unit}{per}"]
+            for joint, margin in zip(mechanism.joints, margins, strict=True)
+            if np.isfinite(margin)
+        ]
+    if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
+        rows.append(["error of sites at start, waypoints and goal", error_figure(certificate.site_error_m), "m"])
+    rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
+    rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
+    forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)
+    rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
+    powers = zip(mechanism.actuators, certificate.peak_power, strict=True)
+    return [*rows, *([f"largest power of {actuator.name}", power, "W"] for actuator, power in powers)]
