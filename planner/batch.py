@@ -8,10 +8,9 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.batch_file import Batch, Case
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override, read_tables
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, silent
 from linkplan.planner.replan import Planner
 
@@ -47,7 +46,7 @@ def plan_cases(batch: Batch, cases: Sequence[Case], say: Say = silent) -> Iterat
         yield case, planner.plan(problem)
 
 
-def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, PlanningProblem]]:
+def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, Problem]]:
     """Yield each case with its problem; consecutive cases with equal [mechanism] tables share one mechanism."""
     name, common, folder = read_tables(batch.problem)
     asked: object = None
@@ -61,7 +60,7 @@ def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, Plann
             # Coordinates chosen for one case's motion do not apply to the next case.
             chosen = mechanism is not None and "independent" in mechanism.source and "independent" not in (wanted or {})
             same = mechanism is not None and wanted == asked and not chosen
-            problem = problem_from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
+            problem = Problem.from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
         except ProblemError as error:
             raise ProblemError(f"case '{case.name}': {error}") from error
         asked, mechanism = wanted, problem.mechanism

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.closed_chain.transcribe import trajectory_of
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.solvers.newton import NewtonStep
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -32,7 +32,7 @@ class MotionStep:
     settled: bool
 
 
-def motion_step(problem: PlanningProblem, numbered: Transcribed, found: NewtonStep, newton_s: float) -> MotionStep:
+def motion_step(problem: Problem, numbered: Transcribed, found: NewtonStep, newton_s: float) -> MotionStep:
     """Return a Newton step of a problem's program as a motion, with error bounds in SI units."""
     units, n_s, error = numbered.units, numbered.formulation.n_s, found.error_bound
     return MotionStep(

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import InfeasibleError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.collisions import contact_note
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -27,7 +27,7 @@ class Plan:
     warm starts; None for a motion that needed no solver.
     """
 
-    problem: PlanningProblem
+    problem: Problem
     status: str
     message: str
     objective: float | None = None

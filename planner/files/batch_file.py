@@ -15,9 +15,8 @@ from pathlib import Path
 from linkplan.models.catalogue import is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import read_toml
-from linkplan.planner.files.problem_file import path_beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.files.tables import refuse_saved_plan
+from linkplan.planner.files.tables import path_beside, refuse_saved_plan
 from linkplan.planner.files.toml_text import inline
 from linkplan.planner.keys.batch_sections import BatchFile
 from linkplan.planner.keys.reading import read

@@ -13,7 +13,6 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY, MIN_INTERVAL_SHARE
 from linkplan.planner.keys.reading import checked
-from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
 from linkplan.planner.problem.values import frozen, plain, whole
 from linkplan.planner.transcription.schemes import scheme
@@ -172,7 +171,9 @@ class Tracking:
         return position, np.where(hinge, self.lqr_velocity, self.lqr_velocity_m_s)
 
 
-def _check(settings: object, section: str, left_out: Section, keys: Sequence[str]) -> None:
+def _check(
+    settings: object, section: str, left_out: MeshSection | SolverSection | TrackingSection, keys: Sequence[str]
+) -> None:
     """Check settings against a file's section and set them; None is kept if the section has no default."""
     for key in keys:
         value = plain(getattr(settings, key))

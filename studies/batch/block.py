@@ -19,9 +19,9 @@ from linkplan.models.errors import PlanFileError, one_line
 from linkplan.planner.batch import plan_cases
 from linkplan.planner.files.archive import read_member
 from linkplan.planner.files.batch_file import Batch, Case
-from linkplan.planner.files.plan_folder import write_plan
-from linkplan.planner.files.plan_record import read_plan_record
 from linkplan.planner.files.trajectory_file import read_trajectory
+from linkplan.planner.plan_folder import write_plan
+from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.refinement.history import Say
 from linkplan.studies.output.batch_table import case_record, case_row
 

@@ -10,9 +10,9 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.build import mechanism_from_tables, tracking_from_tables
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
@@ -132,11 +132,11 @@ def run_tune(arguments: argparse.Namespace) -> int:
     return DONE if found.found else NO
 
 
-def _loop_of(arguments: argparse.Namespace) -> tuple[PlanningProblem | None, Mechanism, Tracking, np.ndarray]:
+def _loop_of(arguments: argparse.Namespace) -> tuple[Problem | None, Mechanism, Tracking, np.ndarray]:
     """Return the problem or None, the mechanism, the tracking settings and the effort limits."""
     name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
     if is_problem:
-        problem: PlanningProblem | None = problem_from_tables(name, tables, folder)
+        problem: Problem | None = Problem.from_tables(name, tables, folder)
         mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.actuators_effort
     else:
         problem, mechanism = None, mechanism_from_tables(tables, folder)
@@ -183,7 +183,7 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
     return np.geomspace(low, high, count)
 
 
-def _map(study, problem: PlanningProblem | None, say: Progress):
+def _map(study, problem: Problem | None, say: Progress):
     """Return the stability map, its record, text and drawer."""
     from linkplan.studies.bode.draw_map import map_figure
     from linkplan.studies.bode.map_study import map_record, map_study, map_text
@@ -193,7 +193,7 @@ def _map(study, problem: PlanningProblem | None, say: Progress):
     return found, map_record(found), map_text(found), lambda place: map_figure(found, place / "map.png")
 
 
-def _large(study, problem: PlanningProblem | None, say: Progress):
+def _large(study, problem: Problem | None, say: Progress):
     """Return the large signals, their record, text and drawer."""
     from linkplan.studies.bode.draw_large import large_figure
     from linkplan.studies.bode.large_study import large_study, large_study_record, large_text
@@ -202,7 +202,7 @@ def _large(study, problem: PlanningProblem | None, say: Progress):
     return found, large_study_record(found), large_text(found), lambda place: large_figure(found, place / "large.png")
 
 
-def _along(study, problem: PlanningProblem | None, say: Progress):
+def _along(study, problem: Problem | None, say: Progress):
     """Return the loop along the problem's motion, its record, text and drawer."""
     from linkplan.studies.bode.along_motion import along_motion, along_record, along_text
     from linkplan.studies.bode.draw_along import along_figure

@@ -17,9 +17,9 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.imperfections_file import ImperfectionsSection, imperfections_of
-from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import versions
+from linkplan.planner.problem.imperfections import ImperfectionsSection, imperfections_of
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
 from linkplan.studies.compare.user_tracker import known_tracker

@@ -14,7 +14,7 @@ from linkplan.controllers.imperfections.imperfections import (
     Start,
 )
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.imperfections_file import ImperfectionsSection
+from linkplan.planner.problem.imperfections import ImperfectionsSection
 
 
 def machine_of(

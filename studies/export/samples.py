@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.controls import needed_controls
-from linkplan.planner.files.motion_table import MotionTable, motion_table
+from linkplan.planner.motion_table import MotionTable, motion_table
 from linkplan.planner.plan import Plan
 
 # So many keyframes have about a gigabyte.

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from linkplan.planner.files.batch_file import Case
-from linkplan.planner.files.plan_folder import record
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import record
 from linkplan.studies.output.digits import figure, known_digits
 from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.tables import table

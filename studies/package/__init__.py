@@ -26,8 +26,8 @@ if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same 
     from linkplan.models.errors import LinkplanError
     from linkplan.planner.ode.problem import OdeProblem
     from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
+    from linkplan.planner.problem.problem import Problem
     from linkplan.plans import Plan, Planner, plan, read_plan, solve_ocp
-    from linkplan.problems import Problem
     from linkplan.tracking import compare, track
 
     __version__: str
@@ -63,7 +63,7 @@ _HOMES = {
     "OdeProblem": "linkplan.planner.ode.problem",
     "Plan": "linkplan.plans",
     "Planner": "linkplan.plans",
-    "Problem": "linkplan.problems",
+    "Problem": "linkplan.planner.problem.problem",
     "Tracker": "linkplan.controllers.trackers.tracker",
     "bode": "linkplan.loops",
     "check": "linkplan.mechanisms",

@@ -11,7 +11,7 @@ from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.paths import drawn
 from linkplan.plain import plain
-from linkplan.planner.files.imperfections_file import imperfections_of
+from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.values import whole
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener

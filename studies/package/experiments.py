@@ -16,7 +16,7 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.names import choose
 from linkplan.paths import drawn, path_of
 from linkplan.plain import plain
-from linkplan.planner.files.imperfections_file import imperfections_of
+from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.values import whole
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener

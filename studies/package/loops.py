@@ -16,7 +16,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.paths import drawn
 from linkplan.plain import plain
-from linkplan.planner.files.problem_file import tracking_from_tables
+from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.problem.values import number
 from linkplan.reporting import Progress, listener
@@ -65,14 +65,14 @@ def bode(
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
-    mechanism, planning, settings, limit = _loop_of(subject, tracking)
+    mechanism, problem, settings, limit = _loop_of(subject, tracking)
     setup = None
     if measure is not None:
         method = choose("way to measure", str(measure), METHODS, ProblemError)
         amplitude = None if amplitude_deg is None else number(plain(amplitude_deg), "amplitude_deg", positive=True)
         joint = mechanism.independent_joints[0]
         setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
-    looked = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     study = bode_study(
         mechanism,
         looked.positions,
@@ -123,10 +123,10 @@ def tune(
         phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", at_least_zero=True),
         sensitivity_peak=peak,
     )
-    mechanism, planning, settings, limit = _loop_of(subject, tracking)
+    mechanism, problem, settings, limit = _loop_of(subject, tracking)
     if mechanism.dof != 1:
         raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
-    looked = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     found = tuning.tune(points, wanted, settings, timing, limit, law=tracker, say=say, line=looked.line)
@@ -134,7 +134,7 @@ def tune(
 
 
 def _loop_of(subject: Subject, tracking: object):
-    """Return the mechanism, its planning problem or None, the tracking settings and the effort limits (n_u, 2)."""
+    """Return the mechanism, its problem or None, the tracking settings and the effort limits (n_u, 2)."""
     mechanism, problem = subject_of(subject)
     if tracking is not None and not isinstance(tracking, Mapping):
         raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
@@ -142,7 +142,7 @@ def _loop_of(subject: Subject, tracking: object):
     settings = _settings(own | plain(tracking or {}), mechanism)
     if problem is None:
         return mechanism, None, settings, mechanism.effort_limit
-    return mechanism, problem.planning, settings, problem.planning.limits.actuators_effort
+    return mechanism, problem, settings, problem.limits.actuators_effort
 
 
 def _settings(table: dict, mechanism: Mechanism) -> Tracking:

@@ -8,9 +8,9 @@ import numpy as np
 
 from linkplan.paths import times_of
 from linkplan.planner import plan as planned
-from linkplan.planner.files.motion_table import MotionTable, motion_table
 from linkplan.planner.motion_step import MotionStep
-from linkplan.problems import Problem
+from linkplan.planner.motion_table import MotionTable, motion_table
+from linkplan.planner.problem.problem import Problem
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -55,7 +55,7 @@ class NextMotion:
         """
         time = times_of(time_s)
         motion = planned.Plan(
-            problem=self.problem.planning, status="failed", message="not certified", trajectory=self.step.trajectory
+            problem=self.problem, status="failed", message="not certified", trajectory=self.step.trajectory
         )
         table = motion_table(motion, None if time is None else np.atleast_1d(time))
         return table.single() if time is not None and time.ndim == 0 else table

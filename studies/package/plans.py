@@ -14,17 +14,17 @@ from linkplan.models.extras import load_extra
 from linkplan.next_motion import NextMotion
 from linkplan.paths import drawn, path_of, times_of
 from linkplan.planner import plan as planned
+from linkplan.planner import plan_folder
 from linkplan.planner.certificate.certificate import Certificate
-from linkplan.planner.files import plan_folder
 from linkplan.planner.files.folders import write_whole
-from linkplan.planner.files.motion_table import MotionTable, motion_table
+from linkplan.planner.motion_table import MotionTable, motion_table
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.replan import Planner as Replanner
-from linkplan.problems import Problem
 from linkplan.reporting import LOG, Progress, listener
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None) -> Pla
         LinkplanError: if the problem is invalid.
     """
     asked = _problem(problem)
-    return Plan(problem=asked, answer=plan_motion(asked.planning, listener(progress)))
+    return Plan(problem=asked, answer=plan_motion(asked, listener(progress)))
 
 
 def read_plan(
@@ -71,7 +71,7 @@ def read_plan(
     note = plan_folder.unchecked(folder)
     if note is not None:
         LOG.warning("%s: %s", folder, note)
-    return Plan(problem=Problem(planning=answer.problem), answer=answer)
+    return Plan(problem=answer.problem, answer=answer)
 
 
 def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
@@ -116,7 +116,7 @@ class Planner:
             LinkplanError: if the problem is invalid.
         """
         asked = _problem(problem)
-        return Plan(problem=asked, answer=self._planner.plan(asked.planning))
+        return Plan(problem=asked, answer=self._planner.plan(asked))
 
     def step(self, problem: Problem | str | Path) -> NextMotion | None:
         """Return a motion by a few Newton steps from the last plan, for replanning at the rate of control.
@@ -129,7 +129,7 @@ class Planner:
             LinkplanError: if the problem is invalid.
         """
         asked = _problem(problem)
-        step = self._planner.step(asked.planning)
+        step = self._planner.step(asked)
         return None if step is None else NextMotion(problem=asked, step=step)
 
 

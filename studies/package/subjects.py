@@ -6,13 +6,13 @@ from pathlib import Path
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.plain import plain
-from linkplan.planner.files.joint_values import joint_values
-from linkplan.planner.files.problem_file import mechanism_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.keys.kinds import Angles, Numbers
 from linkplan.planner.keys.motion_section import WaypointSection
 from linkplan.planner.keys.reading import read
-from linkplan.problems import Problem
+from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.problem.problem import Problem
 
 # A pose consists of a table of joint = value in degrees and another table in metres.
 _KINDS = {"at_deg": Angles, "at_m": Numbers}

@@ -12,7 +12,7 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.paths import drawn, path_of
 from linkplan.plain import plain
 from linkplan.planner import plan as planned
-from linkplan.planner.files.problem_file import tracking_from_tables
+from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study

@@ -7,8 +7,8 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.problem_file import file_text
 from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.problem.problem import file_text
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
 from linkplan.studies.report.columns import columns

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import versions
 from linkplan.studies.bode.along_motion import AlongMotion
 from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.bode.large_study import LargeStudy

@@ -13,10 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.files.tables import BUILT_IN
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.replan import Planner
 from linkplan.studies.output.tables import table
 from tests.bench.packages import installed
@@ -140,11 +139,11 @@ def _in_turn(solve: Callable[[float], object]) -> Callable[[], object]:
     return lambda: solve(next(goals))
 
 
-def _to(problem: PlanningProblem, goal: float) -> PlanningProblem:
+def _to(problem: Problem, goal: float) -> Problem:
     return replace(problem, motion=replace(problem.motion, goal=np.array([goal])))
 
 
-def _plan(planner: Planner, problem: PlanningProblem, goal: float, alone: bool) -> None:
+def _plan(planner: Planner, problem: Problem, goal: float, alone: bool) -> None:
     asked = _to(problem, goal)
     again = planner.solve_again(asked) is not None if alone else planner.plan(asked).solved_again
     assert again, "not solved again, but planned from the beginning"

@@ -113,17 +113,17 @@ def test_lists_that_cannot_be_are_refused_in_one_line(knee, given, said):
 def test_variants_of_a_problem_keep_its_extras_until_they_are_taken_back(knee):
     problem = Problem.reach(knee, **REACH, extra_limits=[LIMIT], extra_costs=[COST])
     for variant in (problem.replace(duration_s=0.3), problem.with_settings({"motion.duration_s": 0.3})):
-        assert variant.planning.extras == (LIMIT, COST)
-    assert problem.replace(extra_limits=None).planning.extras == (COST,)
-    assert problem.replace(extra_costs=[]).planning.extras == (LIMIT,)
+        assert variant.extras == (LIMIT, COST)
+    assert problem.replace(extra_limits=None).extras == (COST,)
+    assert problem.replace(extra_costs=[]).extras == (LIMIT,)
 
 
 def test_a_problem_whose_expressions_are_functions_of_a_module_goes_to_another_process(knee):
     cost = ExtraCost(name="lean", expression=angle, weight=1e-6)
     problem = Problem.reach(knee, **REACH, extra_limits=[LIMIT], extra_costs=[cost])
     again = pickle.loads(pickle.dumps(problem))
-    assert [one.name for one in again.planning.extras] == ["wide", "lean"]
-    assert again.planning.objective.weights == problem.planning.objective.weights
+    assert [one.name for one in again.extras] == ["wide", "lean"]
+    assert again.objective.weights == problem.objective.weights
     assert linkplan.plan(again).objective == linkplan.plan(problem).objective
 
 

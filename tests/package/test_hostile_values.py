@@ -14,7 +14,7 @@ NO_PATHS = (None, b"plan", 5, ["plan"], "", "a\0b", "\ud800", "x" * 300)
 @pytest.fixture(scope="module")
 def plan() -> linkplan.Plan:
     answer = optimal("knee-reach")
-    return linkplan.Plan(problem=linkplan.Problem(planning=answer.problem), answer=answer)
+    return linkplan.Plan(problem=answer.problem, answer=answer)
 
 
 @pytest.mark.parametrize("value", NO_PATHS)

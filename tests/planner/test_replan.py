@@ -9,14 +9,13 @@ import pytest
 
 from linkplan.planner import replan
 from linkplan.planner.closed_chain.answer import finished
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.replan import Planner, structure
 from tests.support.tolerances_planner import SAME_FIGURE, TIGHTENED_ANEW
 
 
-def with_goal(problem: PlanningProblem, degrees: float) -> PlanningProblem:
+def with_goal(problem: Problem, degrees: float) -> Problem:
     return replace(problem, motion=replace(problem.motion, goal=np.radians([degrees])))
 
 
@@ -183,11 +182,11 @@ def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning(t
     """The least of u^2 dt + w T over a distance of one is at T = (36 / w)^(1/4)."""
     (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
 
-    def cart(weight: float) -> PlanningProblem:
+    def cart(weight: float) -> Problem:
         motion = {"kind": "reach", "start_m": {"X": 0.0}, "goal_m": {"X": 1.0}, "duration_s": "free"}
         objective = {"minimize": {"effort": 1.0, "time": weight}}
         model = {"model": str(tmp_path / "cart.xml")}
-        return problem_from_tables("cart", {"mechanism": model, "motion": motion, "objective": objective})
+        return Problem.from_tables("cart", {"mechanism": model, "motion": motion, "objective": objective})
 
     planner = Planner()
     assert planner.plan(cart(36e4)).trajectory.duration_s == pytest.approx(0.1, rel=1e-3)
@@ -209,7 +208,7 @@ def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
 
 SHARED = """
 import sys, threading
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.replan import Planner
 shared, statuses = Planner(), []
 def run(first):

@@ -5,9 +5,8 @@ import pytest
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.transcription import collocation
 
@@ -79,9 +78,9 @@ def test_angles_at_the_ends_of_what_is_legal_survive_their_way_through_radians()
 def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
     problem = load_problem("knee-reach")
     broken = Tracking(delay_periods=0.5)
-    values = {name: getattr(problem, name) for name in PlanningProblem.__slots__} | {"tracking": broken}
+    values = {name: getattr(problem, name) for name in Problem.__slots__} | {"tracking": broken}
     with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
-        PlanningProblem(**values)
+        Problem(**values)
 
 
 def test_what_compiles_knows_when_the_plan_is_to_be_done(monkeypatch):

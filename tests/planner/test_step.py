@@ -8,17 +8,15 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.motion_step import motion_step
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.replan import Planner
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.newton import NewtonStep, Optimum
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.tolerances_planner import SOLVERS_OWN_EFFORT, SOLVERS_OWN_POSITION
 
 
-def with_goal(problem: PlanningProblem, degrees: float) -> PlanningProblem:
+def with_goal(problem: Problem, degrees: float) -> Problem:
     return replace(problem, motion=replace(problem.motion, goal=np.radians([degrees])))
 
 
@@ -27,7 +25,7 @@ def problem():
     return load_problem("knee-reach")
 
 
-def prepared(problem: PlanningProblem) -> Planner:
+def prepared(problem: Problem) -> Planner:
     planner = Planner()
     planner.plan(problem)
     return planner
@@ -113,7 +111,7 @@ def test_a_plan_after_a_step_is_certified(problem):
 
 
 def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
-    numbered = transcribe(problem, first_guess(problem, start_pose_of(problem)), uniform(8), np.array([0.16]))
+    numbered = transcribe(problem, first_guess(problem, problem.start_pose()), uniform(8), np.array([0.16]))
     left = 1e-4
     begin = numbered.start
 

@@ -14,9 +14,9 @@ from linkplan.models.errors import CertificateError, PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import MANIFEST, plain, write_json, write_whole
-from linkplan.planner.files.motion_table import motion_table
-from linkplan.planner.files.plan_folder import read_plan, record, write_plan
-from linkplan.planner.files.plan_record import PLAN_FORMAT
+from linkplan.planner.motion_table import motion_table
+from linkplan.planner.plan_folder import read_plan, record, write_plan
+from linkplan.planner.plan_record import PLAN_FORMAT
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
 from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING

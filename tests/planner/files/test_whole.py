@@ -8,7 +8,7 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import MANIFEST, RECORDS, check_target, write_json, write_whole
-from linkplan.planner.files.plan_folder import read_plan, write_plan
+from linkplan.planner.plan_folder import read_plan, write_plan
 from tests.support.plans import optimal, planned
 
 

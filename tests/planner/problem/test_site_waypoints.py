@@ -159,7 +159,7 @@ def test_a_problem_is_written_and_read_with_its_places(tmp_path):
     (tmp_path / "arm.toml").write_text(problem.to_toml(), encoding="utf-8")
     again = linkplan.Problem.from_file(tmp_path / "arm.toml")
     assert again.to_dict() == problem.to_dict()
-    assert again.planning.motion.waypoints[0].at_rows == (0,)
+    assert again.motion.waypoints[0].at_rows == (0,)
 
 
 def test_a_motion_tells_where_the_sites_are_that_its_problem_names(tmp_path):

@@ -161,7 +161,7 @@ def test_a_problem_of_turns_is_the_same_written_down(tmp_path):
     (tmp_path / "p.toml").write_text(problem.to_toml(), encoding="utf-8")
     again = linkplan.Problem.from_file(tmp_path / "p.toml")
     assert again.to_dict() == problem.to_dict()
-    assert again.planning.motion.turns.tolist() == [-1.0]
+    assert again.motion.turns.tolist() == [-1.0]
 
 
 GEARED = """<mujoco model="geared"><compiler angle="radian"/><worldbody>
@@ -208,7 +208,7 @@ def test_turns_that_cannot_be_are_refused_in_a_line(model, turns, words):
 
 
 def test_a_joint_that_is_back_after_two_turns_turns_twice():
-    assert linkplan.Problem.periodic(geared(0.5), turns={"O": 2}, duration_s=1.0).planning.motion.turns.tolist() == [2.0]
+    assert linkplan.Problem.periodic(geared(0.5), turns={"O": 2}, duration_s=1.0).motion.turns.tolist() == [2.0]
 
 
 def test_turns_belong_to_periodic_motions_without_a_reference():

@@ -9,10 +9,10 @@ import pytest
 
 from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.replan import Planner
 from linkplan.planner.search import ladder

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 
 # A weak four-bar: the smoothest path leads to a local optimum of 0.879 s, swings to the least time. It begins at a stable
 # equilibrium, where it may wait.
@@ -27,7 +27,7 @@ WEAK = """<mujoco model="weak"><compiler angle="degree" autolimits="true"/><opti
 def planned(minimize: str, duration: float | str) -> Plan:
     motion = {"kind": "reach", "start_deg": {"J1": 0.0}, "goal_deg": {"J1": -169.452587}, "duration_s": duration}
     tables = {"mechanism": {"model": WEAK}, "motion": motion, "objective": {"minimize": minimize}}
-    return plan_motion(problem_from_tables("weak", tables))
+    return plan_motion(Problem.from_tables("weak", tables))
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def quickest_turn_s() -> float:
 def test_the_quickest_turn_is_that_of_full_torque_also_where_a_slower_turn_is_a_local_optimum():
     motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free"}
     tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(problem_from_tables("rotor", tables))
+    plan = plan_motion(Problem.from_tables("rotor", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(quickest_turn_s(), rel=1e-6)
 
@@ -71,6 +71,6 @@ def test_the_quickest_turn_is_that_of_full_torque_also_where_a_slower_turn_is_a_
 def test_a_turn_that_could_be_quicker_takes_the_least_duration_that_is_allowed():
     motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free", "min_duration_s": 0.1}
     tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(problem_from_tables("rotor", tables))
+    plan = plan_motion(Problem.from_tables("rotor", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(0.1, rel=1e-8)

@@ -8,12 +8,11 @@ from scipy.integrate import quad
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import REPAIRS
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support.bodies import PENDULUM, body_problem
 
 DURATION_S = 0.8
@@ -26,7 +25,7 @@ QUADRATURE = 1e-7
 @pytest.fixture(scope="module")
 def search() -> Search:
     problem = load_problem("five-bar-reach", [f"motion.duration_s={DURATION_S}", "objective.minimize=effort"])
-    return Search(problem=problem, start_pose=start_pose_of(problem), repairs=REPAIRS)
+    return Search(problem=problem, start_pose=problem.start_pose(), repairs=REPAIRS)
 
 
 @pytest.fixture(scope="module")
@@ -80,4 +79,4 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     limit = share * 9.81 * 0.5 * np.sin(np.radians(30.0))
     motion = 'kind = "reach"\nstart_deg = { J = 30.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 4.0\n'
     problem = body_problem(PENDULUM.format(limit=repr(float(limit))), motion)
-    assert waiting.may_wait(Search(problem=problem, start_pose=start_pose_of(problem))) is can_wait
+    assert waiting.may_wait(Search(problem=problem, start_pose=problem.start_pose())) is can_wait

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.plan_folder import write_plan
+from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, unpacked

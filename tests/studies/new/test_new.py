@@ -12,13 +12,12 @@ import pytest
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.planner.files.examples import EXAMPLES
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import set_key
 from linkplan.planner.keys.key_table import key_table
 from linkplan.planner.keys.reading import KEYS as READER
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.studies.new.first_motion import FirstMotion, first_motion, moves_of
 from linkplan.studies.new.problem_text import problem_text
@@ -129,7 +128,7 @@ def test_every_option_in_a_comment_can_be_taken_as_it_stands(model):
                 tables, f"{'mechanism' if other == 'payload' else section}.{other}", tomllib.loads(f"x = {example}")["x"]
             )
         set_key(tables, f"{section}.{option[1]}", tomllib.loads(f"x = {option[2]}")["x"])
-        problem_from_tables("begun", tables)
+        Problem.from_tables("begun", tables)
         taken += 1
     assert taken > 50
 
@@ -140,7 +139,7 @@ def test_its_reference_can_be_taken_as_a_whole():
     whole = text[:begin] + re.sub(r"(?m)^#(\w+ =)", r"\1", text[begin:end]) + text[end:]
     for set_now, instead in (('"reach"', '"track"'), ("goal_deg", "#goal_deg"), ('minimize = "effort"', "")):
         whole = whole.replace(set_now, instead)
-    problem = problem_from_tables("begun", tomllib.loads(whole))
+    problem = Problem.from_tables("begun", tomllib.loads(whole))
     assert problem.reference.frequency_hz == 1.0
 
 
@@ -148,7 +147,7 @@ def tried_of(model: str, monkeypatch) -> list[dict]:
     """Return the motions that are tried of a mechanism none of whose motions is ever found."""
     tried = []
 
-    def nothing(problem: PlanningProblem, *_) -> Plan:
+    def nothing(problem: Problem, *_) -> Plan:
         tried.append(problem)
         return Plan(problem=problem, status="failed", message="failed: as told")
 
@@ -193,7 +192,7 @@ def test_a_sprung_leg_has_a_first_motion(monkeypatch):
     """The third one that is tried, where two larger ones are passed over: how long those are tried hangs on the machine."""
     tried = []
 
-    def third(problem: PlanningProblem, *rest) -> Plan:
+    def third(problem: Problem, *rest) -> Plan:
         tried.append(problem)
         if len(tried) < 3:
             return Plan(problem=problem, status="failed", message="failed: passed over")
