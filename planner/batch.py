@@ -12,7 +12,7 @@ from linkplan.planner.files.tables import apply_override, read_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, silent
-from linkplan.planner.replan import Planner
+from linkplan.planner.replan import Replanner
 
 
 def check_batch(batch: Batch) -> str:
@@ -40,7 +40,7 @@ def plan_cases(batch: Batch, cases: Sequence[Case], say: Say = silent) -> Iterat
         ProblemError: for a case whose settings cannot be used, naming it.
         ModelError: when a named mechanism cannot be used.
     """
-    planner = Planner()
+    planner = Replanner()
     for case, problem in _problems(batch, cases):
         say(case.name)
         yield case, planner.plan(problem)

@@ -139,7 +139,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     write_json(folder / "plan.json", record(plan) | {"model_from_here": _from(place or folder, plan.problem)})
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
-    table = motion_table(plan, jumps=jumps)
+    table = motion_table(plan.problem, plan.trajectory, jumps=jumps)
     if table.site:  # in addition to the motion: samples at the times of trajectory.csv
         arrays |= {"time_s": table.time_s} | {f"site_{name}_m": places for name, places in table.site.items()}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)

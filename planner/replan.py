@@ -1,6 +1,6 @@
 """Repeated planning with one program, which is built once and solved with new numbers from the last solution.
 
-    planner = Planner()
+    planner = Replanner()
     for goal in goals:
         plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
 
@@ -21,7 +21,7 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered
-from linkplan.planner.motion_step import MotionStep, motion_step
+from linkplan.planner.motion_step import NextMotion, motion_step
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
@@ -38,7 +38,7 @@ from linkplan.planner.transcription.program import Program
 _MAX_TIGHTENINGS = 2
 
 
-class Planner:
+class Replanner:
     """A planner that keeps its last program; `plan` has the results of `plan_motion`, but is often faster.
 
     Threads that share a planner wait for each other, because its solver is not reentrant. A copy is a new planner without
@@ -57,7 +57,7 @@ class Planner:
         self._optimum: Optimum | None = None  # of the last program at its `start`; None until it is computed
 
     def __reduce__(self) -> tuple:
-        return Planner, ()
+        return Replanner, ()
 
     def plan(self, problem: Problem) -> Plan:
         """Return the plan of a problem.
@@ -87,7 +87,7 @@ class Planner:
             solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
         return solution if solution.converged and not _is_blocked_by_bounds(problem, solution) else None
 
-    def step(self, problem: Problem) -> MotionStep | None:
+    def step(self, problem: Problem) -> NextMotion | None:
         """Return the motion after three Newton steps, with one factorisation, from the last plan, and its error bounds.
 
         This is for replanning at the rate of control (real-time iteration). It takes a quarter of a plan's time, the same in

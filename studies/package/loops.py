@@ -15,10 +15,9 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.paths import drawn
-from linkplan.plain import plain
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import Tracking
-from linkplan.planner.problem.values import number
+from linkplan.planner.problem.values import number, plain
 from linkplan.reporting import Progress, listener
 from linkplan.studies.bode.bode import BodeStudy, bode_study
 from linkplan.studies.bode.poses import loop_poses
@@ -27,7 +26,7 @@ from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
-from linkplan.subjects import Subject, poses_of, subject_of
+from linkplan.subjects import Subject, poses_of, subject_of, tracking_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -136,10 +135,7 @@ def tune(
 def _loop_of(subject: Subject, tracking: object):
     """Return the mechanism, its problem or None, the tracking settings and the effort limits (n_u, 2)."""
     mechanism, problem = subject_of(subject)
-    if tracking is not None and not isinstance(tracking, Mapping):
-        raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
-    own = {} if problem is None else problem.to_dict().get("tracking", {})
-    settings = _settings(own | plain(tracking or {}), mechanism)
+    settings = _settings(tracking_table(problem, tracking), mechanism)
     if problem is None:
         return mechanism, None, settings, mechanism.effort_limit
     return mechanism, problem, settings, problem.limits.actuators_effort

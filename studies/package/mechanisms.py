@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
-from linkplan.plain import plain
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.values import plain
 from linkplan.subjects import Subject, is_problem, poses_of, subject_of
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.files.tables import BUILT_IN
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.replan import Planner
+from linkplan.planner.replan import Replanner
 from linkplan.studies.output.tables import table
 from tests.bench.packages import installed
 from tests.bench.shares import timed_solves
@@ -121,7 +121,7 @@ def _again(name: str, duration: float | None, held: list[list[object]]) -> str:
     problem = load_problem(name, ["solver.compile=always"])
     works = {peer: _in_turn(solve(duration).again()) for peer, solve in there.items()}
     for label, alone in ((_PLAN, False), (_ALONE, True)):
-        planner = Planner()
+        planner = Replanner()
         planner.plan(problem)
         works[label] = _in_turn(lambda goal, planner=planner, alone=alone: _plan(planner, problem, goal, alone))
     times = medians_s(works, _RE_SOLVES)
@@ -143,7 +143,7 @@ def _to(problem: Problem, goal: float) -> Problem:
     return replace(problem, motion=replace(problem.motion, goal=np.array([goal])))
 
 
-def _plan(planner: Planner, problem: Problem, goal: float, alone: bool) -> None:
+def _plan(planner: Replanner, problem: Problem, goal: float, alone: bool) -> None:
     asked = _to(problem, goal)
     again = planner.solve_again(asked) is not None if alone else planner.plan(asked).solved_again
     assert again, "not solved again, but planned from the beginning"

@@ -148,7 +148,7 @@ def test_a_saved_plan_is_read_with_its_extras(saved):
     again = linkplan.read_plan(folder, extra_limits=[LIMIT], extra_costs=[COST])
     assert (again.status, again.objective) == ("optimal", plan.objective)
     assert [margin.title for margin in again.certificate.margins] == ["the extra limit 'wide'"]
-    assert not [note for note in again.answer.problem.notes if "extra" in note]
+    assert not [note for note in again.problem.notes if "extra" in note]
 
 
 def test_a_saved_plan_that_is_read_without_its_extras_says_so(saved):
@@ -159,7 +159,7 @@ def test_a_saved_plan_that_is_read_without_its_extras_says_so(saved):
         " checked against it"
     )
     assert (again.status, again.objective) == ("optimal", plan.objective)
-    assert note in again.answer.problem.notes
+    assert note in again.problem.notes
     assert f"note: {note}" in str(again)
 
 

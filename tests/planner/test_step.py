@@ -10,7 +10,7 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
 from linkplan.planner.motion_step import motion_step
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.replan import Planner
+from linkplan.planner.replan import Replanner
 from linkplan.planner.solvers.newton import NewtonStep, Optimum
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.tolerances_planner import SOLVERS_OWN_EFFORT, SOLVERS_OWN_POSITION
@@ -25,8 +25,8 @@ def problem():
     return load_problem("knee-reach")
 
 
-def prepared(problem: Problem) -> Planner:
-    planner = Planner()
+def prepared(problem: Problem) -> Replanner:
+    planner = Replanner()
     planner.plan(problem)
     return planner
 
@@ -46,14 +46,14 @@ def test_the_bound_holds_against_the_converged_answer(problem, goal):
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     position, effort = errors(step, exact)
     assert step.settled
-    assert position <= step.position_error[0] + SOLVERS_OWN_POSITION
-    assert effort <= step.effort_error[0] + SOLVERS_OWN_EFFORT
-    assert step.effort_error[0] < 0.05  # of 86 N.m: it says something
+    assert position <= step.position_bound[0] + SOLVERS_OWN_POSITION
+    assert effort <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
+    assert step.effort_bound[0] < 0.05  # of 86 N.m: it says something
 
 
 def test_a_longer_way_leaves_more(problem):
     near, far = (prepared(problem).step(with_goal(problem, goal)) for goal in (56.0, 53.0))
-    assert far.effort_error[0] > 100 * near.effort_error[0]
+    assert far.effort_bound[0] > 100 * near.effort_bound[0]
 
 
 def test_a_limit_that_comes_to_bind_is_kept_exactly(problem):
@@ -64,14 +64,14 @@ def test_a_limit_that_comes_to_bind_is_kept_exactly(problem):
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     assert step.settled
     assert np.abs(step.trajectory.effort).max() == pytest.approx(80.0, rel=1e-12)
-    assert errors(step, exact)[1] <= step.effort_error[0] + SOLVERS_OWN_EFFORT
+    assert errors(step, exact)[1] <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
 
 
 def test_a_changed_payload_is_numbers(problem):
     changed = load_problem("knee-reach", ["mechanism.payload.mass_kg=3.9"])
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     assert step.settled
-    assert errors(step, exact)[1] <= step.effort_error[0] + SOLVERS_OWN_EFFORT
+    assert errors(step, exact)[1] <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
     assert np.abs(step.trajectory.effort - prepared(problem).step(problem).trajectory.effort).max() > 0.1
 
 
@@ -81,21 +81,21 @@ def test_steps_go_on_from_one_another(problem):
         step = planner.step(with_goal(problem, goal))
         assert step.settled
     position, effort = errors(step, prepared(problem).solve_again(with_goal(problem, 46.0)))
-    assert position <= step.position_error[0] + SOLVERS_OWN_POSITION
-    assert effort <= step.effort_error[0] + SOLVERS_OWN_EFFORT
+    assert position <= step.position_bound[0] + SOLVERS_OWN_POSITION
+    assert effort <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
 
 
 def test_a_step_too_far_says_so_and_does_not_spoil_the_next(problem):
     planner = prepared(problem)
     far = planner.step(with_goal(problem, 10.0))
     assert not far.settled
-    assert np.all(np.isinf(far.effort_error))
+    assert np.all(np.isinf(far.effort_bound))
     near = planner.step(with_goal(problem, 56.0))
-    assert near.effort_error[0] < 1e-3
+    assert near.effort_bound[0] < 1e-3
 
 
 def test_where_there_is_no_plan_of_its_structure_there_is_no_step(problem):
-    assert Planner().step(problem) is None
+    assert Replanner().step(problem) is None
     assert prepared(problem).step(load_problem("knee-reach", ["mesh.intervals=30"])) is None
 
 
@@ -121,5 +121,5 @@ def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
 
     step, moved = at(begin), at(begin + left)
     change = np.abs(moved.trajectory.effort - step.trajectory.effort).max()
-    assert change == pytest.approx(step.effort_error[0], rel=1e-6)
-    assert np.all(step.position_error > 0)
+    assert change == pytest.approx(step.effort_bound[0], rel=1e-6)
+    assert np.all(step.position_bound > 0)

@@ -133,7 +133,7 @@ def test_the_table_s_header_has_units(saved):
 @pytest.mark.slow
 def test_both_sides_of_a_jump_are_rows_where_they_are_asked_for():
     plan = optimal("knee-sprint")
-    single, both = motion_table(plan), motion_table(plan, jumps=True)
+    single, both = motion_table(plan.problem, plan.trajectory), motion_table(plan.problem, plan.trajectory, jumps=True)
     assert len(both.time_s) == len(single.time_s) + plan.intervals - 1
     step = np.abs(np.diff(both.effort["act_O"]))[np.diff(both.time_s) < 1e-9 * plan.trajectory.duration_s]
     assert step.max() > 100.0  # the sprint pushes in full one way and then the other

@@ -21,7 +21,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
-from linkplan.planner.replan import Planner, structure
+from linkplan.planner.replan import Replanner, structure
 from linkplan.planner.search.starts import other_limits
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.refusals import assert_names, refusal
@@ -190,7 +190,7 @@ def test_a_program_is_built_anew_where_another_quantity_is_limited():
 @pytest.mark.slow
 def test_a_motion_along_a_wall_is_solved_again_and_tightened_again():
     """From one goal to the next the wall is overrun between other nodes: 4e-9 m, of which a certificate takes note."""
-    planner = Planner()
+    planner = Replanner()
     motion = {"start_at": {"foot": ABOVE}, "duration_s": "free"}
 
     def to(z: float):
