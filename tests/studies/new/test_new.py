@@ -11,7 +11,6 @@ import pytest
 
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.files.examples import EXAMPLES
 from linkplan.planner.files.tables import set_key
 from linkplan.planner.keys.key_table import key_table
 from linkplan.planner.keys.reading import KEYS as READER
@@ -77,9 +76,8 @@ def test_the_text_is_read_as_the_tables_that_it_was_made_of():
 def test_there_is_an_example_of_every_key_without_a_single_default_and_of_no_other():
     rows = [row for row in key_table() if row.section in READER]
     assert {(row.section, row.name) for row in rows} == {(section, key) for section, keys in READER.items() for key in keys}
-    examples = dict(EXAMPLES)
-    motor = examples.pop("motors.{actuator}").text
-    assert set(examples) == {f"{row.section}.{row.name}" for row in rows if row.default is None}
+    assert not [row for row in rows if (row.default is None) != bool(row.example)]
+    (motor,) = (row.example for row in key_table() if not row.section and row.name == "motors")
     of_motors = [row.name for row in key_table() if row.section == "motors.NAME"]
     assert [name for name in of_motors if f"{name} =" not in motor] == ["no_load_speed_deg_s", "no_load_speed_m_s"]
     assert "{no_load}" in motor  # one of the two
