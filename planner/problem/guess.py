@@ -24,10 +24,7 @@ class GuessedPath:
     duration_s: float | None = None
 
     def __post_init__(self) -> None:
-        path = frozen(self.path)
-        if path.ndim != 2 or len(path) < 2 or not np.all(np.isfinite(path)):
-            raise ProblemError(f"a guess's path is two or more finite positions, got shape {path.shape}")
-        object.__setattr__(self, "path", path)
+        object.__setattr__(self, "path", frozen(self.path))
 
 
 def guess_place(section: GuessSection, folder: Path | None) -> Path | None:

@@ -5,14 +5,14 @@ Planning does not use them. Studies use them to run trackers on machines that di
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity
+from linkplan.planner.keys.reading import refuse_unknown_keys
 from linkplan.planner.problem.values import number
-
-KEYS = (*QUANTITIES, *WORDS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,19 +88,8 @@ def _legal(value: object, key: str, where: str) -> float:
     return found
 
 
-def refuse_unknown(table: Mapping) -> None:
-    """Refuse unknown keys.
-
-    Raises:
-        ProblemError: with the nearest key.
-    """
-    for key in table:
-        if key not in KEYS:
-            raise ProblemError(f"unknown key 'imperfections.{key}'{nearest(key, KEYS)}; keys are {', '.join(KEYS)}")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ImperfectionsSection:
+class ImperfectionFactors:
     """The section's quantities with their distributions, and the pushed body or joint."""
 
     factors: tuple[Factor, ...]
@@ -108,15 +97,13 @@ class ImperfectionsSection:
     push_joint: str | None = None
 
 
-def imperfections_of(table: object, mechanism: Mechanism) -> ImperfectionsSection:
+def imperfections_of(table: Any, mechanism: Mechanism) -> ImperfectionFactors:
     """Return a file's [imperfections] for a mechanism; a value without names applies to every joint, actuator or body.
 
     Raises:
         ProblemError: for a key, name, or value that cannot be used.
     """
-    if not isinstance(table, Mapping):
-        raise ProblemError(f"'imperfections' is a table ([imperfections]), got {table!r}")
-    refuse_unknown(table)
+    refuse_unknown_keys({"imperfections": table})
     factors: list[Factor] = []
     for key, value in table.items():
         if key in WORDS:
@@ -139,7 +126,7 @@ def imperfections_of(table: object, mechanism: Mechanism) -> ImperfectionsSectio
             factors += [Factor(key=key, name=name, spread=spread) for name in names]
     pushed = {word: _word(table, word, mechanism) for word in WORDS}
     _check_push({factor.key for factor in factors}, pushed)
-    return ImperfectionsSection(factors=tuple(factors), **pushed)
+    return ImperfectionFactors(factors=tuple(factors), **pushed)
 
 
 _WHAT = {

@@ -11,7 +11,7 @@ from linkplan.planner.keys.limits_section import LimitsSection, MotorSection, Ro
 from linkplan.planner.problem.joint_values import joint_values
 from linkplan.planner.problem.robust import Range, Robust
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
-from linkplan.planner.problem.values import interval
+from linkplan.planner.problem.values import frozen, interval
 
 
 def free_bounds(n: int) -> np.ndarray:
@@ -31,15 +31,6 @@ class Motor:
     resistance: float | None = None
     stall_effort: float | None = None
     no_load_speed: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ProblemError(f"motors.{name} is a positive number, got {value!r}")
-        for one, other in (("torque_constant", "resistance"), ("stall_effort", "no_load_speed")):
-            if (getattr(self, one) is None) != (getattr(self, other) is None):
-                raise ProblemError(f"a motor's {one} and {other} go together, got one of them alone")
 
     @property
     def has_line(self) -> bool:
@@ -73,28 +64,16 @@ class Limits:
     site: tuple[SiteLimit, ...] = ()
 
     def __post_init__(self) -> None:
-        n_u = len(self.effort)
         object.__setattr__(self, "site", tuple(self.site))
         for name in ("effort_rate", "power"):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, free_bounds(n_u))
-        if self.closure_force is None:
-            object.__setattr__(self, "closure_force", np.zeros(0))
+                object.__setattr__(self, name, free_bounds(len(self.effort)))
+        object.__setattr__(self, "closure_force", frozen(() if self.closure_force is None else self.closure_force))
         for name in ("effort", "position", "speed", "effort_rate", "power"):
-            value = np.array(getattr(self, name), dtype=float)
+            value = frozen(getattr(self, name))
             if value.ndim != 2 or value.shape[1] != 2 or np.any(np.isnan(value)):
                 raise ProblemError(f"limits.{name} has one [low, high] a row, got shape {value.shape}")
-            value.flags.writeable = False
             object.__setattr__(self, name, value)
-        force = np.array(self.closure_force, dtype=float)
-        if np.any(np.isnan(force)) or np.any(force <= 0):
-            raise ProblemError(f"limits.closure_force is positive, got {force}")
-        force.flags.writeable = False
-        object.__setattr__(self, "closure_force", force)
-        if not 0 <= self.reserve < 1:
-            raise ProblemError(f"limits.reserve is from 0 to below 1, got {self.reserve!r}")
-        if not 0 <= self.singular_margin < 1:
-            raise ProblemError(f"limits.singular_margin is from 0 to below 1, got {self.singular_margin!r}")
 
     @property
     def actuators_effort(self) -> np.ndarray:

@@ -11,7 +11,6 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.planner.keys.motion_section import MotionSection, WaypointSection
-from linkplan.planner.keys.reading import checked
 from linkplan.planner.problem.joint_values import joint_values
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
@@ -36,8 +35,6 @@ class Waypoint:
     guess: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if bool(self.at_rows) != (self.guess is not None) or (self.at_rows and not self.at):
-            raise ProblemError("a waypoint whose pose is open has places of sites, at_rows of them and a pose to guess")
         object.__setattr__(self, "position", frozen(self.position))
         object.__setattr__(self, "at", tuple(self.at))
         if self.guess is not None:
@@ -87,17 +84,13 @@ class Motion:
     goal_named: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        checked("motion.kind", self.kind)
         for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen(value))
         for name in ("waypoints", "start_at", "goal_at"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        self._check_sites()
         self._check_turns()
-        if self.duration_s is not None and not (np.isfinite(self.duration_s) and self.duration_s > 0):
-            raise ProblemError(f'motion.duration_s is a positive number or "free", got {self.duration_s!r}')
         low, high = self.min_duration_s, self.max_duration_s
         if low is not None and high is not None and not low < high:
             raise ProblemError(f"motion.min_duration_s is below motion.max_duration_s, got {low:g} and {high:g}")
@@ -137,18 +130,6 @@ class Motion:
             raise ProblemError(f"motion.turns belongs to motion.kind 'periodic', got '{self.kind}'")
         if not np.any(self.turns) or not np.all(self.turns == np.round(self.turns)):
             raise ProblemError(f"motion.turns are whole turns, at least one of them not 0, got {self.turns}")
-
-    def _check_sites(self) -> None:
-        for name in ("start", "goal"):
-            if getattr(self, f"{name}_at") and getattr(self, name) is None:
-                raise ProblemError(f"motion.{name}_at needs motion.{name}, a pose in which the sites are there")
-            if getattr(self, f"{name}_at") and self.kind == "track":
-                raise ProblemError(f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic', got 'track'")
-        if self.goal_is_free and (self.kind != "reach" or not self.goal_at):
-            raise ProblemError(
-                f"motion.goal_at of a {self.kind} motion names as many coordinates as the mechanism has freedoms; only the"
-                " end of a 'reach' may be left open"
-            )
 
     def _check_waypoints(self) -> None:
         if self.waypoints and self.kind == "track":

@@ -15,7 +15,6 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.files.toml_text import toml_text
-from linkplan.planner.keys.reading import checked
 from linkplan.planner.problem import arguments, consistency
 from linkplan.planner.problem.build import problem_arguments
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, extras_text, uses
@@ -333,8 +332,6 @@ class Problem:
         object.__setattr__(self, "objective", objective_from(self.objective))
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
         object.__setattr__(self, "tracking", self.tracking.tracked())
-        checked("limits.contacts", self.contacts)
-        checked("limits.unhonoured", self.unhonoured)
         falsifying = _falsifying(self.mechanism)
         if falsifying and self.unhonoured == "refuse":
             raise ProblemError(

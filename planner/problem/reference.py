@@ -8,6 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.motion_section import ReferenceSection
 from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.problem.values import frozen
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -25,13 +26,7 @@ class Sine:
 
     def __post_init__(self) -> None:
         for name in ("amplitude", "bias", "phase"):
-            value = np.array(getattr(self, name), dtype=float)
-            if not np.all(np.isfinite(value)):
-                raise ProblemError(f"reference.{name} is finite numbers, got {getattr(self, name)!r}")
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
-        if not (np.isfinite(self.frequency_hz) and self.frequency_hz > 0):
-            raise ProblemError(f"reference.frequency_hz is a positive number, got {self.frequency_hz!r}")
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def period_s(self) -> float:

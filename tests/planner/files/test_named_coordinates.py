@@ -88,7 +88,7 @@ def test_a_batch_whose_cases_name_different_joints_plans_each_in_its_own(tmp_pat
     )
     (tmp_path / "batch.toml").write_text(f'problem = "reach.toml"\n{cases}', encoding="utf-8")
     batch = read_batch(tmp_path / "batch.toml")
-    plans = [found for _, found in plan_cases(batch, batch.cases)]
+    plans = [found for _, found in plan_cases(batch, batch.case)]
     assert [found.status for found in plans] == ["optimal", "optimal"]
     assert [names(found.problem) for found in plans] == [["C"], ["O"]]
 

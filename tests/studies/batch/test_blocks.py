@@ -59,7 +59,7 @@ def test_what_is_planned_is_not_planned_again_and_another_batch_is_refused(tmp_p
     assert not unfinished(tmp_path / "x").exists()
 
 
-CASES = swept(3).cases[:1]
+CASES = swept(3).case[:1]
 
 
 @pytest.fixture
