@@ -44,7 +44,7 @@ class LimitsSection(Section, frozen=True):
     """Limits at every instant."""
 
     effort: Annotated[
-        kinds.Efforts, key("[low, high] by actuator", "N.m, N", "the model's own", example="{ {actuator} = {effort_range} }")
+        kinds.Efforts, key("[low, high] by actuator", "N.m, N", "the model's own", "{ {actuator} = {effort_range} }")
     ] = {}
     range_deg: Annotated[
         kinds.Ranges,
@@ -52,37 +52,30 @@ class LimitsSection(Section, frozen=True):
             "hinges' ranges, dependent joints too, within the model's own",
             "deg",
             "the model's own",
-            example="{ {hinge} = {hinge_range} }",
+            "{ {hinge} = {hinge_range} }",
         ),
     ] = {}
-    range_m: Annotated[
-        kinds.Ranges, key("slides' ranges", "m", "the model's own", example="{ {slide} = {slide_range} }")
-    ] = {}
+    range_m: Annotated[kinds.Ranges, key("slides' ranges", "m", "the model's own", "{ {slide} = {slide_range} }")] = {}
     speed_deg_s: Annotated[
         kinds.Speeds,
         key(
             "hinges' speeds, dependent joints too: a number for both ways, or [low, high]",
             "deg/s",
             "none",
-            example="{ {hinge} = 900.0 }",
+            "{ {hinge} = 900.0 }",
         ),
     ] = {}
-    speed_m_s: Annotated[kinds.Speeds, key("slides' speeds", "m/s", "none", example="{ {slide} = 1.0 }")] = {}
+    speed_m_s: Annotated[kinds.Speeds, key("slides' speeds", "m/s", "none", "{ {slide} = 1.0 }")] = {}
     effort_rate: Annotated[
         kinds.ActuatorLimits,
-        key(
-            "rate of efforts by actuator; efforts then have no jumps",
-            "N.m/s, N/s",
-            "none",
-            example="{ {actuator} = 5000.0 }",
-        ),
+        key("rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none", "{ {actuator} = 5000.0 }"),
     ] = {}
     power_w: Annotated[
         kinds.ActuatorLimits,
-        key("mechanical power by actuator: a number, or [low, high]", "W", "none", example="{ {actuator} = 500.0 }"),
+        key("mechanical power by actuator: a number, or [low, high]", "W", "none", "{ {actuator} = 500.0 }"),
     ] = {}
     closure_force: Annotated[
-        kinds.ClosureLimits, key("the largest force on a closure's pin", "N", "none", example="{ {closure} = 1000.0 }")
+        kinds.ClosureLimits, key("the largest force on a closure's pin", "N", "none", "{ {closure} = 1000.0 }")
     ] = {}
     reserve: Annotated[kinds.Margin, key("the share of every effort limit that a plan leaves to feedback")] = 0.0
     singular_margin: Annotated[kinds.Margin, key("the least |det J_z| along the motion, relative to its value at home")] = (
@@ -95,7 +88,7 @@ class LimitsSection(Section, frozen=True):
             "boxes, walls and tubes that sites stay within, one or a list of them",
             "m",
             "none",
-            example="{ {site} = { z = [-inf, inf] } }",
+            "{ {site} = { z = [-inf, inf] } }",
         ),
     ] = {}
     contacts: Annotated[
@@ -151,7 +144,7 @@ class RobustSection(Section, frozen=True):
             "[low, high] of a joint's damping, added to the model's",
             "N.m.s/rad, N.s/m",
             "none",
-            example="{ {joint} = [0.0, 0.05] }",
+            "{ {joint} = [0.0, 0.05] }",
             needs="fully_driven",
         ),
     ] = {}
@@ -161,7 +154,7 @@ class RobustSection(Section, frozen=True):
             "[low, high] of a joint's dry friction, of either sign",
             "N.m, N",
             "none",
-            example="{ {joint} = [0.0, 2.0] }",
+            "{ {joint} = [0.0, 2.0] }",
             needs="fully_driven",
         ),
     ] = {}

@@ -51,12 +51,12 @@ class MechanismSection(Section, frozen=True):
             "hinges' angles for the assembly, which determine the branch",
             "deg",
             "the model's keyframe home",
-            example="{ {hinge} = {hinge_home} }",
+            "{ {hinge} = {hinge_home} }",
         ),
     ] = {}
     home_m: Annotated[
         kinds.HomeLengths,
-        key("slides' positions for the assembly", "m", "the model's keyframe home", example="{ {slide} = {slide_home} }"),
+        key("slides' positions for the assembly", "m", "the model's keyframe home", "{ {slide} = {slide_home} }"),
     ] = {}
     independent: Annotated[
         kinds.Names,
@@ -68,9 +68,7 @@ class MechanismSection(Section, frozen=True):
     ] = ABSENT
     closure_tolerance_m: Annotated[
         kinds.Positive,
-        key(
-            "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", example="1e-6"
-        ),
+        key("the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", "1e-6"),
     ] = ABSENT
     solref: Annotated[
         kinds.Softness,
@@ -87,7 +85,7 @@ class MechanismSection(Section, frozen=True):
             "the speed v_0 of dry friction f tanh(v / v_0); for slides and tendons as many rad/s times the mechanism's size",
             "deg/s",
             "2",
-            example="2.0",
+            "2.0",
         ),
     ] = ABSENT
 
@@ -117,10 +115,7 @@ class GuessSection(Section, frozen=True):
     path_deg: Annotated[
         kinds.Paths,
         key(
-            "hinges' angles at equidistant times",
-            "deg",
-            "none",
-            example="{ {free_hinge} = [{free_hinge_home}, {free_hinge_home}] }",
+            "hinges' angles at equidistant times", "deg", "none", "{ {free_hinge} = [{free_hinge_home}, {free_hinge_home}] }"
         ),
     ] = {}
     path_m: Annotated[
@@ -129,12 +124,12 @@ class GuessSection(Section, frozen=True):
             "slides' positions at equidistant times",
             "m",
             "none",
-            example="{ {free_slide} = [{free_slide_home}, {free_slide_home}] }",
+            "{ {free_slide} = [{free_slide_home}, {free_slide_home}] }",
         ),
     ] = {}
-    duration_s: Annotated[
-        kinds.Duration, key("the duration of the guess", "s", "the motion's own, or guessed", example="1.0")
-    ] = ABSENT
+    duration_s: Annotated[kinds.Duration, key("the duration of the guess", "s", "the motion's own, or guessed", "1.0")] = (
+        ABSENT
+    )
 
 
 class MeshSection(Section, frozen=True):
@@ -150,12 +145,10 @@ class MeshSection(Section, frozen=True):
         ),
     ] = "polynomial"
     tolerance_deg: Annotated[
-        kinds.Tolerance,
-        key("of the integrated state", "deg", "1e-6 while the mesh stays small", example="1e-6"),
+        kinds.Tolerance, key("of the integrated state", "deg", "1e-6 while the mesh stays small", "1e-6")
     ] = ABSENT
     refine: Annotated[
-        kinds.Refine,
-        key("the refinement of a mesh that is too coarse", default="both; intervals if a scheme is named"),
+        kinds.Refine, key("the refinement of a mesh that is too coarse", default="both; intervals if a scheme is named")
     ] = "both"
     breaks: Annotated[
         kinds.Breaks,
@@ -190,9 +183,7 @@ class TrackingSection(Section, frozen=True):
     delay_periods: Annotated[
         kinds.Delay, key("control periods from a measurement to its effort, a whole number in tracking")
     ] = 0
-    duration_s: Annotated[
-        kinds.Duration, key("the duration of the run", "s", "the plan's own, and a rest", example="2.0")
-    ] = ABSENT
+    duration_s: Annotated[kinds.Duration, key("the duration of the run", "s", "the plan's own, and a rest", "2.0")] = ABSENT
     lqr_position_deg: Annotated[
         kinds.LqrError, key("a hinge's position error with the weight of the whole effort limit", "deg")
     ] = 1.0
@@ -259,8 +250,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     objective: Annotated[ObjectiveSection, key("what to minimise", default="by the kind of motion")] = ObjectiveSection()
     limits: Annotated[LimitsSection, key("limits at every instant", default="the model's own")] = LimitsSection()
     robust: Annotated[
-        RobustSection,
-        key("machines for which one motion keeps every effort limit", default="the nominal machine"),
+        RobustSection, key("machines for which one motion keeps every effort limit", default="the nominal machine")
     ] = RobustSection()
     motors: Annotated[
         dict[str, Motor],
