@@ -41,6 +41,10 @@ def record(plan: Plan) -> dict:
     problem, mechanism = plan.problem, plan.problem.mechanism
     names = [actuator.name for actuator in mechanism.actuators]
     certificate = plan.certificate
+
+    def peaks(of: str, names: Sequence[str]) -> dict | None:
+        return None if certificate is None else dict(zip(names, getattr(certificate, of), strict=True))
+
     return plain_record(
         {
             "format": PLAN_FORMAT,
@@ -49,14 +53,10 @@ def record(plan: Plan) -> dict:
             "message": plan.message,
             "objective": plan.objective,
             "objective_kind": problem.objective.name,
-            "duration_s": None if plan.trajectory is None else plan.trajectory.duration_s,
-            "peak_effort": None if certificate is None else dict(zip(names, certificate.peak_effort, strict=True)),
-            "peak_power_w": None if certificate is None else dict(zip(names, certificate.peak_power, strict=True)),
-            "peak_closure_force_n": (
-                None
-                if certificate is None
-                else dict(zip(mechanism.closure_names, certificate.peak_closure_force, strict=True))
-            ),
+            "duration_s": plan.duration_s,
+            "peak_effort": peaks("peak_effort", names),
+            "peak_power_w": peaks("peak_power", names),
+            "peak_closure_force_n": peaks("peak_closure_force", mechanism.closure_names),
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
             "certificate": None if certificate is None else certificate_record(problem, certificate),

@@ -55,7 +55,7 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
         return None
     if not arguments.output:
         raise ProblemError("-o takes a file, got an empty name")
-    from linkplan.planner.files.new_file import check_new
+    from linkplan.planner.files.single_file import check_new
 
     target = Path(arguments.output)
     try:

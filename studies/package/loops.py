@@ -15,6 +15,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.paths import drawn
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.problem.values import number, plain
@@ -179,7 +180,6 @@ class BodeResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        from linkplan.planner.files.folders import plain_record
         from linkplan.studies.bode.bode_report import bode_record
 
         return plain_record(bode_record(self.study) | {"note": self.note})
@@ -234,8 +234,6 @@ class TuneResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        from linkplan.planner.files.folders import plain_record
-
         return plain_record(tune_report.tune_record(self.tuning) | {"note": self.note})
 
     def plot(self, path: str | Path | None = None) -> Figure:

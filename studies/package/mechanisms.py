@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.values import plain
@@ -110,8 +111,6 @@ class CheckResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        from linkplan.planner.files.folders import plain_record
-
         return plain_record(self.found.record())
 
     def plot(self, path: str | Path | None = None) -> Figure:

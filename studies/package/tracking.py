@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.paths import drawn, path_of
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.reporting import Progress, listener
@@ -117,8 +118,6 @@ class TrackingResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types: errors in deg or m, efforts, share at the limits, loop gap."""
-        from linkplan.planner.files.folders import plain_record
-
         return plain_record(study.comparison_record(self.comparison))
 
     def save(self, folder: str | Path) -> Path:

@@ -15,7 +15,7 @@ from pathlib import Path
 from linkplan.models.catalogue import is_folder, is_there
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import read_head
-from linkplan.planner.files.new_file import write_over
+from linkplan.planner.files.single_file import write_over
 from linkplan.studies.report.document import Report
 
 # Each script uses only those before it.
