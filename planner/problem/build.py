@@ -20,8 +20,8 @@ from linkplan.models.errors import ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.tree.sites import site_index
 from linkplan.planner.files.tables import Tables, path_beside
-from linkplan.planner.keys.reading import read, read_section, refuse_unknown_keys
-from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile, TrackingSection
+from linkplan.planner.keys.reading import read, refuse_unknown_keys
+from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.extra import ExtraCost
 from linkplan.planner.problem.guess import guess_of, guess_place
 from linkplan.planner.problem.imperfections import imperfections_of
@@ -94,7 +94,6 @@ def tracking_from_tables(tables: Mapping[str, dict], mechanism: Mechanism | None
     """Return the tracking settings of a file's [tracking] table; with a mechanism, gains by joint are checked."""
     tables = plain(tables)
     refuse_unknown_keys(tables)
-    read_section(TrackingSection, tables, "tracking")
     return _tracking(tables.get("tracking", {}), mechanism)
 
 
@@ -176,11 +175,7 @@ def _mesh(section: dict, objective: Objective, *, rated: bool) -> dict:
 
 
 def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
-    values = dict(section)
-    for key, in_file in (("lqr_position", "lqr_position_deg"), ("lqr_velocity", "lqr_velocity_deg_s")):
-        if in_file in values:
-            values[key] = np.radians(values.pop(in_file))
-    found = Tracking(**values)
+    found = Tracking(**section)
     if mechanism is not None:
         found.gains(mechanism.independent_joints)  # refuses joints without a gain, and gains of unknown joints
     return found
