@@ -36,7 +36,7 @@ _SITE_LIMIT = Meta(
     extra={"said": "a box, a wall or a tube", "shapes": SITE_LIMITS},
     extra_json_schema={"minProperties": 1, "anyOf": [{"$ref": f"#/$defs/{shape.__name__}"} for shape in SITE_LIMITS]},
 )
-SiteLimit = Annotated[dict[str, Any], _SITE_LIMIT]
+SiteLimitTable = Annotated[dict[str, Any], _SITE_LIMIT]
 _SITES = Meta(extra={"of": "site = limits", "noun": "site"})
 
 
@@ -82,7 +82,7 @@ class LimitsSection(Section, frozen=True):
         0.0
     )
     site: Annotated[
-        dict[str, SiteLimit | list[SiteLimit]],
+        dict[str, SiteLimitTable | list[SiteLimitTable]],
         _SITES,
         key(
             "boxes, walls and tubes that sites stay within, one or a list of them",
@@ -114,7 +114,7 @@ class MotorSection(Section, frozen=True):
 
 
 _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
-Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
+MotorTable = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
 
 
 class RobustSection(Section, frozen=True):

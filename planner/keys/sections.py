@@ -10,7 +10,7 @@ from msgspec import Meta, defstruct
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
-from linkplan.planner.keys.limits_section import LimitsSection, Motor, RobustSection
+from linkplan.planner.keys.limits_section import LimitsSection, MotorTable, RobustSection
 from linkplan.planner.keys.motion_section import MotionSection, ReferenceSection
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
 from linkplan.planner.keys.section import ABSENT, Section, key
@@ -253,7 +253,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
         RobustSection, key("machines for which one motion keeps every effort limit", default="the nominal machine")
     ] = RobustSection()
     motors: Annotated[
-        dict[str, Motor],
+        dict[str, MotorTable],
         _MOTORS,
         key("the motor behind an actuator, by the actuator's name", default="unknown", example=_MOTOR_EXAMPLE),
     ] = {}

@@ -68,12 +68,14 @@ class Problem:
         LinkplanError: with one sentence, if a problem file with these tables would be refused, or if start, goal, waypoints
             or reference are out of reach.
 
-    The planner varies a problem by `dataclasses.replace`, which checks consistency only. `source` is the problem as a file's
-    tables with every value that was set, as `plan.json` keeps it.
+    `from_tables`, and `dataclasses.replace`, by which the planner varies a problem, check consistency only. `source` is the
+    problem as a file's tables with every value that was set, as `plan.json` keeps it.
     """
 
     name: str
+    """The name in messages, tables and files."""
     mechanism: Mechanism
+    """The mechanism."""
     motion: Motion
     objective: Objective  # or a term's name, or a mapping of weights
     limits: Limits
