@@ -31,6 +31,8 @@ def guess_place(section: GuessSection, folder: Path | None) -> Path | None:
     """Return the folder of the saved plan whose motion is the guess; None if no plan is named."""
     if section.plan is None:
         return None
+    if section.path_deg or section.path_m:
+        raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
     place = path_beside(section.plan, folder)
     if not is_folder(place):
         where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
@@ -40,11 +42,9 @@ def guess_place(section: GuessSection, folder: Path | None) -> Path | None:
 
 def guess_of(section: GuessSection, mechanism: Mechanism, place: Path | None) -> GuessedPath | Trajectory | None:
     """Return the guess of a [guess] table; None without a guess. `place` is the folder of the plan that it names."""
-    paths = joint_values(section, "path", "guess", mechanism)
-    if place is not None and paths:
-        raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
     if place is not None:
         return read_trajectory(place / "trajectory.npz")
+    paths = joint_values(section, "path", "guess", mechanism)
     if not paths:
         return None
     columns = []

@@ -13,7 +13,8 @@ import pytest
 from linkplan.models.errors import CertificateError, PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.folders import MANIFEST, plain, write_json, write_whole
+from linkplan.planner.files.folders import plain, write_json, write_whole
+from linkplan.planner.files.manifest import MANIFEST
 from linkplan.planner.motion_table import motion_table
 from linkplan.planner.plan_folder import read_plan, record, write_plan
 from linkplan.planner.plan_record import PLAN_FORMAT
