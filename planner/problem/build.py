@@ -63,7 +63,7 @@ def problem_arguments(
     limits = limits_of(asked.limits, mechanism)
     place = guess_place(asked.guess, folder)
     if place is not None:
-        tables["guess"]["plan"] = str(place)
+        tables["guess"]["plan"] = str(place.resolve())
     return {
         "mechanism": mechanism,
         "motion": motion_of(asked.motion, mechanism, reference, limits),

@@ -37,7 +37,7 @@ def guess_place(section: GuessSection, folder: Path | None) -> Path | None:
     if not is_folder(place):
         where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
         raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")
-    return place.resolve()
+    return place
 
 
 def guess_of(section: GuessSection, mechanism: Mechanism, place: Path | None) -> GuessedPath | Trajectory | None:
