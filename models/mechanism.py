@@ -37,7 +37,7 @@ from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import Joint, index_of, read_joints, unit_steps
 from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.size import extent_m
-from linkplan.models.tree.tendons import TendonLimit, limited_tendons
+from linkplan.models.tree.tendons import TendonRange, limited_tendons
 from linkplan.models.urdf import conversion_notes
 
 
@@ -58,7 +58,7 @@ class Mechanism:
     payload: Payload | None
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
-    tendons: tuple[TendonLimit, ...]  # tendons with a limited length
+    tendons: tuple[TendonRange, ...]  # tendons with a limited length
     closures: tuple[Closure, ...]
     closure_rows: np.ndarray  # independent rows of phi
     projected: tuple[ProjectedLoops, ...]

@@ -7,16 +7,15 @@ from collections.abc import Iterator, Sequence
 from linkplan.models.errors import ProblemError
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.batch_file import Batch, Case
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override, read_tables
+from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, silent
-from linkplan.planner.replan import Planner
+from linkplan.planner.replan import Replanner
 
 
-def check_batch(batch: Batch) -> str:
+def check_batch(batch: BatchFile) -> str:
     """Check every case of a batch, and return the hash of everything that its plans depend on.
 
     Raises:
@@ -25,7 +24,7 @@ def check_batch(batch: Batch) -> str:
     """
     digest, last = hashlib.sha256(), None
     # Ten thousand problems take gigabytes, so each is built, checked and discarded, and built again for planning.
-    for case, problem in _problems(batch, batch.cases):
+    for case, problem in _problems(batch, batch.case):
         check()
         if problem.mechanism is not last:
             digest.update(problem.mechanism.fingerprint().encode())
@@ -34,20 +33,20 @@ def check_batch(batch: Batch) -> str:
     return digest.hexdigest()
 
 
-def plan_cases(batch: Batch, cases: Sequence[Case], say: Say = silent) -> Iterator[tuple[Case, Plan]]:
+def plan_cases(batch: BatchFile, cases: Sequence[CaseSection], say: Say = silent) -> Iterator[tuple[CaseSection, Plan]]:
     """Yield the cases of a batch with their plans, in order; if only numbers differ, the last solution is the start.
 
     Raises:
         ProblemError: for a case whose settings cannot be used, naming it.
         ModelError: when a named mechanism cannot be used.
     """
-    planner = Planner()
+    planner = Replanner()
     for case, problem in _problems(batch, cases):
         say(case.name)
         yield case, planner.plan(problem)
 
 
-def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, PlanningProblem]]:
+def _problems(batch: BatchFile, cases: Sequence[CaseSection]) -> Iterator[tuple[CaseSection, Problem]]:
     """Yield each case with its problem; consecutive cases with equal [mechanism] tables share one mechanism."""
     name, common, folder = read_tables(batch.problem)
     asked: object = None
@@ -55,13 +54,13 @@ def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, Plann
     for case in cases:
         tables = copy.deepcopy(common)
         try:
-            for setting in (*batch.common, *case.settings):
+            for setting in (*batch.set, *case.set):
                 apply_override(tables, setting)
             wanted = copy.deepcopy(tables.get("mechanism"))
             # Coordinates chosen for one case's motion do not apply to the next case.
             chosen = mechanism is not None and "independent" in mechanism.source and "independent" not in (wanted or {})
             same = mechanism is not None and wanted == asked and not chosen
-            problem = problem_from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
+            problem = Problem.from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
         except ProblemError as error:
             raise ProblemError(f"case '{case.name}': {error}") from error
         asked, mechanism = wanted, problem.mechanism

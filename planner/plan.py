@@ -1,13 +1,21 @@
 """The answer to a planning problem: a motion with its certificate, or the reason why there is none."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from linkplan.models.errors import InfeasibleError
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports]
+
+from linkplan.models.errors import InfeasibleError, LinkplanError
+from linkplan.models.extras import load_extra
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.collisions import contact_note
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.motion_table import MotionTable, sample_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -16,47 +24,68 @@ from linkplan.planner.transcription.collocation import Transcribed
 STATUSES, PASSED = ("optimal", "feasible", "infeasible", "failed"), ("optimal", "feasible")
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Plan:
-    """A motion with its certificate, or the reason why there is none.
+    """A motion with its certificate, or the reason why there is none. Times are in seconds from the motion's start.
 
-    `status` is one of `STATUSES`: "optimal" (converged and certified), "feasible" (certified, but not known to be locally
-    optimal), "infeasible" (no motion keeps the limits) or "failed" (no answer was found). `message` explains it in a
-    sentence. `objective` is in SI: effort [N2 m2 s or N2 s], time [s], tracking [rad2 s or m2 s]. `details` holds further
-    values by name, with the unit in the name. `solved` is the last program with its solution as the starting point, for
-    warm starts; None for a motion that needed no solver.
+    `details` holds further values by name, with the unit in the name. `solved` is the last program with its solution as the
+    starting point, for warm starts; None for a motion that needed no solver. `solved_again` says that it was solved by a
+    warm start of an existing program.
     """
 
-    problem: PlanningProblem
+    problem: Problem
     status: str
+    """The status: "optimal" (converged and certified), "feasible" (certified), "infeasible" or "failed".
+
+    A feasible motion may not be locally optimal; `message` has the reason.
+    """
     message: str
+    """The answer in a sentence; without a motion, it names the limit, the joint, the instant and the excess."""
     objective: float | None = None
+    """The value of the objective in SI units: effort [N2 m2 s], time [s], tracking [rad2 s], ...; None if unknown."""
     trajectory: Trajectory | None = None
     certificate: Certificate | None = None
+    """The checks between the nodes: `passed`, `failures` and all values, in SI units; None without a motion."""
     history: tuple[Step, ...] = ()
+    """The solves before this plan, in order, each with its settings and its result."""
     details: dict[str, float] = field(default_factory=dict)
     solved: Transcribed | None = None
-    solved_again: bool = False  # by a warm start of an existing program
+    solved_again: bool = False
 
     def __reduce__(self) -> tuple:
         """Pickle without the program, which a saved plan does not have either."""
         kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "solved"}
-        return _unpickled, (kept,)
+        return _unpickled, (type(self), kept)
 
     @property
     def passed(self) -> bool:
         """Whether it has a motion that passes its certificate, optimal or not."""
         return self.status in PASSED
 
-    def require(self) -> "Plan":
-        """Return this plan if its motion passes its certificate.
+    def require(self) -> Self:
+        """Return this plan if its motion is certified (optimal or feasible).
 
         Raises:
-            InfeasibleError: carrying the plan, if it does not.
+            InfeasibleError: otherwise: a `LinkplanError` with the message and with the plan as `.plan`.
         """
         if not self.passed:
             raise InfeasibleError(self.message, self)
         return self
+
+    def require_motion(self, use: str) -> Trajectory:
+        """Return the trajectory for a use, a verb.
+
+        Raises:
+            LinkplanError: if the plan has no motion.
+        """
+        if self.trajectory is None:
+            raise LinkplanError(f"nothing to {use}, the plan has no motion: {self.message}")
+        return self.trajectory
+
+    @property
+    def duration_s(self) -> float | None:
+        """The duration of the motion [s]; None without a motion."""
+        return None if self.trajectory is None else self.trajectory.duration_s
 
     @property
     def scheme(self) -> str:
@@ -70,9 +99,42 @@ class Plan:
             return self.problem.mesh.intervals
         return len(self.trajectory.breaks_s) - 1
 
+    def sample(self, time_s: float | np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
+        """Return the motion at times: `position`, `speed`, `acceleration` by joint and `effort` by actuator.
 
-def _unpickled(kept: dict) -> Plan:
-    return Plan(**kept)
+        Args:
+            time_s: a time or times (n,) [s], in any order; by default ten instants of every interval. A periodic motion
+                continues beyond its ends, any other motion rests there.
+            jumps: whether the default times have both sides of a jump in effort, at equal times; else they increase.
+
+        Returns:
+            `time_s`; `position` [deg or m] and `speed` of all joints by name; `acceleration` of the independent joints;
+            `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and `effort_unit` are their
+            units; `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world frame. `columns()` returns
+            all columns under heads with units.
+
+        Raises:
+            LinkplanError: if the plan has no motion, or a time is not finite.
+        """
+        return sample_motion(self.problem, self.require_motion("sample"), time_s, jumps=jumps)
+
+    def to_frame(self, time_s: np.ndarray | None = None) -> pandas.DataFrame:
+        """Return the motion at times (n,) [s] as a pandas table, with a row for each time and units in the columns' names.
+
+        Raises:
+            MissingPackageError: if pandas is not installed.
+            LinkplanError: as for `sample`.
+        """
+        table = self.sample(None if time_s is None else np.atleast_1d(time_s))
+        return load_extra("pandas", "Plan.to_frame").DataFrame(table.columns())
+
+    def __repr__(self) -> str:
+        duration = "no motion" if self.duration_s is None else f"{self.duration_s:.6g} s"
+        return f"Plan({self.problem.name!r}, {self.status}, {duration})"
+
+
+def _unpickled(kind: type[Plan], kept: dict) -> Plan:
+    return kind(**kept)
 
 
 def not_honoured(plan: Plan) -> tuple[str, ...]:

@@ -14,11 +14,10 @@ from linkplan.planner.closed_chain.answer import LOCALLY
 from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.search import attempts, duration_continuation, effort_continuation, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
@@ -134,7 +133,7 @@ DIAGNOSES = (
 )
 
 
-def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Rung] = RUNGS) -> Plan:
+def plan_motion(problem: Problem, say: Say = silent, rungs: Sequence[Rung] = RUNGS) -> Plan:
     """Return the plan of a problem; `message` gives the reason if it has no motion.
 
     Args:
@@ -155,13 +154,13 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
     return replace(plan, problem=problem)
 
 
-def _planned(problem: PlanningProblem, rungs: Sequence[Rung], plans: list[Plan]) -> Plan:
+def _planned(problem: Problem, rungs: Sequence[Rung], plans: list[Plan]) -> Plan:
     """Return the plan of a problem with a deadline; plans of the rungs are appended to `plans`.
 
     Raises:
         OutOfTimeError: when the deadline passes before anything is known.
     """
-    start_pose = start_pose_of(problem)
+    start_pose = problem.start_pose()
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose)
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)

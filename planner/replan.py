@@ -1,6 +1,6 @@
 """Repeated planning with one program, which is built once and solved with new numbers from the last solution.
 
-    planner = Planner()
+    planner = Replanner()
     for goal in goals:
         plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
 
@@ -21,13 +21,13 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered
-from linkplan.planner.motion_step import MotionStep, motion_step
+from linkplan.planner.motion_step import NextMotion, motion_step
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.free_duration import bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step, record, recorded, recording, silent
-from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
+from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers.newton import Conditions, Optimum, conditions_of, newton_step
 from linkplan.planner.solvers.outcome import Solver
 from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
@@ -38,7 +38,7 @@ from linkplan.planner.transcription.program import Program
 _MAX_TIGHTENINGS = 2
 
 
-class Planner:
+class Replanner:
     """A planner that keeps its last program; `plan` has the results of `plan_motion`, but is often faster.
 
     Threads that share a planner wait for each other, because its solver is not reentrant. A copy is a new planner without
@@ -57,9 +57,9 @@ class Planner:
         self._optimum: Optimum | None = None  # of the last program at its `start`; None until it is computed
 
     def __reduce__(self) -> tuple:
-        return Planner, ()
+        return Replanner, ()
 
-    def plan(self, problem: PlanningProblem) -> Plan:
+    def plan(self, problem: Problem) -> Plan:
         """Return the plan of a problem.
 
         Raises:
@@ -76,7 +76,7 @@ class Planner:
                     self._keep(problem, plan.solved)
             return replace(plan, problem=problem)
 
-    def solve_again(self, problem: PlanningProblem) -> Solution | None:
+    def solve_again(self, problem: Problem) -> Solution | None:
         """Return a warm solve of the kept program with a problem's numbers; None if it does not apply or converge.
 
         The motion is not certified; `plan` does that.
@@ -87,7 +87,7 @@ class Planner:
             solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
         return solution if solution.converged and not _is_blocked_by_bounds(problem, solution) else None
 
-    def step(self, problem: PlanningProblem) -> MotionStep | None:
+    def step(self, problem: Problem) -> NextMotion | None:
         """Return the motion after three Newton steps, with one factorisation, from the last plan, and its error bounds.
 
         This is for replanning at the rate of control (real-time iteration). It takes a quarter of a plan's time, the same in
@@ -107,7 +107,7 @@ class Planner:
                 self._keep_optimum(run_solver(self._solver, self._last))
             if self._optimum is None:
                 return None
-            start_pose_of(problem)  # raises if a pose is out of reach
+            problem.start_pose()  # raises if a pose is out of reach
             numbered = renumbered(self._last, problem, self._last.start)
             begin = time.perf_counter()
             # Three steps are the fewest that give an error bound.
@@ -117,7 +117,7 @@ class Planner:
                 self._last, self._optimum = replace(numbered, start=found.optimum.x), found.optimum
             return step
 
-    def _fits(self, problem: PlanningProblem) -> bool:
+    def _fits(self, problem: Problem) -> bool:
         """Check that the kept program has the structure of a problem."""
         if self._last is None or self._solver is None or structure(problem) != self._key:
             return False
@@ -137,9 +137,9 @@ class Planner:
             Optimum(x=solution.x, rows=solution.multipliers, bounds=solution.bound_multipliers) if known else None
         )
 
-    def _certified(self, problem: PlanningProblem, solution: Solution) -> Plan | None:
+    def _certified(self, problem: Problem, solution: Solution) -> Plan | None:
         """Return the plan of a warm solution, or None if the problem must be planned from the beginning."""
-        start_pose_of(problem)  # raises if a pose is out of reach
+        problem.start_pose()  # raises if a pose is out of reach
         if plain_contradiction(problem) is not None:
             return None
         case = case_of(problem)
@@ -163,7 +163,7 @@ class Planner:
         self._keep_optimum(solution)
         return replace(plan, solved_again=True)
 
-    def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
+    def _keep(self, problem: Problem, solved: Transcribed) -> None:
         if not is_program_of(solved, problem):
             return  # e.g. its motion was kept away from another limit
         self._last, self._key, self._optimum = solved, structure(problem), None
@@ -189,7 +189,7 @@ def _step(solution: Solution, certificate: Certificate, what: str) -> Step:
     )
 
 
-def _is_blocked_by_bounds(problem: PlanningProblem, solution: Solution) -> bool:
+def _is_blocked_by_bounds(problem: Problem, solution: Solution) -> bool:
     """Check if bounds from the last motion prevent the optimum of the new one.
 
     A duration may be at its bound from the guess, or a switch time may have moved as far as it can; the segments then do not
@@ -206,7 +206,7 @@ def _is_blocked_by_bounds(problem: PlanningProblem, solution: Solution) -> bool:
     return bool(np.any((np.minimum(at - low, high - at) < 1e-6 * at) & (high > low)))
 
 
-def structure(problem: PlanningProblem) -> tuple:
+def structure(problem: Problem) -> tuple:
     """Return the structure of a problem's program: problems with equal structures differ in numbers only."""
     limits, motion = problem.limits, problem.motion
     limited = (limits.effort, limits.position, limits.speed, limits.effort_rate, limits.power, limits.closure_force)

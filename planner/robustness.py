@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion, silent
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.robust import Robust
 
 
@@ -37,7 +37,7 @@ class Price:
 _DETAIL = "objective_as_modelled"
 
 
-def nominal_of(problem: PlanningProblem) -> PlanningProblem | None:
+def nominal_of(problem: Problem) -> Problem | None:
     """Return a problem without its ranges and its reserve; None if it has neither."""
     limits = problem.limits
     if not problem.robust.corners and not limits.reserve:

@@ -27,9 +27,9 @@ ROOMS = {
         "source_table", "coordinate_choice", "mechanism", "poses",
     ),
     "planner": (
-        "transcription", "trajectory", "keys", "problem", "limits", "certificate", "solvers", "refinement", "plan",
-        "closed_chain", "ode", "phase_plane", "search", "diagnosis", "planning", "robustness", "files", "motion_step",
-        "replan", "batch",
+        "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "solvers", "refinement",
+        "motion_table", "plan", "closed_chain", "ode", "phase_plane", "search", "diagnosis", "planning", "robustness",
+        "plan_record", "plan_folder", "motion_step", "replan", "batch",
     ),
     "controllers": (
         "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections",

@@ -123,7 +123,7 @@ runs = linkplan.compare(plan, [ByHand, "pd+ff", "lqr"]).mismatched
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
 for (name, run), line in zip(runs.items(), ("-", "--", ":"), strict=True):
     error = np.degrees(run.position - run.reference)[:, 0]
-    axes.plot(plan.problem.planning.tracking.period_s * np.arange(len(error)), error, line, label=name)
+    axes.plot(plan.problem.tracking.period_s * np.arange(len(error)), error, line, label=name)
 axes.set(xlabel="time [s]", ylabel="error of O [deg]", title="20 % more mass, one control period of delay")
 axes.legend()
 plt.show()

@@ -2,7 +2,7 @@
 
 Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5. In a body's own axes its inertia is constant, and each joint's
 rotation multiplies velocities and forces only once. Second derivatives are therefore a third as long as with the world's
-axes. Gravity is modelled as an upward acceleration of the world, which `Motion.acceleration` includes.
+axes. Gravity is modelled as an upward acceleration of the world, which `FrameMotion.acceleration` includes.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,7 +30,7 @@ class Inertial:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Motion:
+class FrameMotion:
     """A frame's motion, in its own axes: angular velocity and acceleration, velocity and acceleration of the origin (3,)."""
 
     w: ca.SX
@@ -38,19 +38,19 @@ class Motion:
     velocity: ca.SX
     acceleration: ca.SX
 
-    def at(self, arm: ca.SX | ca.DM) -> "Motion":
+    def at(self, arm: ca.SX | ca.DM) -> "FrameMotion":
         """Return the motion of the frame's point at `arm`."""
         turning = ca.cross(self.w, arm)
         carried = ca.cross(self.alpha, arm) + ca.cross(self.w, turning)
         return replace(self, velocity=self.velocity + turning, acceleration=self.acceleration + carried)
 
-    def seen_from(self, R: ca.SX | ca.DM) -> "Motion":
+    def seen_from(self, R: ca.SX | ca.DM) -> "FrameMotion":
         """Return the motion in the axes R (3, 3), which are fixed in the frame."""
-        return Motion(
+        return FrameMotion(
             w=R.T @ self.w, alpha=R.T @ self.alpha, velocity=R.T @ self.velocity, acceleration=R.T @ self.acceleration
         )
 
-    def spun(self, rate: ca.SX, rate_of_rate: ca.SX) -> "Motion":
+    def spun(self, rate: ca.SX, rate_of_rate: ca.SX) -> "FrameMotion":
         """Return the motion of a body that spins in the frame about its origin, in the frame's axes."""
         return replace(self, w=self.w + rate, alpha=self.alpha + ca.cross(self.w, rate) + rate_of_rate)
 
@@ -69,7 +69,7 @@ def newton_euler(
     `velocity` is MuJoCo's qvel and `acceleration` its derivative, both expressions. Armature is not included.
     """
     zero = ca.SX.zeros(3)
-    motions = [Motion(w=zero, alpha=zero, velocity=zero, acceleration=ca.SX(-gravity))]
+    motions = [FrameMotion(w=zero, alpha=zero, velocity=zero, acceleration=ca.SX(-gravity))]
     ways: list[list[Carry]] = [[]]
     force, moment = ([zero for _ in range(model.nbody)] for _ in range(2))
     kinetic = ca.SX(0)
@@ -114,11 +114,11 @@ def _to_body(
     model: mujoco.MjModel,
     coordinates: Coordinates,
     body: int,
-    motion: Motion,
+    motion: FrameMotion,
     q: ca.SX,
     velocity: ca.SX,
     acceleration: ca.SX,
-) -> tuple[Motion, list[Carry]]:
+) -> tuple[FrameMotion, list[Carry]]:
     """Return a body's motion from its parent's, and the steps between their frames. Joints are applied in file order."""
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
     way: list[Carry] = []

@@ -50,7 +50,7 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class TendonLimit:
+class TendonRange:
     """The range [low, high] of a tendon's length less its margin; `unit` is "m", or "" if the length sums angles.
 
     `span` is high - low, the scale of the limit's residual.
@@ -64,7 +64,7 @@ class TendonLimit:
     unit: str
 
 
-def limited_tendons(model: mujoco.MjModel) -> tuple[TendonLimit, ...]:
+def limited_tendons(model: mujoco.MjModel) -> tuple[TendonRange, ...]:
     """Return a model's tendon limits, except for tendons that wrap around a geom."""
     if limits_off(model):
         return ()
@@ -83,7 +83,7 @@ def limited_tendons(model: mujoco.MjModel) -> tuple[TendonLimit, ...]:
             int(model.jnt_type[model.dof_jntid[dof]]) == HINGE for dof in tendon_joints(model, tendon)
         )
         low, high = low + margin, high - margin
-        found.append(TendonLimit(name=name, index=tendon, low=low, high=high, span=high - low, unit="" if hinges else "m"))
+        found.append(TendonRange(name=name, index=tendon, low=low, high=high, span=high - low, unit="" if hinges else "m"))
     return tuple(found)
 
 

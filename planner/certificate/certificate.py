@@ -22,7 +22,7 @@ from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.motion import Waypoint
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
 # Largest gap of a kinematic loop [m], unless the assembly itself is less exact.
@@ -87,7 +87,7 @@ class Certificate:
         return any(failure not in self.unmendable for failure in self.failures)
 
 
-def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
+def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     """Return the certificate of a motion against its problem's limits.
 
     Raises:
@@ -212,7 +212,7 @@ def _range_failures(mechanism: Mechanism, position: np.ndarray, speed: np.ndarra
     ]
 
 
-def _turn_error(problem: PlanningProblem, q: np.ndarray) -> float:
+def _turn_error(problem: Problem, q: np.ndarray) -> float:
     """Return the largest deviation of poses (n, n_q) from whole turns at their end, as a share of their range."""
     mechanism, moved_by = problem.mechanism, q[-1] - q[0]
     spins = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.free_spins]).max(axis=1, initial=0.0) > 0
@@ -262,7 +262,7 @@ def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v,
     return found
 
 
-def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:
+def _boundary_error(problem: Problem, trajectory: Trajectory, speed: float) -> float:
     """Return the largest error of the states at both ends, relative to the motion's span and largest speed."""
     motion = problem.motion
     ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])
@@ -287,9 +287,7 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
     return max(*apart, *(_waypoint_error(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
 
 
-def _waypoint_error(
-    problem: PlanningProblem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float
-) -> float:
+def _waypoint_error(problem: Problem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
     """Return a motion's error at a waypoint, at its time or at the nearest break.
 
     Errors are relative: positions to the motion's span, speeds to its largest speed, sites to the mechanism's extent.

@@ -11,11 +11,11 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting, exclusion, may_collide, meetings, new_meetings
 from linkplan.planner.certificate.certificate import Certificate
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
 
-def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
+def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
     """Return a motion's certificate with the contacts along it; it fails if geoms collide, unless contacts are only noted.
 
     Contacts are checked once, at the end, and not with each of refinement's certificates, which hardly change them.
@@ -39,7 +39,7 @@ def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate:
     return replace(certificate, contacts=found)
 
 
-def unavoidable(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> bool:
+def unavoidable(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> bool:
     """Check whether geoms collide at poses between start and goal of a mechanism with one degree of freedom."""
     start, goal = problem.motion.start, problem.motion.goal
     if problem.contacts != "refuse" or problem.mechanism.dof != 1 or start is None or goal is None:

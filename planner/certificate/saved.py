@@ -13,7 +13,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
 from linkplan.planner.limits.effort_rate import effort_rates
 from linkplan.planner.problem.instant import free_instant
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.problem.terms import motor_losses
 from linkplan.planner.trajectory import Trajectory
@@ -22,7 +22,7 @@ from linkplan.planner.trajectory import Trajectory
 _QUADRATURE_POINTS = 10
 
 
-def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: float | None) -> tuple[str, ...]:
+def disagreements(problem: Problem, trajectory: Trajectory, objective: float | None) -> tuple[str, ...]:
     """Return sentences on the differences between a motion and its problem or its saved objective; empty if there are none.
 
     `objective` is the saved value; None is not checked.
@@ -49,7 +49,7 @@ def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: f
     return tuple(found)
 
 
-def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
+def _off_states(problem: Problem, trajectory: Trajectory) -> list[str]:
     motion, span = problem.motion, max(float(np.ptp(trajectory.position)), 1e-9)
     if motion.kind == "track" and problem.reference is not None:
         time = trajectory.dense_times(_QUADRATURE_POINTS)
@@ -69,7 +69,7 @@ def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
     return found
 
 
-def _off_objective(problem: PlanningProblem, trajectory: Trajectory, saved: float) -> list[str]:
+def _off_objective(problem: Problem, trajectory: Trajectory, saved: float) -> list[str]:
     try:
         value, size = objective_value(problem, trajectory)
     except AssemblyError:  # the certificate already reports a motion off its loops
@@ -86,7 +86,7 @@ def _off_objective(problem: PlanningProblem, trajectory: Trajectory, saved: floa
 
 
 @np.errstate(all="ignore")  # the duration in an edited file may be 1e200 s
-def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> float:
+def negligible_objective(problem: Problem, trajectory: Trajectory) -> float:
     """Return the objective [SI] that counts as zero: a motion without work still has the solver's rounding.
 
     The value is 1e-6 of every term's quantity on its natural scale, a hundred times the solver's tolerance. The scales are a
@@ -110,7 +110,7 @@ def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> fl
     return float(sum(floors))
 
 
-def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> tuple[float, float]:
+def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
     """Return the integrals of a motion's objective and of its terms' absolute values [SI], by Gauss-Legendre quadrature.
 
     Raises:

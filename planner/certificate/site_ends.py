@@ -6,16 +6,14 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
 from linkplan.planner.problem.motion import Waypoint
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
 # Start and goal may exceed a limit by this share of the extent, because inverse kinematics and rounding are inexact.
 SITE_SLACK = 2e-9
 
 
-def ends_off_m(
-    problem: PlanningProblem, trajectory: Trajectory, time: np.ndarray, q: np.ndarray
-) -> tuple[float, tuple[str, ...]]:
+def ends_off_m(problem: Problem, trajectory: Trajectory, time: np.ndarray, q: np.ndarray) -> tuple[float, tuple[str, ...]]:
     """Return the largest error [m] of the sites prescribed at start, waypoints and goal, and sentences on errors.
 
     Args:
@@ -51,7 +49,7 @@ def waypoint_times(trajectory: Trajectory, waypoint: Waypoint) -> np.ndarray:
     return trajectory.breaks_s if waypoint.time_s is None else trajectory.breaks_s[:1] + waypoint.time_s
 
 
-def waypoint_off_m(problem: PlanningProblem, trajectory: Trajectory, waypoint: Waypoint, time: np.ndarray) -> np.ndarray:
+def waypoint_off_m(problem: Problem, trajectory: Trajectory, waypoint: Waypoint, time: np.ndarray) -> np.ndarray:
     """Return the distances [m] (n, n_sites) of a waypoint's sites from their prescribed places at times (n,) [s]."""
     if not waypoint.at:
         return np.zeros((len(time), 1))

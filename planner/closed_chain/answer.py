@@ -8,7 +8,7 @@ from linkplan.planner.certificate.slow_friction import SLOW_SHARE, slow_share
 from linkplan.planner.closed_chain.case import is_exact
 from linkplan.planner.closed_chain.prescribed import reference_demand
 from linkplan.planner.plan import Plan, tracking_errors
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.trajectory import Trajectory
@@ -18,7 +18,7 @@ LOCALLY = "locally "
 
 
 def finished(
-    problem: PlanningProblem,
+    problem: Problem,
     trajectory: Trajectory,
     certificate: Certificate,
     objective: float,
@@ -73,7 +73,7 @@ def finished(
     return replace(plan, message=sentence, details=details)
 
 
-def optimality(problem: PlanningProblem) -> str:
+def optimality(problem: Problem) -> str:
     """Return the first words of an optimal plan's message: no solver shows more than a local optimum."""
     return f"{LOCALLY}{problem.objective.name.replace('_', ' ')}-optimal "
 

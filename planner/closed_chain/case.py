@@ -13,7 +13,7 @@ from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import choose_scales, trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.tightening import Tightening, evened, tightenings_of
@@ -30,8 +30,8 @@ _DEFAULT_TOLERANCE_DEG = 1e-6
 class MechanismCase:
     """A `planner.refinement.case.Case`: solves use `problem` with tightened limits, certificates the `asked` problem."""
 
-    problem: PlanningProblem
-    asked: PlanningProblem
+    problem: Problem
+    asked: Problem
     tightenings: tuple[Tightening, ...] = ()
     n_tightenings: int = 0
     kinks: bool = True  # whether to seek kinks of continuous efforts
@@ -92,7 +92,7 @@ class MechanismCase:
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
 
 
-def case_of(problem: PlanningProblem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:
+def case_of(problem: Problem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:
     """Return the case of a problem; with `kinks`, refinement seeks the kinks of continuous efforts.
 
     Limits on power of several freedoms are imposed at every instant. With one freedom the phase plane gives the order of the
@@ -102,7 +102,7 @@ def case_of(problem: PlanningProblem, *, kinks: bool = True, enclosed: bool = Fa
     return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed or (powers and problem.mechanism.dof > 1))
 
 
-def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
+def held_arcs_of(problem: Problem, guess: Guess) -> FixedArcs:
     """Return the arcs along limits on effort, power and pin force that a guess holds."""
     system = formulate(problem, choose_scales(problem, guess)).build_system()
     kinds = np.array(system.kinds[system.n_equations :])
@@ -113,7 +113,7 @@ def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
     return FixedArcs(efforts=guess.bang_efforts, paths=paths)
 
 
-def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> RefinementTarget:
+def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarget:
     """Return the expected structure of a problem's optimum, and the accuracy to reach.
 
     Efforts jump between their limits, zero and constrained arcs if time or work is minimised. Efforts are continuous with
@@ -142,12 +142,12 @@ def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Refinem
     )
 
 
-def _strictness(problem: PlanningProblem) -> float:
+def _strictness(problem: Problem) -> float:
     """Return the ratio of the certificate's integration tolerance to the problem's."""
     return INTEGRATION_DEG / (problem.mesh.tolerance_deg or _DEFAULT_TOLERANCE_DEG)
 
 
-def is_exact(problem: PlanningProblem, certificate: Certificate) -> bool:
+def is_exact(problem: Problem, certificate: Certificate) -> bool:
     """Check a motion's integration error against the problem's tolerance or the default one."""
     strict = _strictness(problem)
     return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
@@ -155,7 +155,7 @@ def is_exact(problem: PlanningProblem, certificate: Certificate) -> bool:
     )
 
 
-def _tightened(problem: PlanningProblem, certificate: Certificate, *, speeds: bool) -> PlanningProblem:
+def _tightened(problem: Problem, certificate: Certificate, *, speeds: bool) -> Problem:
     """Return a problem with ranges, effort rates and optionally speeds tightened by 1.1 times the overrun."""
     limits = problem.limits
     changed: dict = {}

@@ -10,7 +10,7 @@ from linkplan.planner.closed_chain.site_end import coordinate_row, site_endpoint
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.problem.limits import free_bounds
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
@@ -23,7 +23,7 @@ SMOOTHING_WEIGHT = 2.5e-9
 
 
 def formulate(
-    problem: PlanningProblem,
+    problem: Problem,
     scales: Scales,
     *,
     position_rows: bool = False,
@@ -96,7 +96,7 @@ def formulate(
     )
 
 
-def _node_terms(problem: PlanningProblem, limits: tuple[PathLimit, ...], *, least_limit: bool) -> NodeTerms:
+def _node_terms(problem: Problem, limits: tuple[PathLimit, ...], *, least_limit: bool) -> NodeTerms:
     """Return the terms that are evaluated at a node."""
     passed = {(site, axis) for waypoint in problem.motion.waypoints for site, axis, _ in waypoint.open_coordinates}
     return NodeTerms(
@@ -106,7 +106,7 @@ def _node_terms(problem: PlanningProblem, limits: tuple[PathLimit, ...], *, leas
     )
 
 
-def _passed_rows(problem: PlanningProblem, asked: NodeTerms) -> tuple[tuple[int, int, float], ...]:
+def _passed_rows(problem: Problem, asked: NodeTerms) -> tuple[tuple[int, int, float], ...]:
     """Return (phase boundary, path quantity, value) for each coordinate of a site that a waypoint prescribes."""
     return tuple(
         (k + 1, len(asked.rows) + asked.passed.index((site, axis)), coordinate_row(problem.mechanism, site, axis, at))
@@ -120,7 +120,7 @@ def _tightened_row(limit: PathLimit) -> TightenedRow:
 
 
 def _interval_rows(
-    problem: PlanningProblem,
+    problem: Problem,
     scales: Scales,
     limits: tuple[PathLimit, ...],
     first_unknown: int,
@@ -151,7 +151,7 @@ def _interval_rows(
     return rows, own, {kind: of_kind for kind, of_kind in tightened.items() if of_kind is not None}
 
 
-def _exact_costs(problem: PlanningProblem, scales: Scales, smoothing: float | None, value: float) -> dict[str, np.ndarray]:
+def _exact_costs(problem: Problem, scales: Scales, smoothing: float | None, value: float) -> dict[str, np.ndarray]:
     """Return the exactly integrated costs of an interval, with their weights on the scaled unknowns."""
     found: dict[str, np.ndarray] = {}
     for name, term in problem.objective.terms.items():
@@ -163,7 +163,7 @@ def _exact_costs(problem: PlanningProblem, scales: Scales, smoothing: float | No
     return {cost: found[cost] for cost in COSTS if cost in found}
 
 
-def _theta(problem: PlanningProblem, asked: NodeTerms, scales: Scales, value: float) -> Callable[[np.ndarray], np.ndarray]:
+def _theta(problem: Problem, asked: NodeTerms, scales: Scales, value: float) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function from times (n, m) [s] to node parameters (n, m, n_theta)."""
     before, after = node_numbers(problem, asked, scales, value)
 
@@ -177,14 +177,14 @@ def _theta(problem: PlanningProblem, asked: NodeTerms, scales: Scales, value: fl
     return theta
 
 
-def _advance(problem: PlanningProblem, scales: Scales, returns: tuple[int, ...]) -> np.ndarray | float:
+def _advance(problem: Problem, scales: Scales, returns: tuple[int, ...]) -> np.ndarray | float:
     """Return the scaled difference between end and start of the periodic states `returns`."""
     if problem.motion.turns is None:
         return 0.0
     return np.concatenate([problem.motion.advance / scales.position, np.zeros(problem.mechanism.dof)])[list(returns)]
 
 
-def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[PhaseBoundary, ...]:
+def phase_boundaries_of(problem: Problem, scales: Scales) -> tuple[PhaseBoundary, ...]:
     """Return the phase boundaries, scaled: start, the middle of a periodic motion between two poses, waypoints, goal."""
     motion, n_s = problem.motion, problem.mechanism.dof
     unit = np.concatenate([scales.position, scales.position / scales.time_s])
@@ -218,7 +218,7 @@ def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[Phase
     return (start, *via, goal)
 
 
-def _first_position(problem: PlanningProblem) -> np.ndarray | None:
+def _first_position(problem: Problem) -> np.ndarray | None:
     """Return the start positions (n_s,) of a periodic motion, NaN where they are free; None if all are free.
 
     A joint that turns endlessly passes every angle, so its motion may begin at any; it begins at home. The same holds for a

@@ -12,7 +12,8 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.planning_problem import GuessedPath, PlanningProblem
+from linkplan.planner.problem.guess import GuessedPath
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
@@ -59,7 +60,7 @@ def motion_of(trajectory: Trajectory) -> Guess:
     )
 
 
-def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
+def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
     """Return the first motion to start from: the reference, or the smoothest path through the phase boundaries.
 
     A free duration is the shortest that the effort limits allow on this path.
@@ -85,7 +86,7 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
     return guess
 
 
-def perturbed_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
+def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
     """Yield endlessly the first guess with a few half waves of pseudo-random size added, the same in every run."""
     base = first_guess(problem, start_pose)
     times = np.linspace(0.0, base.duration_s, _GUESS_SAMPLES)
@@ -97,7 +98,7 @@ def perturbed_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Itera
         yield f"perturbed guess {number}", _splined(times, s + offset, base.start_pose, base.boundaries_s)
 
 
-def closes(problem: PlanningProblem, guess: Guess) -> bool:
+def closes(problem: Problem, guess: Guess) -> bool:
     """Check that the loops can be closed along a guess.
 
     Raises:
@@ -110,7 +111,7 @@ def closes(problem: PlanningProblem, guess: Guess) -> bool:
     return True
 
 
-def boundary_times(problem: PlanningProblem, duration: float) -> np.ndarray | None:
+def boundary_times(problem: Problem, duration: float) -> np.ndarray | None:
     """Return the times (n_boundaries,) [s] of start, waypoints and goal in a guess, free times distributed by distance.
 
     None if the motion has neither waypoints nor a periodic goal.
@@ -129,7 +130,7 @@ def boundary_times(problem: PlanningProblem, duration: float) -> np.ndarray | No
     return np.interp(along, along[index], at)
 
 
-def _boundary_positions(problem: PlanningProblem) -> np.ndarray:
+def _boundary_positions(problem: Problem) -> np.ndarray:
     """Return the positions (n_boundaries, n_s) of start, waypoints and goal, with free ones interpolated."""
     motion = problem.motion
     first = motion.start
@@ -143,13 +144,13 @@ def _boundary_positions(problem: PlanningProblem) -> np.ndarray:
     return states
 
 
-def _within(problem: PlanningProblem, duration: float) -> float:
+def _within(problem: Problem, duration: float) -> float:
     """Return a duration clipped to the bounds on a free duration."""
     motion = problem.motion
     return float(np.clip(duration, motion.min_duration_s or 0.0, motion.max_duration_s or np.inf))
 
 
-def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+def users_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     """Return the problem's own guess, stretched to its duration; None if there is no guess or the loops cannot close."""
     given, motion = problem.guess, problem.motion
     if given is None:
@@ -194,7 +195,7 @@ def _guess_along(path: PiecewisePolynomial, duration: float, start_pose: np.ndar
     )
 
 
-def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[Guess]:
+def swinging_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[Guess]:
     """Yield motions for a reach that gain energy by swinging: first away from the goal, or past the goal and back.
 
     The direct way is infeasible with less effort than gravity needs, and a solver that starts on it fails.
@@ -212,7 +213,7 @@ def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterat
             yield guess
 
 
-def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False) -> PiecewisePolynomial:
+def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> PiecewisePolynomial:
     """Return quintics through the phase boundaries with zero acceleration there (Flash & Hogan 1985); `rests`: and speed."""
     motion = problem.motion
     if motion.waypoints:
@@ -238,7 +239,7 @@ def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False)
     return PiecewisePolynomial.through(times, s, v)
 
 
-def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> float:
+def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
     """Return the duration at which the smooth path needs exactly the effort limit, by bisection in the log of time.
 
     1 s if the loops cannot close along it, if no duration will do, or if there is no limit.
@@ -286,7 +287,7 @@ class _PosesRequest:
     deadline: Deadline = field(compare=False)
 
 
-def even_poses(problem: PlanningProblem, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
+def even_poses(problem: Problem, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
     """Return evenly spaced times (n,) over a guess and its closed poses (n, n_q) there; the result is memoised.
 
     Raises:

@@ -19,7 +19,7 @@ from linkplan.planner.closed_chain.lifted import in_order, is_lifted, lifted_row
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.problem.instant import Instant
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.problem.terms import Term
 from linkplan.planner.transcription.system import System, node_symbols
@@ -151,7 +151,7 @@ def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
     return lambda name, *arguments: getattr(dynamics, name)(*arguments, payload)
 
 
-def node_numbers(problem: PlanningProblem, asked: NodeTerms, scales: Scales, value: float) -> tuple[np.ndarray, np.ndarray]:
+def node_numbers(problem: Problem, asked: NodeTerms, scales: Scales, value: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of a node's parameters before and after the reference, in the order of `mechanism_system`.
 
     `value` is the objective's unit in SI.

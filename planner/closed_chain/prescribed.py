@@ -6,7 +6,8 @@ import numpy as np
 
 from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.reference import is_whole
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_integral, bernstein_matrix
 
@@ -45,7 +46,7 @@ def _figure(value: float) -> str:
     return f"{value:.1f}" if abs(value) >= 99.95 else f"{value:.4g}"
 
 
-def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:
+def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     """Return the reference as a trajectory with efforts by inverse dynamics."""
     mechanism, reference = problem.mechanism, problem.reference
     duration = problem.motion.duration_s or reference.period_s
@@ -77,18 +78,13 @@ def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:
     )
 
 
-def is_whole(number: float) -> bool:
-    """Check if a ratio is a whole number, except for the rounding of decimal input."""
-    return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
-
-
 def rounded_down(value: float, digits: int = 4) -> float:
     """Return a positive number rounded down to some digits, so that a printed bound is still valid."""
     unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
     return float(np.floor(value / unit) * unit)
 
 
-def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float | None:
+def highest_frequency(problem: Problem, start_pose: np.ndarray) -> float | None:
     """Return the highest frequency [Hz] at which the reference keeps every limit at its amplitude; None if there is none.
 
     The frequency is found by bisection between the asked frequency, which is too high, and a thousandth of it.
@@ -118,7 +114,7 @@ def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float
     return low
 
 
-def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand | None:
+def reference_demand(problem: Problem, start_pose: np.ndarray) -> Demand | None:
     """Return the largest excess over a limit, relative to it, of the reference followed exactly; None if it keeps all.
 
     The time of the excess is refined to the reference's own peak.

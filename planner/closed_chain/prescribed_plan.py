@@ -6,11 +6,11 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
 
 
-def plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray) -> Plan:
+def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
     """Return the plan of a reference that must be followed exactly."""
     progress("following the reference")
     demand = reference_demand(problem, start_pose)

@@ -5,7 +5,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.limits.site import site_at_home
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.transcription.system import Endpoint
 
 
@@ -14,7 +14,7 @@ def coordinate_row(mechanism: Mechanism, site: int, axis: int, value: float) -> 
     return float(value - site_at_home(mechanism, site)[axis]) / mechanism.extent_m
 
 
-def site_endpoint(problem: PlanningProblem, unit: np.ndarray, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
+def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
     """Return the endpoint rows of a motion with a free goal pose, and their parameters: the sites' coordinates [m].
 
     If the goal pose is prescribed, there is no endpoint and no parameter.

@@ -11,7 +11,7 @@ from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.lifted import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import Tightening
 from linkplan.planner.trajectory import Trajectory
@@ -37,7 +37,7 @@ class Origin:
     smoothing: float
 
 
-def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
+def choose_scales(problem: Problem, guess: Guess) -> Scales:
     """Return units of order one: durations, spans, limits, or the guess's efforts if these are far below the limits."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     times, poses = (samples[::2] for samples in even_poses(problem, guess))
@@ -74,7 +74,7 @@ def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
 
 
 def transcribe(
-    problem: PlanningProblem,
+    problem: Problem,
     guess: Guess,
     mesh: Mesh,
     durations: np.ndarray,
@@ -133,7 +133,7 @@ def transcribe(
 
 
 def renumbered(
-    transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray, tightenings: tuple[Tightening, ...] = ()
+    transcribed: Transcribed, problem: Problem, x: np.ndarray, tightenings: tuple[Tightening, ...] = ()
 ) -> Transcribed:
     """Return a program with the numbers of another problem, without building it again.
 
@@ -147,7 +147,7 @@ def renumbered(
     return replace(again, origin=replace(transcribed.origin, mechanism=problem.mechanism))
 
 
-def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
+def is_program_of(transcribed: Transcribed, problem: Problem) -> bool:
     """Check that a program has the rows of a problem; a program for other limits has different rows."""
     own, asked = transcribed.formulation, _with_numbers_of(problem, transcribed)
     return (
@@ -157,9 +157,7 @@ def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
     )
 
 
-def _with_numbers_of(
-    problem: PlanningProblem, transcribed: Transcribed, tightenings: tuple[Tightening, ...] = ()
-) -> Formulation:
+def _with_numbers_of(problem: Problem, transcribed: Transcribed, tightenings: tuple[Tightening, ...] = ()) -> Formulation:
     origin, rows = transcribed.origin, transcribed.formulation.rows
     return formulate(
         problem,
@@ -190,7 +188,7 @@ def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory
     return objective - origin.smoothing * transcribed.units.objective * origin.scales.time_s * integral
 
 
-def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: Formulation) -> Start:
+def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulation) -> Start:
     """Return a guess as a scaled start, with closed loops, and efforts by inverse dynamics if the guess has none."""
     mechanism = problem.mechanism
     rate = scales.position / scales.time_s

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, least_effort, sampled
 from linkplan.planner.closed_chain.guess import Guess, even_poses
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.durations import longest
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_time import shortest_motion
@@ -60,7 +60,7 @@ def _shortest(search: Search) -> tuple[float | None, str]:
     return (None, "") if found is None else (found.trajectory.duration_s, "")
 
 
-def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
+def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     """Return the largest effort that a path needs relative to its limit, and undriven efforts; None if loops open."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     try:

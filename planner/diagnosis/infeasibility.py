@@ -3,11 +3,11 @@
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.least_limit import LeastLimit
 
 
-def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, dict[str, float]]:
+def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str, float]]:
     """Return a sentence on the efforts that a motion would need, and its numbers."""
     limit, trajectory = problem.limits.effort, least.trajectory
     time = trajectory.dense_times(8)
@@ -26,7 +26,7 @@ def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, d
     return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
 
 
-def share_sentence(problem: PlanningProblem, factor: float, motion: Guess, *, at_all: bool) -> str:
+def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bool) -> str:
     """Return a sentence on the factor by which effort limits are too small, for the phase plane's motion at that factor.
 
     Args:

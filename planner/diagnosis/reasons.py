@@ -17,7 +17,7 @@ from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.search.durations import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
@@ -152,7 +152,7 @@ def _infeasible(search: Search, sentence: str, details: dict[str, float], *, sho
 
     If a motion of at most the given duration is known, the problem is not proved infeasible and the status is "failed".
     """
-    problem: PlanningProblem = search.problem
+    problem: Problem = search.problem
     message = sentence + (shortest_sentence(search, details) if shortest else "")
     known, asked = min((motion.duration_s for motion in search.known.motions), default=None), longest(problem)
     if known is not None and known <= asked * (1 + 1e-9):

@@ -6,7 +6,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
 from linkplan.planner.limits.path_limit import PathLimit
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import record, step_of
 from linkplan.planner.solvers.solve import build_solver, run_solver, solve
 from linkplan.planner.trajectory import Trajectory
@@ -14,7 +14,7 @@ from linkplan.planner.transcription.mesh import Mesh
 
 
 def least_of(
-    problem: PlanningProblem,
+    problem: Problem,
     kind: type[PathLimit],
     motion: Trajectory,
     mesh: Mesh,

@@ -1,4 +1,4 @@
-"""Problems, batches and plans on disk.
+"""Files: problem files as tables, records, and results that are written whole or not at all.
 
-In: TOML tables and folders. Out: `PlanningProblem`, `Batch` and `Plan` values, and their files, written whole or not at all.
+In: paths, tables, columns, bytes. Out: tables, batches, trajectories, records, and result folders.
 """

@@ -9,42 +9,25 @@ import itertools
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from linkplan.models.catalogue import is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import read_toml
-from linkplan.planner.files.problem_file import path_beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.files.tables import refuse_saved_plan
+from linkplan.planner.files.tables import path_beside, refuse_saved_plan
 from linkplan.planner.files.toml_text import inline
-from linkplan.planner.keys.batch_sections import BatchFile
+from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
 from linkplan.planner.keys.reading import read
 
 # More cases are probably a typing error: at a fifth of a second each they take half an hour.
 MAX_CASES = 10_000
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Case:
-    """One problem of a batch: its name, which can name a folder, and its settings ("key=value")."""
-
-    name: str
-    settings: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Batch:
-    """A problem, settings for all cases, and the cases."""
-
-    problem: str
-    common: tuple[str, ...]
-    cases: tuple[Case, ...]
-
-
-def read_batch(path: str | Path) -> Batch:
-    """Return the batch in a file.
+def read_batch(path: str | Path) -> BatchFile:
+    """Return the batch in a file, with the problem's path and every case, listed or swept.
 
     Raises:
         ProblemError: for anything in the file that cannot be used.
@@ -60,8 +43,7 @@ def read_batch(path: str | Path) -> Batch:
     if len(asked.case) > MAX_CASES:
         raise ProblemError(f"a batch has {MAX_CASES} cases at the most, got {len(asked.case)}")
     listed = [(case.name or f"case-{k + 1}", case.set) for k, case in enumerate(asked.case)] or _swept(asked.sweep)
-    cases = tuple(Case(name=name, settings=tuple(settings)) for name, settings in listed)
-    names = [case.name for case in cases]
+    names = [name for name, _ in listed]
     for name in names:
         if not name.isprintable() or len(name.encode()) >= 100:  # disks limit file names to 255 bytes, with suffixes
             raise ProblemError(f"case.name is a word that can name a folder, got {name!r}")
@@ -72,7 +54,7 @@ def read_batch(path: str | Path) -> Batch:
             "cases of a batch have names of their own, which differ in more than upper and lower case; twice:"
             f" {', '.join(twice)}"
         )
-    return Batch(problem=problem, common=tuple(asked.set), cases=cases)
+    return replace(asked, problem=problem, case=[CaseSection(name=name, set=settings) for name, settings in listed])
 
 
 def _batch_tables(path: Path) -> dict:

@@ -30,19 +30,6 @@ from linkplan.planner.files.manifest import (
 )
 from linkplan.planner.files.work_folders import locked, sweep, sync, sync_folder, work_folder
 
-__all__ = [
-    "MANIFEST",
-    "RECORDS",
-    "check_target",
-    "complete",
-    "place_of",
-    "plain",
-    "plain_record",
-    "remove_result",
-    "write_json",
-    "write_whole",
-]
-
 _NEW_RESULT = ".linkplan-new"
 
 

@@ -8,14 +8,16 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
+from typing import Literal
+
+import msgspec
+from msgspec import Struct
 
 from linkplan.models.errors import PlanFileError
 
 MANIFEST = ".linkplan.json"
-_FORMAT_VERSION = 2
 # A manifest of 10,000 cases has about four megabytes. The limits protect memory from other files.
 _MAX_MANIFEST_BYTES = 64 << 20
 _MAX_LISTED_FILES = 400_000
@@ -34,16 +36,16 @@ RECORDS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Manifest:
+class Manifest(Struct, frozen=True):
     """The content of a manifest.
 
     `record` is the name of the result's record. `files` maps the path of each file in the folder to its SHA-256. `identity`
     is a random word that distinguishes results.
     """
 
-    record: str
-    files: Mapping[str, str]
+    format: Literal[2]
+    record: Literal[RECORDS]  # pyright: ignore[reportInvalidTypeForm]
+    files: dict[str, str]
     identity: str
 
 
@@ -60,7 +62,7 @@ def files_in(folder: Path, below: str = "") -> Iterator[str]:
 def write_manifest(folder: Path, record: str) -> None:
     """Write the manifest of a new result: every file in its folder with its hash."""
     content = {
-        "format": _FORMAT_VERSION,
+        "format": 2,
         "about": "the files that linkplan wrote here, with SHA-256; a newer result replaces those that are unchanged",
         "record": record,
         "identity": os.urandom(8).hex(),
@@ -80,21 +82,16 @@ def read_manifest(folder: Path) -> Manifest | None:
         found = path.lstat()
         if not stat.S_ISREG(found.st_mode) or found.st_size > _MAX_MANIFEST_BYTES:
             raise ValueError
-        content = json.loads(path.read_text(encoding="utf-8"))
-        files, record, identity = content["files"], content["record"], content["identity"]
-        if content["format"] != _FORMAT_VERSION or record not in RECORDS or not isinstance(identity, str):
-            raise ValueError
-        if not isinstance(files, dict) or len(files) > _MAX_LISTED_FILES:
-            raise ValueError
-        if not all(_stays_inside(name) and isinstance(digest, str) for name, digest in files.items()):
+        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+        if len(manifest.files) > _MAX_LISTED_FILES or not all(map(_stays_inside, manifest.files)):
             raise ValueError
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError, msgspec.DecodeError) as error:
         raise PlanFileError(
             f"'{folder}' has a {MANIFEST} that is damaged or of another version; name a new folder"
         ) from error
-    return Manifest(record=record, files=files, identity=identity)
+    return manifest
 
 
 def identity_at(folder: Path) -> str | None:

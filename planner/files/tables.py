@@ -82,6 +82,15 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
         raise ProblemError(f"{what} '{source}' is {is_what}, which track, compare, render, view and export take; {legal}")
 
 
+def path_beside(path: str, folder: Path | None) -> Path:
+    """Return a path in a problem file, relative to the file's folder if it exists there, else to the working folder."""
+    try:
+        there = folder is not None and (folder / path).exists()
+    except (OSError, ValueError):  # an impossible file name
+        there = False
+    return folder / path if folder is not None and there else Path(path)
+
+
 def apply_override(tables: Tables, override: str) -> None:
     """Set one key of `tables` from "section.key=value"; the value is in TOML syntax, or a bare word for a string."""
     key, equals, text = override.partition("=")

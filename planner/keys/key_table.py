@@ -19,7 +19,8 @@ class Key:
 
     `section` is "" for tables, "motion" for its keys, or a path to nested keys: "motion.waypoints[]", "motors.NAME".
     `default` is the value of a key that is left out, None if there is no single value; `default_words` describe it in both
-    cases. A `required` key has neither. `choices` lists the legal words of a key that takes several.
+    cases. A `required` key has neither. `choices` lists the legal words of a key that takes several. `example` is a value of
+    a key without a single default, and `needs` what a mechanism must have for it (`section.key`).
     """
 
     section: str
@@ -31,6 +32,8 @@ class Key:
     default: Any
     default_words: str
     doc: str
+    example: str
+    needs: str
 
     @property
     def is_constant(self) -> bool:
@@ -59,6 +62,8 @@ def _rows(kind: type[Section], section: str) -> Iterator[Key]:
             default=value if single else None,
             default_words="" if field.required else about["default"] or _shown(value),
             doc=about["meaning"],
+            example=about["example"],
+            needs=about["needs"],
         )
         inside += [(one, f"{section}.{field.name}{how}".lstrip(".")) for one, how in _inside(bare, about)]
     for one, where in inside:

@@ -36,35 +36,60 @@ _SITE_LIMIT = Meta(
     extra={"said": "a box, a wall or a tube", "shapes": SITE_LIMITS},
     extra_json_schema={"minProperties": 1, "anyOf": [{"$ref": f"#/$defs/{shape.__name__}"} for shape in SITE_LIMITS]},
 )
-SiteLimit = Annotated[dict[str, Any], _SITE_LIMIT]
+SiteLimitTable = Annotated[dict[str, Any], _SITE_LIMIT]
 _SITES = Meta(extra={"of": "site = limits", "noun": "site"})
 
 
 class LimitsSection(Section, frozen=True):
     """Limits at every instant."""
 
-    effort: Annotated[kinds.Efforts, key("[low, high] by actuator", "N.m, N", "the model's own")] = {}
+    effort: Annotated[
+        kinds.Efforts, key("[low, high] by actuator", "N.m, N", "the model's own", "{ {actuator} = {effort_range} }")
+    ] = {}
     range_deg: Annotated[
-        kinds.Ranges, key("hinges' ranges, dependent joints too, within the model's own", "deg", "the model's own")
+        kinds.Ranges,
+        key(
+            "hinges' ranges, dependent joints too, within the model's own",
+            "deg",
+            "the model's own",
+            "{ {hinge} = {hinge_range} }",
+        ),
     ] = {}
-    range_m: Annotated[kinds.Ranges, key("slides' ranges", "m", "the model's own")] = {}
+    range_m: Annotated[kinds.Ranges, key("slides' ranges", "m", "the model's own", "{ {slide} = {slide_range} }")] = {}
     speed_deg_s: Annotated[
-        kinds.Speeds, key("hinges' speeds, dependent joints too: a number for both ways, or [low, high]", "deg/s", "none")
+        kinds.Speeds,
+        key(
+            "hinges' speeds, dependent joints too: a number for both ways, or [low, high]",
+            "deg/s",
+            "none",
+            "{ {hinge} = 900.0 }",
+        ),
     ] = {}
-    speed_m_s: Annotated[kinds.Speeds, key("slides' speeds", "m/s", "none")] = {}
+    speed_m_s: Annotated[kinds.Speeds, key("slides' speeds", "m/s", "none", "{ {slide} = 1.0 }")] = {}
     effort_rate: Annotated[
-        kinds.ActuatorLimits, key("rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none")
+        kinds.ActuatorLimits,
+        key("rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none", "{ {actuator} = 5000.0 }"),
     ] = {}
-    power_w: Annotated[kinds.ActuatorLimits, key("mechanical power by actuator: a number, or [low, high]", "W", "none")] = {}
-    closure_force: Annotated[kinds.ClosureLimits, key("the largest force on a closure's pin", "N", "none")] = {}
+    power_w: Annotated[
+        kinds.ActuatorLimits,
+        key("mechanical power by actuator: a number, or [low, high]", "W", "none", "{ {actuator} = 500.0 }"),
+    ] = {}
+    closure_force: Annotated[
+        kinds.ClosureLimits, key("the largest force on a closure's pin", "N", "none", "{ {closure} = 1000.0 }")
+    ] = {}
     reserve: Annotated[kinds.Margin, key("the share of every effort limit that a plan leaves to feedback")] = 0.0
     singular_margin: Annotated[kinds.Margin, key("the least |det J_z| along the motion, relative to its value at home")] = (
         0.0
     )
     site: Annotated[
-        dict[str, SiteLimit | list[SiteLimit]],
+        dict[str, SiteLimitTable | list[SiteLimitTable]],
         _SITES,
-        key("boxes, walls and tubes that sites stay within, one or a list of them", "m", "none"),
+        key(
+            "boxes, walls and tubes that sites stay within, one or a list of them",
+            "m",
+            "none",
+            "{ {site} = { z = [-inf, inf] } }",
+        ),
     ] = {}
     contacts: Annotated[
         kinds.Contacts, key("refuse a plan along which geoms collide, or note it and plan without contact forces")
@@ -89,22 +114,47 @@ class MotorSection(Section, frozen=True):
 
 
 _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
-Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
+MotorTable = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
 
 
 class RobustSection(Section, frozen=True):
     """Ranges of machines, at every corner of which one motion keeps all effort limits."""
 
     payload_factor: Annotated[
-        kinds.Interval, key("[low, high] of the factor on the payload's mass and inertia", default="[1, 1]")
+        kinds.Interval,
+        key(
+            "[low, high] of the factor on the payload's mass and inertia",
+            default="[1, 1]",
+            example="[0.8, 1.2]",
+            needs="fully_driven",
+        ),
     ] = ABSENT
     torque_constant_factor: Annotated[
         kinds.Interval,
-        key("[low, high] of the ratio of an actuator's actual to commanded effort", default="[1, 1]"),
+        key(
+            "[low, high] of the ratio of an actuator's actual to commanded effort",
+            default="[1, 1]",
+            example="[0.95, 1.05]",
+            needs="fully_driven",
+        ),
     ] = ABSENT
     viscous_friction: Annotated[
-        kinds.Ranges, key("[low, high] of a joint's damping, added to the model's", "N.m.s/rad, N.s/m", "none")
+        kinds.Ranges,
+        key(
+            "[low, high] of a joint's damping, added to the model's",
+            "N.m.s/rad, N.s/m",
+            "none",
+            "{ {joint} = [0.0, 0.05] }",
+            needs="fully_driven",
+        ),
     ] = {}
     coulomb_friction: Annotated[
-        kinds.Ranges, key("[low, high] of a joint's dry friction, of either sign", "N.m, N", "none")
+        kinds.Ranges,
+        key(
+            "[low, high] of a joint's dry friction, of either sign",
+            "N.m, N",
+            "none",
+            "{ {joint} = [0.0, 2.0] }",
+            needs="fully_driven",
+        ),
     ] = {}

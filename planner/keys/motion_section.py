@@ -19,6 +19,12 @@ class WaypointSection(Section, frozen=True):
     time_s: Annotated[kinds.Positive | kinds.Free, key("the time of passage", "s")] = "free"
 
 
+# Examples of values at home and at rest.
+_HINGE_HOME = "{ {free_hinge} = {free_hinge_home} }"
+_SLIDE_HOME = "{ {free_slide} = {free_slide_home} }"
+_SITE_HOME = "{ {site} = {site_home} }"
+_HINGE_ZERO = "{ {free_hinge} = 0.0 }"
+_SLIDE_ZERO = "{ {free_slide} = 0.0 }"
 # The default of start and goal.
 _OPEN = "free in a periodic motion; a reach needs it"
 
@@ -27,28 +33,31 @@ class MotionSection(Section, frozen=True):
     """The motion: start, goal, waypoints and duration."""
 
     kind: Annotated[
-        kinds.Kind,
-        key("from start to goal; back to its first state; or exactly the reference"),
+        kinds.Kind, key("from start to goal; back to its first state; or exactly the reference", example='"reach"')
     ]
-    start_deg: Annotated[kinds.Angles, key("hinges' angles at the start", "deg", _OPEN)] = {}
-    start_m: Annotated[kinds.Numbers, key("slides' positions at the start", "m", _OPEN)] = {}
+    start_deg: Annotated[kinds.Angles, key("hinges' angles at the start", "deg", _OPEN, _HINGE_HOME)] = {}
+    start_m: Annotated[kinds.Numbers, key("slides' positions at the start", "m", _OPEN, _SLIDE_HOME)] = {}
     start_at: Annotated[
-        kinds.Places, key("sites' places at the start, instead of joints' positions", "m", "by the joints")
+        kinds.Places, key("sites' places at the start, instead of joints' positions", "m", "by the joints", _SITE_HOME)
     ] = {}
-    goal_deg: Annotated[kinds.Angles, key("hinges' angles at the end, or after half a period", "deg", _OPEN)] = {}
-    goal_m: Annotated[kinds.Numbers, key("slides' positions at the end, or after half a period", "m", _OPEN)] = {}
+    goal_deg: Annotated[
+        kinds.Angles, key("hinges' angles at the end, or after half a period", "deg", _OPEN, _HINGE_HOME)
+    ] = {}
+    goal_m: Annotated[
+        kinds.Numbers, key("slides' positions at the end, or after half a period", "m", _OPEN, _SLIDE_HOME)
+    ] = {}
     goal_at: Annotated[
-        kinds.Places, key("sites' places at the end, instead of joints' positions", "m", "by the joints")
+        kinds.Places, key("sites' places at the end, instead of joints' positions", "m", "by the joints", _SITE_HOME)
     ] = {}
-    start_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the start", "deg/s", "at rest")] = {}
-    start_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the start", "m/s", "at rest")] = {}
-    goal_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the end", "deg/s", "at rest")] = {}
-    goal_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the end", "m/s", "at rest")] = {}
+    start_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the start", "deg/s", "at rest", _HINGE_ZERO)] = {}
+    start_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the start", "m/s", "at rest", _SLIDE_ZERO)] = {}
+    goal_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the end", "deg/s", "at rest", _HINGE_ZERO)] = {}
+    goal_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the end", "m/s", "at rest", _SLIDE_ZERO)] = {}
     duration_s: Annotated[
-        kinds.Duration | kinds.Free, key('the duration, or "free"', "s", "free, or the reference's period")
+        kinds.Duration | kinds.Free, key('the duration, or "free"', "s", "free, or the reference's period", example='"free"')
     ] = ABSENT
-    min_duration_s: Annotated[kinds.ShortDuration, key("the shortest free duration", "s", "any")] = ABSENT
-    max_duration_s: Annotated[kinds.Duration, key("the longest free duration", "s", "any")] = ABSENT
+    min_duration_s: Annotated[kinds.ShortDuration, key("the shortest free duration", "s", "any", "0.1")] = ABSENT
+    max_duration_s: Annotated[kinds.Duration, key("the longest free duration", "s", "any", "10.0")] = ABSENT
     waypoints: Annotated[
         list[WaypointSection],
         Meta(
@@ -63,20 +72,29 @@ class MotionSection(Section, frozen=True):
             "states between start and goal, in order: at_deg, at_m or at (of sites), speed_deg_s, speed_m_s, each at its"
             " time_s or at a free time",
             default="none",
+            example="[{ {waypoint} }]",
         ),
     ] = []
     turns: Annotated[
         kinds.WholeTurns,
-        key("whole turns of hinges over a period of a periodic motion", default="none: it returns in full"),
+        key(
+            "whole turns of hinges over a period of a periodic motion",
+            default="none: it returns in full",
+            example="{ {free_hinge} = 1 }",
+        ),
     ] = ABSENT
 
 
 class ReferenceSection(Section, frozen=True):
     """A sinusoid for each independent joint: bias + amplitude sin(2 pi frequency t + phase)."""
 
-    frequency_hz: Annotated[kinds.Frequency, key("common to all joints; its period is the motion's", "Hz")]
-    amplitude_deg: Annotated[kinds.Angles, key("hinges' amplitudes", "deg", "none: each joint needs one")] = {}
-    amplitude_m: Annotated[kinds.Numbers, key("slides' amplitudes", "m", "none: each joint needs one")] = {}
-    bias_deg: Annotated[kinds.Angles, key("hinges' mean angles", "deg", "0")] = {}
-    bias_m: Annotated[kinds.Numbers, key("slides' mean positions", "m", "0")] = {}
-    phase_deg: Annotated[kinds.Phases, key("phases by joint", "deg", "0")] = {}
+    frequency_hz: Annotated[kinds.Frequency, key("common to all joints; its period is the motion's", "Hz", example="1.0")]
+    amplitude_deg: Annotated[
+        kinds.Angles, key("hinges' amplitudes", "deg", "none: each joint needs one", "{ {free_hinge} = 10.0 }")
+    ] = {}
+    amplitude_m: Annotated[
+        kinds.Numbers, key("slides' amplitudes", "m", "none: each joint needs one", "{ {free_slide} = 0.01 }")
+    ] = {}
+    bias_deg: Annotated[kinds.Angles, key("hinges' mean angles", "deg", "0", _HINGE_ZERO)] = {}
+    bias_m: Annotated[kinds.Numbers, key("slides' mean positions", "m", "0", _SLIDE_ZERO)] = {}
+    phase_deg: Annotated[kinds.Phases, key("phases by joint", "deg", "0", "{ {joint} = 0.0 }")] = {}

@@ -6,148 +6,136 @@ from typing import Any
 
 # The bound of quantities without a natural one, in their own units.
 _MAX_QUANTITY = 1e9
+# Independent joints with the unit of their positions and the bound of a position in it.
+_JOINTS = (("hinge", "deg", 360.0), ("slide", "m", _MAX_QUANTITY))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Quantity:
-    """A quantity that can be wrong: its meaning, unit, range, and the kind of object that has it.
+    """A quantity that can be wrong: its meaning, unit, an example of a careful build, its range, and what has it.
 
     `of` is "" for the whole machine, "hinge" or "slide" (independent joints of that kind), "joint" (any), "actuator" or
-    "body".
+    "body". `otherwise` is the default in words.
     """
 
     meaning: str
     unit: str
-    low: float
-    high: float
+    example: str
+    low: float = -_MAX_QUANTITY
+    high: float = _MAX_QUANTITY
     of: str = ""
-    otherwise: str = "as modelled"  # the default in words
+    otherwise: str = "as modelled"
+
+
+def _of_joints(
+    key: str, meaning: str, hinge_example: str, slide_example: str, *, signed: bool = False, rate: str = ""
+) -> dict[str, Quantity]:
+    """Return the quantities of hinges and slides, by keys with their units; `rate` is "_s" for velocities."""
+    found = {}
+    for (of, unit, bound), example in zip(_JOINTS, (hinge_example, slide_example), strict=True):
+        high = _MAX_QUANTITY if rate else bound
+        unit_text = f"{unit}/s" if rate else unit
+        words = meaning.format(f"{of}s")
+        found[f"{key}_{unit}{rate}"] = Quantity(words, unit_text, example, -high if signed else 0.0, high, of=of)
+    return found
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "period_factor": Quantity(meaning="ratio of the controller's actual to its nominal period", unit="1", low=0.5, high=2.0),
+    "period_factor": Quantity(
+        "ratio of the controller's actual to its nominal period", "1", "{ normal = [1.0, 1e-4] }", 0.5, 2.0
+    ),
     "phase_periods": Quantity(
-        meaning="delay of the first control instant after the motion begins", unit="control periods", low=0.0, high=1.0
+        "delay of the first control instant after the motion begins", "control periods", "[0.0, 1.0]", 0.0, 1.0
     ),
     "delay_periods": Quantity(
-        meaning="added to tracking.delay_periods; may be fractional", unit="control periods", low=0.0, high=1000.0
+        "added to tracking.delay_periods; may be fractional", "control periods", "[0.5, 1.5]", 0.0, 1000.0
     ),
-    "encoder_resolution_deg": Quantity(
-        meaning="step to which hinges' positions are rounded", unit="deg", low=0.0, high=360.0, of="hinge"
+    **_of_joints("encoder_resolution", "step to which {}' positions are rounded", "0.01", "1e-5"),
+    **_of_joints(
+        "encoder_offset",
+        "error of {}' measured positions",
+        "{ normal = [0.0, 0.02] }",
+        "{ normal = [0.0, 1e-4] }",
+        signed=True,
     ),
-    "encoder_resolution_m": Quantity(
-        meaning="step to which slides' positions are rounded", unit="m", low=0.0, high=_MAX_QUANTITY, of="slide"
-    ),
-    "encoder_offset_deg": Quantity(
-        meaning="error of hinges' measured positions", unit="deg", low=-360.0, high=360.0, of="hinge"
-    ),
-    "encoder_offset_m": Quantity(
-        meaning="error of slides' measured positions", unit="m", low=-_MAX_QUANTITY, high=_MAX_QUANTITY, of="slide"
-    ),
-    "position_noise_deg": Quantity(
-        meaning="standard deviation of white noise on hinges' positions", unit="deg", low=0.0, high=360.0, of="hinge"
-    ),
-    "position_noise_m": Quantity(
-        meaning="standard deviation of white noise on slides' positions", unit="m", low=0.0, high=_MAX_QUANTITY, of="slide"
-    ),
-    "velocity_noise_deg_s": Quantity(
-        meaning="standard deviation of white noise on hinges' velocities, if these are measured directly",
-        unit="deg/s",
-        low=0.0,
-        high=_MAX_QUANTITY,
-        of="hinge",
-    ),
-    "velocity_noise_m_s": Quantity(
-        meaning="standard deviation of white noise on slides' velocities, if these are measured directly",
-        unit="m/s",
-        low=0.0,
-        high=_MAX_QUANTITY,
-        of="slide",
+    **_of_joints("position_noise", "standard deviation of white noise on {}' positions", "0.005", "1e-5"),
+    **_of_joints(
+        "velocity_noise",
+        "standard deviation of white noise on {}' velocities, if these are measured directly",
+        "1.0",
+        "0.01",
+        rate="_s",
     ),
     "velocity_filter_hz": Quantity(
-        meaning="velocity is the difference of measured positions, filtered by a first-order low-pass of this cutoff",
-        unit="Hz",
-        low=1e-6,
-        high=_MAX_QUANTITY,
+        "velocity is the difference of measured positions, filtered by a first-order low-pass of this cutoff",
+        "Hz",
+        "1000.0",
+        1e-06,
     ),
-    "torque_resolution": Quantity(
-        meaning="step to which commands are rounded", unit="N.m or N", low=0.0, high=_MAX_QUANTITY, of="actuator"
-    ),
+    "torque_resolution": Quantity("step to which commands are rounded", "N.m or N", "0.05", 0.0, of="actuator"),
     "torque_bandwidth_hz": Quantity(
-        meaning="bandwidth of the drive's first-order lag", unit="Hz", low=1e-6, high=_MAX_QUANTITY, of="actuator"
+        "bandwidth of the drive's first-order lag", "Hz", "[500.0, 1500.0]", 1e-06, of="actuator"
     ),
     "torque_rate": Quantity(
-        meaning="largest rate of the drive's effort", unit="N.m/s or N/s", low=1e-9, high=1e15, of="actuator"
+        "largest rate of the drive's effort", "N.m/s or N/s", "5000.0", 1e-09, 1000000000000000.0, of="actuator"
     ),
     "torque_constant_factor": Quantity(
-        meaning="ratio of actual to commanded effort", unit="1", low=0.01, high=100.0, of="actuator"
+        "ratio of actual to commanded effort", "1", "{ normal = [1.0, 0.03] }", 0.01, 100.0, of="actuator"
     ),
     "viscous_friction": Quantity(
-        meaning="damping of any joint, added to the model's",
-        unit="N.m.s/rad or N.s/m",
-        low=0.0,
-        high=_MAX_QUANTITY,
-        of="joint",
+        "damping of any joint, added to the model's", "N.m.s/rad or N.s/m", "{ {joint} = [0.0, 0.05] }", 0.0, of="joint"
     ),
-    "coulomb_friction": Quantity(
-        meaning="dry friction of any joint", unit="N.m or N", low=0.0, high=_MAX_QUANTITY, of="joint"
-    ),
+    "coulomb_friction": Quantity("dry friction of any joint", "N.m or N", "{ {joint} = [0.0, 2.0] }", 0.0, of="joint"),
     "payload_mass_factor": Quantity(
-        meaning="factor on the mass and inertia of the payload, or of all moving bodies if there is none",
-        unit="1",
-        low=1e-3,
-        high=1e3,
+        "factor on the mass and inertia of the payload, or of all moving bodies if there is none",
+        "1",
+        "[0.9, 1.1]",
+        0.001,
+        1000.0,
     ),
-    "payload_com_x_m": Quantity(
-        meaning="shift of the payload's centre of mass along x of its body", unit="m", low=-_MAX_QUANTITY, high=_MAX_QUANTITY
-    ),
-    "payload_com_y_m": Quantity(meaning="shift along y", unit="m", low=-_MAX_QUANTITY, high=_MAX_QUANTITY),
-    "payload_com_z_m": Quantity(meaning="shift along z", unit="m", low=-_MAX_QUANTITY, high=_MAX_QUANTITY),
+    "payload_com_x_m": Quantity("shift of the payload's centre of mass along x of its body", "m", "[-0.005, 0.005]"),
+    "payload_com_y_m": Quantity("shift along y", "m", "[-0.005, 0.005]"),
+    "payload_com_z_m": Quantity("shift along z", "m", "[-0.005, 0.005]"),
     "link_length_factor": Quantity(
-        meaning="scales all points fixed to a link about its joint; the loop is assembled again",
-        unit="1",
-        low=0.1,
-        high=10.0,
+        "scales all points fixed to a link about its joint; the loop is assembled again",
+        "1",
+        "{ normal = [1.0, 2e-4] }",
+        0.1,
+        10.0,
         of="body",
     ),
-    "push_start_s": Quantity(meaning="time at which a push begins", unit="s", low=0.0, high=_MAX_QUANTITY, otherwise="0"),
-    "push_duration_s": Quantity(meaning="duration of the push", unit="s", low=0.0, high=_MAX_QUANTITY, otherwise="none"),
+    "push_start_s": Quantity("time at which a push begins", "s", "[0.0, 0.1]", 0.0, otherwise="0"),
+    "push_duration_s": Quantity("duration of the push", "s", "0.01", 0.0, otherwise="none"),
     "push_force_x_n": Quantity(
-        meaning="force along x of the world on push_body's centre of mass",
-        unit="N",
-        low=-_MAX_QUANTITY,
-        high=_MAX_QUANTITY,
-        otherwise="none",
+        "force along x of the world on push_body's centre of mass", "N", "[-20.0, 20.0]", otherwise="none"
     ),
-    "push_force_y_n": Quantity(meaning="force along y", unit="N", low=-_MAX_QUANTITY, high=_MAX_QUANTITY, otherwise="none"),
-    "push_force_z_n": Quantity(meaning="force along z", unit="N", low=-_MAX_QUANTITY, high=_MAX_QUANTITY, otherwise="none"),
-    "push_effort": Quantity(
-        meaning="effort on push_joint", unit="N.m or N", low=-_MAX_QUANTITY, high=_MAX_QUANTITY, otherwise="none"
+    "push_force_y_n": Quantity("force along y", "N", "[-20.0, 20.0]", otherwise="none"),
+    "push_force_z_n": Quantity("force along z", "N", "[-20.0, 20.0]", otherwise="none"),
+    "push_effort": Quantity("effort on push_joint", "N.m or N", "[-5.0, 5.0]", otherwise="none"),
+    **_of_joints(
+        "start_error",
+        "{}' initial distance from the path",
+        "{ normal = [0.0, 0.05] }",
+        "{ normal = [0.0, 1e-4] }",
+        signed=True,
     ),
-    "start_error_deg": Quantity(
-        meaning="hinges' initial distance from the path", unit="deg", low=-360.0, high=360.0, of="hinge"
-    ),
-    "start_error_m": Quantity(
-        meaning="slides' initial distance from the path", unit="m", low=-_MAX_QUANTITY, high=_MAX_QUANTITY, of="slide"
-    ),
-    "start_velocity_error_deg_s": Quantity(
-        meaning="hinges' initial velocity error", unit="deg/s", low=-_MAX_QUANTITY, high=_MAX_QUANTITY, of="hinge"
-    ),
-    "start_velocity_error_m_s": Quantity(
-        meaning="slides' initial velocity error", unit="m/s", low=-_MAX_QUANTITY, high=_MAX_QUANTITY, of="slide"
+    **_of_joints(
+        "start_velocity_error",
+        "{}' initial velocity error",
+        "{ normal = [0.0, 1.0] }",
+        "{ normal = [0.0, 0.01] }",
+        signed=True,
+        rate="_s",
     ),
     "loop_time_constant_s": Quantity(
-        meaning="time constant of the loop constraint in MuJoCo's solref; at least two simulator steps",
-        unit="s",
-        low=1e-9,
-        high=_MAX_QUANTITY,
+        "time constant of the loop constraint in MuJoCo's solref; at least two simulator steps", "s", "0.005", 1e-09
     ),
-    "loop_damping_ratio": Quantity(meaning="damping ratio of the loop constraint", unit="1", low=1e-3, high=1e3),
+    "loop_damping_ratio": Quantity("damping ratio of the loop constraint", "1", "1.0", 0.001, 1000.0),
 }
-# Keys whose values are names and not distributions.
-WORDS: Mapping[str, str] = {
-    "push_body": "the body that a push's force acts on",
-    "push_joint": "the joint that a push's effort acts on",
+# Keys whose values are names and not distributions, with their meanings and examples.
+WORDS: Mapping[str, tuple[str, str]] = {
+    "push_body": ("the body that a push's force acts on", "{body}"),
+    "push_joint": ("the joint that a push's effort acts on", "{joint_name}"),
 }
 # The legal forms of a value.
 FORMS = "a number, a range [low, high], { uniform = [low, high] } or { normal = [mean, std] }"

@@ -48,11 +48,6 @@ def read(
         raise error(fault(kind, value, where, known) or f"{where}: {refused}") from refused
 
 
-def read_section(kind: type[Read], tables: dict, name: str, known: Known | None = None) -> Read:
-    """Return one section of a file's tables, with defaults if it is missing."""
-    return read(kind, tables.get(name, {}), name, known)
-
-
 def checked(key: str, value: object) -> Any:
     """Return a value converted to the type that it has in a problem file under "section.key".
 

@@ -8,13 +8,21 @@ from msgspec import Meta, Struct
 ABSENT: Any = None
 
 
-def key(meaning: str, unit: str = "", default: str = "") -> Meta:
-    """Return a key's description: its meaning, its unit, and a phrase for its default if that is no single value."""
+def key(meaning: str, unit: str = "", default: str = "", example: str = "", needs: str = "") -> Meta:
+    """Return a key's description.
+
+    Args:
+        meaning: a phrase.
+        unit: of its value.
+        default: a phrase for its default, if that is no single value.
+        example: such a key's value as TOML, with placeholders in braces for a mechanism's names: {hinge}, {actuator}, ...
+        needs: what a mechanism must have for the key, in addition to the placeholders: "closure", "fully_driven".
+    """
     sentence = f"{meaning[0].upper()}{meaning[1:]}" + (f" [{unit}]" if unit else "") + "."
     shown = {"x-unit": unit} if unit else {}
     return Meta(
         description=f"{sentence} Default: {default}." if default else sentence,
-        extra={"meaning": meaning, "unit": unit, "default": default},
+        extra={"meaning": meaning, "unit": unit, "default": default, "example": example, "needs": needs},
         extra_json_schema=shown,
     )
 

@@ -10,7 +10,7 @@ from msgspec import Meta, defstruct
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
-from linkplan.planner.keys.limits_section import LimitsSection, Motor, RobustSection
+from linkplan.planner.keys.limits_section import LimitsSection, MotorTable, RobustSection
 from linkplan.planner.keys.motion_section import MotionSection, ReferenceSection
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
 from linkplan.planner.keys.section import ABSENT, Section, key
@@ -33,30 +33,51 @@ _MODEL = Meta(
 )
 
 
+_PAYLOAD_EXAMPLE = "{ body = {body}, mass_kg = 1.0, com_m = [0.0, 0.0, 0.0], inertia_kgm2 = [1e-3, 1e-3, 1e-3] }"
+
+
 class MechanismSection(Section, frozen=True):
     """The machine: its model, its assembly and its payload."""
 
-    model: Annotated[str, _MODEL, key("a built-in name, a path to an MJCF file, or MJCF text")]
+    model: Annotated[str, _MODEL, key("a built-in name, a path to an MJCF file, or MJCF text", example='"{model}"')]
     payload: Annotated[
         kinds.PayloadName | PayloadSection,
         Meta(extra={"said": f"a built-in name ({', '.join(kinds.PAYLOADS)}, none) or a table"}),
-        key("a built-in payload's name, or a table", default="none"),
+        key("a built-in payload's name, or a table", default="none", example=_PAYLOAD_EXAMPLE),
     ] = ABSENT
     home_deg: Annotated[
         kinds.HomeAngles,
-        key("hinges' angles for the assembly, which determine the branch", "deg", "the model's keyframe home"),
+        key(
+            "hinges' angles for the assembly, which determine the branch",
+            "deg",
+            "the model's keyframe home",
+            "{ {hinge} = {hinge_home} }",
+        ),
     ] = {}
-    home_m: Annotated[kinds.HomeLengths, key("slides' positions for the assembly", "m", "the model's keyframe home")] = {}
+    home_m: Annotated[
+        kinds.HomeLengths,
+        key("slides' positions for the assembly", "m", "the model's keyframe home", "{ {slide} = {slide_home} }"),
+    ] = {}
     independent: Annotated[
         kinds.Names,
-        key("the joints in which the motion is planned", default="the driven joints, or those that the motion names"),
+        key(
+            "the joints in which the motion is planned",
+            default="the driven joints, or those that the motion names",
+            example="[{independent}]",
+        ),
     ] = ABSENT
     closure_tolerance_m: Annotated[
         kinds.Positive,
-        key("the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"),
+        key("the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", "1e-6"),
     ] = ABSENT
     solref: Annotated[
-        kinds.Softness, key("closures as stiff in simulation as the timestep admits", default="the model's own")
+        kinds.Softness,
+        key(
+            "closures as stiff in simulation as the timestep admits",
+            default="the model's own",
+            example='"stiff"',
+            needs="closure",
+        ),
     ] = ABSENT
     friction_transition_deg_s: Annotated[
         kinds.Positive,
@@ -64,6 +85,7 @@ class MechanismSection(Section, frozen=True):
             "the speed v_0 of dry friction f tanh(v / v_0); for slides and tendons as many rad/s times the mechanism's size",
             "deg/s",
             "2",
+            "2.0",
         ),
     ] = ABSENT
 
@@ -77,6 +99,7 @@ class ObjectiveSection(Section, frozen=True):
             "a term, or a weighted sum of terms: squared effort, duration, distance from the reference, positive work,"
             " copper loss, squared effort rate, squared closure force",
             default="effort; tracking if there is a reference to follow",
+            example="{ time = 1.0, effort = 1e-5 }",
         ),
     ] = ABSENT
 
@@ -87,11 +110,26 @@ class GuessSection(Section, frozen=True):
     plan: Annotated[
         str,
         Meta(extra={"said": "a saved plan's folder"}),
-        key("a saved plan's folder, whose motion is the guess", default="none"),
+        key("a saved plan's folder, whose motion is the guess", default="none", example='"planned"'),
     ] = ABSENT
-    path_deg: Annotated[kinds.Paths, key("hinges' angles at equidistant times", "deg", "none")] = {}
-    path_m: Annotated[kinds.Paths, key("slides' positions at equidistant times", "m", "none")] = {}
-    duration_s: Annotated[kinds.Duration, key("the duration of the guess", "s", "the motion's own, or guessed")] = ABSENT
+    path_deg: Annotated[
+        kinds.Paths,
+        key(
+            "hinges' angles at equidistant times", "deg", "none", "{ {free_hinge} = [{free_hinge_home}, {free_hinge_home}] }"
+        ),
+    ] = {}
+    path_m: Annotated[
+        kinds.Paths,
+        key(
+            "slides' positions at equidistant times",
+            "m",
+            "none",
+            "{ {free_slide} = [{free_slide_home}, {free_slide_home}] }",
+        ),
+    ] = {}
+    duration_s: Annotated[kinds.Duration, key("the duration of the guess", "s", "the motion's own, or guessed", "1.0")] = (
+        ABSENT
+    )
 
 
 class MeshSection(Section, frozen=True):
@@ -107,16 +145,18 @@ class MeshSection(Section, frozen=True):
         ),
     ] = "polynomial"
     tolerance_deg: Annotated[
-        kinds.Tolerance,
-        key("of the integrated state", "deg", "1e-6 while the mesh stays small"),
+        kinds.Tolerance, key("of the integrated state", "deg", "1e-6 while the mesh stays small", "1e-6")
     ] = ABSENT
     refine: Annotated[
-        kinds.Refine,
-        key("the refinement of a mesh that is too coarse", default="both; intervals if a scheme is named"),
+        kinds.Refine, key("the refinement of a mesh that is too coarse", default="both; intervals if a scheme is named")
     ] = "both"
     breaks: Annotated[
         kinds.Breaks,
-        key("ends of the first mesh's intervals as shares of the duration", default="equal intervals"),
+        key(
+            "ends of the first mesh's intervals as shares of the duration",
+            default="equal intervals",
+            example="[0.0, 0.5, 1.0]",
+        ),
     ] = ABSENT
 
 
@@ -143,7 +183,7 @@ class TrackingSection(Section, frozen=True):
     delay_periods: Annotated[
         kinds.Delay, key("control periods from a measurement to its effort, a whole number in tracking")
     ] = 0
-    duration_s: Annotated[kinds.Duration, key("the duration of the run", "s", "the plan's own, and a rest")] = ABSENT
+    duration_s: Annotated[kinds.Duration, key("the duration of the run", "s", "the plan's own, and a rest", "2.0")] = ABSENT
     lqr_position_deg: Annotated[
         kinds.LqrError, key("a hinge's position error with the weight of the whole effort limit", "deg")
     ] = 1.0
@@ -163,6 +203,15 @@ def _spread(quantity: Quantity) -> Any:
     return Annotated[Any, Meta(extra={"said": forms}, extra_json_schema=spread_schema(quantity))]
 
 
+# The need of a quantity, by the kind of object that it belongs to.
+_NEEDS = {"hinge": "free_hinge", "slide": "free_slide", "actuator": "actuator", "body": "body"}
+
+
+def _quantity_key(one: Quantity) -> Meta:
+    unit = "" if one.unit == "1" else one.unit
+    return key(one.meaning, unit, one.otherwise, example=one.example, needs=_NEEDS.get(one.of, ""))
+
+
 if TYPE_CHECKING:
 
     class ImperfectionsSection(Section, frozen=True):
@@ -172,11 +221,11 @@ else:  # its keys are defined with their ranges
     ImperfectionsSection = defstruct(
         "ImperfectionsSection",
         [
+            *((name, Annotated[_spread(one), _quantity_key(one)], ABSENT) for name, one in QUANTITIES.items()),
             *(
-                (name, Annotated[_spread(one), key(one.meaning, "" if one.unit == "1" else one.unit, one.otherwise)], ABSENT)
-                for name, one in QUANTITIES.items()
+                (name, Annotated[_NAME, key(meaning, default="none", example=example)], ABSENT)
+                for name, (meaning, example) in WORDS.items()
             ),
-            *((name, Annotated[_NAME, key(meaning, default="none")], ABSENT) for name, meaning in WORDS.items()),
         ],
         bases=(Section,),
         frozen=True,
@@ -186,6 +235,9 @@ else:  # its keys are defined with their ranges
 
 
 _MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
+
+
+_MOTOR_EXAMPLE = "{ torque_constant = 0.5, resistance_ohm = 0.1, stall_effort = {effort_high}, {no_load} }"
 
 
 class ProblemFile(Section, frozen=True, kw_only=True):
@@ -198,16 +250,12 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     objective: Annotated[ObjectiveSection, key("what to minimise", default="by the kind of motion")] = ObjectiveSection()
     limits: Annotated[LimitsSection, key("limits at every instant", default="the model's own")] = LimitsSection()
     robust: Annotated[
-        RobustSection,
-        key("machines for which one motion keeps every effort limit", default="the nominal machine"),
+        RobustSection, key("machines for which one motion keeps every effort limit", default="the nominal machine")
     ] = RobustSection()
     motors: Annotated[
-        dict[str, Motor],
+        dict[str, MotorTable],
         _MOTORS,
-        key(
-            "the motor behind an actuator, by the actuator's name",
-            default="unknown",
-        ),
+        key("the motor behind an actuator, by the actuator's name", default="unknown", example=_MOTOR_EXAMPLE),
     ] = {}
     guess: Annotated[GuessSection, key("the initial guess", default="found by the planner")] = GuessSection()
     mesh: Annotated[MeshSection, key("the discretisation", default="chosen")] = MeshSection()

@@ -18,7 +18,7 @@ from linkplan.planner.limits.path_limit import (
     Margin,
     MotionArrays,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     Tightened,
@@ -41,7 +41,7 @@ class ClosureForceLimit(PathLimit):
     rows: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, problem: PlanningProblem, *, enclosed: bool = False, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
         limited = problem.limits.limited_closures
         places = {c: problem.mechanism.closure_slice(c) for c in limited}
         return [cls(c, tuple(range(places[c].start, places[c].stop)) if enclosed else ()) for c in limited]
@@ -50,14 +50,14 @@ class ClosureForceLimit(PathLimit):
     def at_nodes(self) -> bool:
         return not self.rows
 
-    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+    def numbers(self, problem: Problem) -> Sequence[float]:
         rating = problem.limits.closure_force[self.item]
         return (rating if self.rows else 1.0 / np.square(rating),)
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return ca.sumsqr(at.closure_force[at.mechanism.closure_slice(self.item)]) * numbers
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -np.inf, 1.0
 
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
@@ -71,7 +71,7 @@ class ClosureForceLimit(PathLimit):
         share = at.closure_force[list(self.rows)] / numbers
         return "bearing", ca.vertsplit(share)
 
-    def start_of_unknowns(self, problem: PlanningProblem, scales: Scales, motion: MotionArrays) -> np.ndarray:
+    def start_of_unknowns(self, problem: Problem, scales: Scales, motion: MotionArrays) -> np.ndarray:
         force = sampled(problem.mechanism.dynamics.closure_force, *motion)[:, list(self.rows), 0]
         return force / problem.limits.closure_force[self.item]
 
@@ -81,5 +81,5 @@ class ClosureForceLimit(PathLimit):
         return margin_of(self, problem.mechanism.closure_names[c], samples.closure_forces[:, c], bounds, "N", samples)
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return with_limits(problem, closure_force=np.full(len(problem.limits.closure_force), np.inf))

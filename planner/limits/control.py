@@ -13,7 +13,7 @@ from linkplan.planner.limits.path_limit import (
     Instant,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     margin_of,
@@ -34,7 +34,7 @@ class ControlLimit(PathLimit):
     item: int
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         return [cls(j) for j, actuator in enumerate(problem.mechanism.actuators) if actuator.limits_control]
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
@@ -42,7 +42,7 @@ class ControlLimit(PathLimit):
         ctrl = _ctrl(actuator, u, at.of_pose("actuator_length")[self.item], at.actuator_speeds[self.item])
         return ranged_control(actuator, ctrl, u, actuator.gain, ca.fmax) / _unit(actuator)
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         actuator = problem.mechanism.actuators[self.item]
         return actuator.control_lower / _unit(actuator), actuator.control_upper / _unit(actuator)
 
@@ -54,7 +54,7 @@ class ControlLimit(PathLimit):
         return margin_of(self, actuator.name, ranged, bounds, "", samples, bent=bent)
 
     @classmethod
-    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
         wider = tuple(
             replace(a, control_lower=a.control_lower * factor, control_upper=a.control_upper * factor)
             if a.limits_control
@@ -64,7 +64,7 @@ class ControlLimit(PathLimit):
         return replace(problem, mechanism=replace(problem.mechanism, actuators=wider))
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return cls.scaled(problem, RELAXED_FACTOR)
 
 

@@ -11,7 +11,7 @@ from linkplan.planner.limits.path_limit import (
     Bounds,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     limited_rows,
@@ -33,10 +33,10 @@ class EffortRateLimit(PathLimit):
     at_nodes: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         return [cls(j) for j in limited_rows(problem.limits.effort_rate)]
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return tuple(problem.limits.effort_rate[self.item] * scales.time_s / scales.effort[self.item])
 
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any]:
@@ -50,10 +50,10 @@ class EffortRateLimit(PathLimit):
         return margin_of(self, actuator.name, values, bounds, f"{actuator.unit}/s", samples)
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return cls.scaled(problem, RELAXED_FACTOR)
 
-    def narrowed(self, problem: PlanningProblem, amount: float) -> PlanningProblem:
+    def narrowed(self, problem: Problem, amount: float) -> Problem:
         rate = np.array(problem.limits.effort_rate)
         rate[self.item] += amount * np.array([1.0, -1.0])
         return with_limits(problem, effort_rate=rate)

@@ -15,7 +15,7 @@ from linkplan.planner.limits.path_limit import (
     Instant,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     Tightened,
@@ -41,20 +41,20 @@ class ExtraPathLimit(PathLimit):
     extra: ExtraLimit = field(compare=False)
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
         return [
             cls(item, one.expression, of["u"], not of["v"] and not of["u"], one)
             for item, (one, of) in enumerate(zip(problem.extra_limits, depends, strict=True))
         ]
 
-    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+    def numbers(self, problem: Problem) -> Sequence[float]:
         return (problem.extra_limits[self.item].size,)
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return expressed(self.extra, at) / numbers
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         limit = problem.extra_limits[self.item]
         return limit.lower / limit.size, limit.upper / limit.size
 
@@ -70,7 +70,7 @@ class ExtraPathLimit(PathLimit):
         return sampled(function, *motion).reshape(-1)
 
     @classmethod
-    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
         wider = tuple(
             replace(one, lower=one.lower - (factor - 1) * one.size, upper=one.upper + (factor - 1) * one.size)
             for one in problem.extra_limits
@@ -78,9 +78,9 @@ class ExtraPathLimit(PathLimit):
         return replace(problem, extra_limits=wider)
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return replace(problem, extra_limits=())
 
     @classmethod
-    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
         return 1 + BETWEEN_NODES_FACTOR * max(-m.left / problem.extra_limits[m.item].size for m in over)

@@ -19,7 +19,7 @@ from linkplan.planner.limits.path_limit import (
     Bounds,
     Instant,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Scales,
     Trajectory,
     limited_rows,
@@ -36,19 +36,19 @@ class RangeLimit(PathLimit):
     at_nodes: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, problem: PlanningProblem, *, position_rows: bool = False, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, position_rows: bool = False, **_: bool) -> list[Self]:
         if position_rows:
             return [cls(int(joint), column) for column, joint in enumerate(problem.mechanism.independent)]
         return [cls(joint, None) for joint in limited_rows(problem.limits.position)]
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return tuple(problem.limits.position[self.item] / scales.position[self.column])
 
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
         return None if self.column is None else ("position_columns", self.column)
 
     @classmethod
-    def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
+    def violation(cls, problem: Problem, motion: Trajectory) -> str | None:
         return _violation(problem, motion, problem.limits.position, speeds=False)
 
 
@@ -61,7 +61,7 @@ class SpeedLimit(PathLimit):
     column: int | None = None
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         limited, independent = limited_rows(problem.limits.speed), problem.mechanism.independent.tolist()
         own = [cls(joint, column) for column, joint in enumerate(independent) if joint in limited]
         return own + [cls(joint) for joint in limited if joint not in independent]
@@ -73,7 +73,7 @@ class SpeedLimit(PathLimit):
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return at.units["time"] * at.joint_rates[self.item]
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         limit = problem.limits.speed[self.item]
         if self.column is None:
             return tuple(limit * scales.time_s)
@@ -83,7 +83,7 @@ class SpeedLimit(PathLimit):
         return None if self.column is None else ("speed_columns", self.column)
 
     @classmethod
-    def factor(cls, problem: PlanningProblem, motion: Trajectory) -> float | None:
+    def factor(cls, problem: Problem, motion: Trajectory) -> float | None:
         _, rates = _along(problem, motion, speeds=True)
         bounds = problem.limits.speed
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -92,7 +92,7 @@ class SpeedLimit(PathLimit):
         return BETWEEN_NODES_FACTOR * largest if largest > 1 else None
 
     @classmethod
-    def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
+    def violation(cls, problem: Problem, motion: Trajectory) -> str | None:
         return _violation(problem, motion, problem.limits.speed, speeds=True)
 
 
@@ -103,14 +103,14 @@ def own_column(mechanism: Mechanism, j: int) -> int | None:
     return int(places[0]) if len(places) else None
 
 
-def _along(problem: PlanningProblem, motion: Trajectory, *, speeds: bool) -> tuple[np.ndarray, np.ndarray]:
+def _along(problem: Problem, motion: Trajectory, *, speeds: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n,) [s] of a motion and the positions or rates (n, n_q) of all joints."""
     time = motion.dense_times(8)
     poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose, problem.solver.deadline)
     return time, joint_rates(problem.mechanism, poses, motion.velocity_at(time)) if speeds else poses
 
 
-def _violation(problem: PlanningProblem, motion: Trajectory, bounds: np.ndarray, *, speeds: bool) -> str | None:
+def _violation(problem: Problem, motion: Trajectory, bounds: np.ndarray, *, speeds: bool) -> str | None:
     try:
         time, values = _along(problem, motion, speeds=speeds)
     except AssemblyError:

@@ -6,7 +6,7 @@ from linkplan.planner.limits.effort_rate import EffortRateLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.limits.motor import MotorLimit
-from linkplan.planner.limits.path_limit import Margin, PathLimit, PlanningProblem, Samples
+from linkplan.planner.limits.path_limit import Margin, PathLimit, Problem, Samples
 from linkplan.planner.limits.power import PowerLimit
 from linkplan.planner.limits.robust import RobustLimit
 from linkplan.planner.limits.singular_margin import SingularMarginLimit
@@ -45,12 +45,12 @@ RELAXED: tuple[type[PathLimit], ...] = (
 )
 
 
-def limits_of(problem: PlanningProblem, *, enclosed: bool = False, position_rows: bool = False) -> tuple[PathLimit, ...]:
+def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: bool = False) -> tuple[PathLimit, ...]:
     """Return a problem's limits; the arguments are those of `PathLimit.of`."""
     return tuple(limit for kind in KINDS for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
 
 
-def relaxed_kinds(problem: PlanningProblem) -> list[type[PathLimit]]:
+def relaxed_kinds(problem: Problem) -> list[type[PathLimit]]:
     """Return the kinds of limits of a problem that a diagnosis may remove, in its order."""
     return [kind for kind in RELAXED if kind.of(problem)]
 

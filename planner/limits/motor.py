@@ -12,7 +12,7 @@ from linkplan.planner.limits.path_limit import (
     Instant,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     margin_of,
@@ -30,7 +30,7 @@ class MotorLimit(PathLimit):
     column: int | None = None
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         lined = [j for j, motor in enumerate(problem.motors) if motor is not None and motor.has_line]
         return [cls(j, own_column(problem.mechanism, j)) for j in lined]
 
@@ -42,20 +42,20 @@ class MotorLimit(PathLimit):
     def n_numbers(self) -> int:
         return 2 if self.at_nodes else 0
 
-    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+    def numbers(self, problem: Problem) -> Sequence[float]:
         motor = problem.motors[self.item]
         return (1.0 / motor.stall_effort, 1.0 / motor.no_load_speed) if self.at_nodes else ()
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return numbers[0] * at.u[self.item] + numbers[1] * at.actuator_speeds[self.item]
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -1.0, 1.0
 
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
         return None if self.column is None else ("motor_columns", (self.item, self.column))
 
-    def interval_numbers(self, problem: PlanningProblem, scales: Scales) -> Sequence[float]:
+    def interval_numbers(self, problem: Problem, scales: Scales) -> Sequence[float]:
         if self.column is None:
             return ()
         motor, gear = problem.motors[self.item], problem.mechanism.actuators[self.item].gear
@@ -68,7 +68,7 @@ class MotorLimit(PathLimit):
         return margin_of(self, samples.problem.mechanism.actuators[j].name, values, (-1.0, 1.0), "", samples)
 
     @classmethod
-    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
         wider = tuple(
             m
             if m is None or not m.has_line
@@ -78,6 +78,6 @@ class MotorLimit(PathLimit):
         return replace(problem, motors=wider)
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         bare = tuple(m and replace(m, stall_effort=None, no_load_speed=None) for m in problem.motors)
         return replace(problem, motors=bare)

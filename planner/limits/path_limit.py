@@ -18,11 +18,11 @@ from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.samples import Samples, least_between, samples_of
 from linkplan.planner.problem.instant import Instant
 from linkplan.planner.problem.limits import free_bounds
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.scales import Scales
 from linkplan.planner.trajectory import Trajectory
 
-__all__ = ["Bounds", "Instant", "Margin", "PathLimit", "PlanningProblem", "Samples", "Scales", "Tightened", "Trajectory"]
+__all__ = ["Bounds", "Instant", "Margin", "PathLimit", "Problem", "Samples", "Scales", "Tightened", "Trajectory"]
 
 Bounds = tuple[float, float]
 MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
@@ -125,7 +125,7 @@ class PathLimit(Protocol):
         return Tightened.BY_SHARE
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         """Return the limits of this kind that a problem has.
 
         Options: `enclosed` imposes `enclosable` limits at every instant, `position_rows` the ranges of independent joints.
@@ -144,7 +144,7 @@ class PathLimit(Protocol):
         """The number of parameters in its row and unknowns."""
         return 0
 
-    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+    def numbers(self, problem: Problem) -> Sequence[float]:
         """Return these parameters."""
         return ()
 
@@ -152,7 +152,7 @@ class PathLimit(Protocol):
         """Return the scaled row at a node."""
         ...
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         """Return the bounds of its row, or of its coefficients on an interval."""
         ...
 
@@ -160,7 +160,7 @@ class PathLimit(Protocol):
         """Return its field of `IntervalRows` and its entry there; None if it is a row at nodes."""
         return None
 
-    def interval_numbers(self, problem: PlanningProblem, scales: Scales) -> Sequence[float]:
+    def interval_numbers(self, problem: Problem, scales: Scales) -> Sequence[float]:
         """Return the parameters of its row on an interval."""
         return ()
 
@@ -173,7 +173,7 @@ class PathLimit(Protocol):
         """Return the kind of equation of these unknowns, and the expressions that they equal."""
         return "", []
 
-    def start_of_unknowns(self, problem: PlanningProblem, scales: Scales, motion: MotionArrays) -> np.ndarray:
+    def start_of_unknowns(self, problem: Problem, scales: Scales, motion: MotionArrays) -> np.ndarray:
         """Return these unknowns along a motion (n, n_unknowns)."""
         return np.zeros((len(motion[0]), 0))
 
@@ -186,29 +186,29 @@ class PathLimit(Protocol):
     # The diagnosis: relaxing all limits of the kind together.
 
     @classmethod
-    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
         """Return a problem with its limits of this kind relaxed by a common factor."""
         return with_limits(problem, **{cls.key: getattr(problem.limits, cls.key) * factor})
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         """Return a problem without its limits of this kind."""
         return with_limits(problem, **{cls.key: free_bounds(len(getattr(problem.limits, cls.key)))})
 
     @classmethod
-    def factor(cls, problem: PlanningProblem, motion: Trajectory) -> float | None:
+    def factor(cls, problem: Problem, motion: Trajectory) -> float | None:
         """Return the factor on the limits of this kind with which a motion keeps them; None if it keeps the limits."""
         over = [m for m in overrun_margins(cls, problem, motion) if np.isfinite(m.value)]
         return cls.factor_of(problem, over) if over else None
 
     @classmethod
-    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
         """Return that factor from the margins that are overrun."""
         ratios = [m.value / m.limit for m in over if m.limit]
         return BETWEEN_NODES_FACTOR * max(ratios) if ratios else None
 
     @classmethod
-    def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
+    def violation(cls, problem: Problem, motion: Trajectory) -> str | None:
         """Return a sentence on the worst overrun of the limits of this kind; None if a motion keeps them."""
         try:
             over = overrun_margins(cls, problem, motion)
@@ -216,12 +216,12 @@ class PathLimit(Protocol):
             return None
         return over[0].sentence("would have to come to") if over else None
 
-    def narrowed(self, problem: PlanningProblem, amount: float) -> PlanningProblem:
+    def narrowed(self, problem: Problem, amount: float) -> Problem:
         """Return a problem with both bounds of this limit moved inwards, if `tightened` is None."""
         return problem
 
 
-def with_limits(problem: PlanningProblem, **changes: Any) -> PlanningProblem:
+def with_limits(problem: Problem, **changes: Any) -> Problem:
     """Return a problem with other values in its limits."""
     return replace(problem, limits=replace(problem.limits, **changes))
 
@@ -231,7 +231,7 @@ def limited_rows(bounds: np.ndarray) -> list[int]:
     return [int(j) for j in np.flatnonzero(np.isfinite(bounds).any(axis=1))]
 
 
-def overrun_margins(kind: type[PathLimit], problem: PlanningProblem, motion: Trajectory) -> list[Margin]:
+def overrun_margins(kind: type[PathLimit], problem: Problem, motion: Trajectory) -> list[Margin]:
     """Return the margins of one kind that a motion overruns."""
     samples = samples_of(problem, motion)
     found = [limit.margin(samples) for limit in kind.of(problem)]

@@ -17,7 +17,7 @@ from linkplan.planner.limits.path_limit import (
     Margin,
     MotionArrays,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     limited_rows,
@@ -42,7 +42,7 @@ class PowerLimit(PathLimit):
     levers: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, problem: PlanningProblem, *, enclosed: bool = False, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
         limited = limited_rows(problem.limits.power)
         if not enclosed:
             return [cls(j) for j in limited]
@@ -59,7 +59,7 @@ class PowerLimit(PathLimit):
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return at.u[self.item] * at.actuator_speeds[self.item] / at.units["power"]
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         unit = scales.power
         if self.column is not None:
             gear = problem.mechanism.actuators[self.item].gear
@@ -80,7 +80,7 @@ class PowerLimit(PathLimit):
         leverage = ca.diag(rate) @ at.of_pose("effort_map") @ ca.diag(at.units["effort"]) / at.units["power"]
         return "leverage", [leverage[s, self.item] for s in self.levers]
 
-    def start_of_unknowns(self, problem: PlanningProblem, scales: Scales, motion: MotionArrays) -> np.ndarray:
+    def start_of_unknowns(self, problem: Problem, scales: Scales, motion: MotionArrays) -> np.ndarray:
         maps = sampled(problem.mechanism.dynamics.effort_map, motion[0])
         rate, columns = scales.position / scales.time_s, list(self.levers)
         return maps[:, columns, self.item] * scales.effort[self.item] * rate[columns] / scales.power

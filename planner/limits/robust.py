@@ -10,7 +10,7 @@ from linkplan.planner.limits.path_limit import (
     Instant,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     margin_of,
@@ -31,14 +31,14 @@ class RobustLimit(PathLimit):
     actuator: int
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         corners, n_u = problem.robust.corners, problem.mechanism.n_u
         return [cls(item, corners, item // n_u, item % n_u) for item in range(len(corners) * n_u)]
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return at.corner_efforts(self.corners)[self.corner][self.actuator] / at.units["effort"][self.actuator]
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return tuple(problem.robust.room * problem.limits.effort[self.actuator] / scales.effort[self.actuator])
 
     def margin(self, samples: Samples) -> Margin:
@@ -49,9 +49,9 @@ class RobustLimit(PathLimit):
         return margin_of(self, f"{actuator.name} with {corner}", values, bounds, actuator.unit, samples)
 
     @classmethod
-    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
         return replace(problem, robust=replace(problem.robust, room=factor * problem.robust.room))
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return replace(problem, robust=Robust())

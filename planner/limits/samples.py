@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.corner_efforts import corner_efforts_along
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
 # Samples of an interval at which limits are checked: at least, and per node.
@@ -23,7 +23,7 @@ class Samples:
     computed when it is first used.
     """
 
-    problem: PlanningProblem
+    problem: Problem
     trajectory: Trajectory
     points: np.ndarray
     time: np.ndarray
@@ -63,7 +63,7 @@ class Samples:
         return corner_efforts_along(problem.mechanism, problem.robust.corners, self.q, self.v, self.a, self.u)
 
 
-def samples_of(problem: PlanningProblem, trajectory: Trajectory) -> Samples:
+def samples_of(problem: Problem, trajectory: Trajectory) -> Samples:
     """Return a motion's samples.
 
     Raises:
@@ -106,12 +106,12 @@ def least_between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.minimum(rows.min(axis=1), np.where(np.isfinite(rows).all(axis=1), least.min(axis=1, initial=np.inf), np.inf))
 
 
-def actuator_speeds(problem: PlanningProblem, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+def actuator_speeds(problem: Problem, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the actuators' speeds (n, n_u) [rad/s or m/s], (Gamma^T B)^T v, at poses q (n, n_q)."""
     return np.einsum("ksu,ks->ku", sampled(problem.mechanism.dynamics.effort_map, q), v)
 
 
-def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
+def closure_forces(problem: Problem, q, v, a, u) -> np.ndarray:
     """Return the size (n, n_closures) [N] of every closure's force."""
     mechanism = problem.mechanism
     force = sampled(mechanism.dynamics.closure_force, q, v, a, u)[:, :, 0]
@@ -119,13 +119,13 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
     return np.array(sizes).T.reshape(len(q), -1)
 
 
-def block_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
+def block_ratios(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Return the determinants (n, n_blocks) of J_z's blocks (loops that close together), relative to home."""
     block = problem.mechanism.dynamics.block_singularity
     return sampled(block, q)[:, :, 0] / np.array(block(problem.mechanism.home)).ravel()
 
 
-def singularity_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
+def singularity_ratios(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Return the least of J_z's block determinants at poses q (n, n_q), relative to home: 0 at a singular pose.
 
     Without loops it is 1.

@@ -13,7 +13,7 @@ from linkplan.planner.limits.path_limit import (
     Instant,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     margin_of,
@@ -33,18 +33,18 @@ class SingularMarginLimit(PathLimit):
     item: int
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         n_blocks = problem.mechanism.dynamics.block_singularity.numel_out(0)
         return [cls(block) for block in range(n_blocks)] if problem.limits.singular_margin > 0 else []
 
-    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+    def numbers(self, problem: Problem) -> Sequence[float]:
         mechanism = problem.mechanism
         return (1.0 / np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel()[self.item],)
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return at.of_pose("block_singularity")[self.item] * numbers
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return problem.limits.singular_margin, np.inf
 
     def margin(self, samples: Samples) -> Margin:
@@ -52,9 +52,9 @@ class SingularMarginLimit(PathLimit):
         return margin_of(self, problem.mechanism.name, samples.block_ratios[:, self.item], bounds, "", samples)
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return with_limits(problem, singular_margin=0.0)
 
     @classmethod
-    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
         return min(m.value / m.limit for m in over) / BETWEEN_NODES_FACTOR

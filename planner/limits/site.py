@@ -21,7 +21,7 @@ from linkplan.planner.limits.path_limit import (
     Instant,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     Tightened,
@@ -46,7 +46,7 @@ class SitePathLimit(PathLimit):
     shape: tuple
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         return [cls(item, limit.key) for item, limit in enumerate(problem.limits.site)]
 
     @classmethod
@@ -72,7 +72,7 @@ class SitePathLimit(PathLimit):
         normal = np.array(self.shape[1])
         return (ca.dot(ca.DM(normal), p) - float(normal @ site_at_home(at.mechanism, self.shape[0]))) / at.mechanism.extent_m
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         limit, mechanism = problem.limits.site[self.item], problem.mechanism
         if self.is_tube:
             return -np.inf, (limit.high / limit.scale) ** 2
@@ -88,18 +88,18 @@ class SitePathLimit(PathLimit):
         return _margin_sampled_finely(samples, limit, margin, values, bounds, size)
 
     @classmethod
-    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
         room_m = (factor - 1) * problem.mechanism.extent_m
         site = problem.limits.site
         wider = tuple(replace(one, low=one.low if one.is_tube else one.low - room_m, high=one.high + room_m) for one in site)
         return with_limits(problem, site=wider)
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return with_limits(problem, site=())
 
     @classmethod
-    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
         return 1 + BETWEEN_NODES_FACTOR * max(-m.left for m in over) / problem.mechanism.extent_m
 
 

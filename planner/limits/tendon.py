@@ -12,7 +12,7 @@ from linkplan.planner.limits.path_limit import (
     Instant,
     Margin,
     PathLimit,
-    PlanningProblem,
+    Problem,
     Samples,
     Scales,
     Tightened,
@@ -31,13 +31,13 @@ class TendonLimit(PathLimit):
     item: int
 
     @classmethod
-    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
         return [cls(item) for item in range(len(problem.mechanism.tendons))]
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
         return at.of_pose("tendon_length")[self.item] / at.mechanism.tendons[self.item].span
 
-    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         tendon = problem.mechanism.tendons[self.item]
         return tendon.low / tendon.span, tendon.high / tendon.span
 
@@ -46,7 +46,7 @@ class TendonLimit(PathLimit):
         return margin_of(self, tendon.name, lengths, (tendon.low, tendon.high), tendon.unit, samples, tendon.span)
 
     @classmethod
-    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
         longer = tuple(
             replace(one, low=one.low - (factor - 1) * one.span, high=one.high + (factor - 1) * one.span)
             for one in problem.mechanism.tendons
@@ -54,9 +54,9 @@ class TendonLimit(PathLimit):
         return replace(problem, mechanism=replace(problem.mechanism, tendons=longer))
 
     @classmethod
-    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+    def without(cls, problem: Problem) -> Problem:
         return cls.scaled(problem, 1.0 + RELAXED_FACTOR)
 
     @classmethod
-    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
         return 1 + BETWEEN_NODES_FACTOR * max(-m.left / problem.mechanism.tendons[m.item].span for m in over)

@@ -23,7 +23,7 @@ from linkplan.planner.transcription.bernstein import bernstein_value
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Integrated:
+class IntegratedOde:
     """How far the integrated state is from a solution.
 
     `errors` (n, n_x) are its distances at the intervals' ends, as shares of each state's size; `defects` (n, n_x) what each
@@ -40,7 +40,7 @@ class Integrated:
     restarts: int
 
 
-def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated:
+def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> IntegratedOde:
     """Return the integrated state's errors against a solution.
 
     Args:
@@ -98,7 +98,7 @@ def _most(problem: OdeProblem) -> float:
     return max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL)
 
 
-def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated:
+def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> IntegratedOde:
     """Return the errors of one integration."""
     f, L, n_x = problem.at_instant("rate"), problem.at_instant("running_cost"), problem.n_x
     has_cost = problem.running_cost is not None
@@ -120,7 +120,7 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
     shares, until, end = np.append(points[:-1], 1.0), problem.solver.certificate_deadline, begin[:n_x]
     for k, reached in enumerate(flows(rate_on, breaks, begin, shares, until)):
         if reached is None:
-            return Integrated(
+            return IntegratedOde(
                 errors=errors, defects=errors, objective=np.inf, misjudged=spent, beyond=np.full(n, np.inf), restarts=0
             )
         inside, end = reached[:, :n_x], reached[-1, :n_x]
@@ -130,10 +130,10 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
     with np.errstate(invalid="ignore"):
         defects = np.abs(np.diff(np.vstack([np.zeros(n_x), errors]), axis=0))
     objective, misjudged = _costs(problem, trajectory, spent, end)
-    return Integrated(errors=errors, defects=defects, objective=objective, misjudged=misjudged, beyond=beyond, restarts=0)
+    return IntegratedOde(errors=errors, defects=defects, objective=objective, misjudged=misjudged, beyond=beyond, restarts=0)
 
 
-def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated | None:
+def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> IntegratedOde | None:
     """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n_x, breaks, planned = problem.n_x, trajectory.breaks_s, _planned(trajectory)
     n = len(breaks) - 1
@@ -163,7 +163,7 @@ def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, poin
         return None
     share = errors.max(axis=0) / np.maximum(added.sum(axis=0), np.finfo(float).tiny)
     objective, misjudged = _costs(problem, trajectory, np.cumsum(spent), end)
-    return Integrated(
+    return IntegratedOde(
         errors=errors, defects=added * share, objective=objective, misjudged=misjudged, beyond=beyond, restarts=restarts
     )
 

@@ -18,7 +18,7 @@ from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.motion import Motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 
 # Cells of the grid, and places on it at which a motion may turn.
 _GRID_CELLS, _TURNING_PLACES = 1600, 60
@@ -36,14 +36,14 @@ _APPROACH_EXCESS = 1e-3
 _SAME_ENERGY_SHARE = 1e-6
 
 
-def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+def least_time_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     """Return the reach or turn of least time that the phase plane knows, whatever duration is asked; None without one."""
     if problem.motion.turns is not None:
         return _quickest_turn(problem, start_pose)
     return _planes(problem, start_pose)(1.0) if phase_plane_applies(problem) else None
 
 
-def _quickest_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     """Return the turn under full effort after which the energy is as before it; None where dampers do not take that effort.
 
     The more energy it begins with, the more the dampers take: the energy gained falls through zero, at the quickest turn.
@@ -81,7 +81,7 @@ def _quickest_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | 
     return _guess(plane, [Part(places=places, speeds=(speed, speed))], [[(index, w, np.full(len(index), way))]], start_pose)
 
 
-def phase_plane_applies(problem: PlanningProblem) -> bool:
+def phase_plane_applies(problem: Problem) -> bool:
     """True if the phase plane applies: a reach of one degree of freedom with limits on all efforts."""
     if problem.mechanism.dof != 1 or problem.motion.kind != "reach" or problem.motion.stays:
         return False
@@ -90,7 +90,7 @@ def phase_plane_applies(problem: PlanningProblem) -> bool:
     return bool(np.all(np.isfinite(problem.limits.effort)))
 
 
-def least_share(problem: PlanningProblem, start_pose: np.ndarray, duration: float) -> tuple[float, Guess] | None:
+def least_share(problem: Problem, start_pose: np.ndarray, duration: float) -> tuple[float, Guess] | None:
     """Return the least factor on the effort limits with which the phase plane knows of a reach, and that motion.
 
     None where it knows of none, however large the efforts, or where it does not look.
@@ -120,7 +120,7 @@ def least_share(problem: PlanningProblem, start_pose: np.ndarray, duration: floa
     return high, best
 
 
-def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest: Guess) -> Guess:
+def phase_plane_guess(problem: Problem, start_pose: np.ndarray, quickest: Guess) -> Guess:
     """Return a motion by the phase plane whose duration is nearest to a fixed one, stretched to it.
 
     Args:
@@ -138,7 +138,7 @@ def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest
     return stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
 
 
-def _planes(problem: PlanningProblem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:
+def _planes(problem: Problem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:
     """Return the function from a share of the effort limits to the quickest motion; its poses are followed once."""
     parts = parts_of(problem.motion)
     places = np.concatenate([part.places for part in parts])

@@ -10,13 +10,13 @@ import numpy as np
 
 from linkplan.planner.phase_plane.bang_bang_motions import parts_of
 from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 
 # Cells of the grid, and places on it at which a motion may rest.
 _GRID_CELLS, _RESTING_PLACES = 400, 60
 
 
-def quicker_may_exist(problem: PlanningProblem, start_pose: np.ndarray, duration_s: float) -> bool:
+def quicker_may_exist(problem: Problem, start_pose: np.ndarray, duration_s: float) -> bool:
     """True if another reach may be quicker than one that takes `duration_s`, directly or by a detour.
 
     Args:

@@ -12,7 +12,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 
 # The share of a grid's cells that is even in s; the other cells lie where joints or the inertia change most.
 _EVEN_SHARE = 0.5
@@ -102,7 +102,7 @@ class Plane:
 
 
 def grid_of(
-    problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarray, n_cells: int, *, graded: bool = True
+    problem: Problem, places: np.ndarray, start_pose: np.ndarray, n_cells: int, *, graded: bool = True
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return positions (n,) around places that a motion passes, within the ranges that hold from its start on, and poses.
 
@@ -145,7 +145,7 @@ def grid_of(
     return _followed(problem, _graded(problem, s, poses[::2]), places, start_pose) if graded else (s, poses)
 
 
-def _followed(problem: PlanningProblem, s: np.ndarray, places: np.ndarray, start_pose: np.ndarray):
+def _followed(problem: Problem, s: np.ndarray, places: np.ndarray, start_pose: np.ndarray):
     """Return positions (n,) with the places among them, and the poses (2 n - 1, n_q) at and between them.
 
     None where the loops open on the way.
@@ -163,7 +163,7 @@ def _followed(problem: PlanningProblem, s: np.ndarray, places: np.ndarray, start
     return s, np.vstack([before[:-1], after])
 
 
-def _graded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
+def _graded(problem: Problem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Return positions (n,) between the same ends, closer together where joints move or the inertia changes quickly."""
     inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
     steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
@@ -173,7 +173,7 @@ def _graded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray) -> np.nd
     return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
 
 
-def plane_of(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> Plane:
+def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> Plane:
     """Return the plane over a grid's positions (n,) and poses (2 n - 1, n_q), with effort limits (n_u, 2)."""
     dynamics, n = problem.mechanism.dynamics, len(poses)
 
@@ -212,7 +212,7 @@ def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
     return np.where(damped < -1e-6 * rub, damped, 0.0)
 
 
-def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:
+def _top(problem: Problem, poses: np.ndarray) -> np.ndarray:
     """Return the largest w = v^2 / 2 at poses (n, n_q) that every joint's speed limit admits."""
     mechanism, speed = problem.mechanism, np.abs(problem.limits.speed).min(axis=1)
     ratio = np.abs(sampled(mechanism.dynamics.velocity_map, poses)[:, :, 0])

@@ -13,7 +13,7 @@ import numpy as np
 from linkplan.models.deadline import Deadline
 from linkplan.planner.phase_plane.leg_field import AT_FORCE
 from linkplan.planner.phase_plane.power_legs import Leg, power_legs
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.schemes import scheme
@@ -31,7 +31,7 @@ _SLOPE_DIFFERENCE, _STEP_ROUNDING = 1e-7, 1e-13
 _MIN_INTERVAL_SHARE, _MAX_INTERVAL_SHARE = 1e-12, 0.01
 
 
-def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory | None:
+def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
     """Return the quickest reach that never turns back but where it must, along limits on power; None without one.
 
     It is the quickest one: no motion that goes on to its turning place is anywhere faster than both legs allow.

@@ -19,7 +19,7 @@ from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.phase_plane.bang_bang_motions import Guess, Part, parts_of
 from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, LegField, PinForces
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 
 # Poses along a part of the way.
 _POSES_PER_PART = 2001
@@ -87,7 +87,7 @@ class Leg:
         return [*found, (self.later + self.end, held[-1])]
 
 
-def knows_pins(problem: PlanningProblem) -> bool:
+def knows_pins(problem: Problem) -> bool:
     """True if legs can keep the limits on pin forces: one degree of freedom, one actuator, no dry friction."""
     mechanism = problem.mechanism
     if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
@@ -95,7 +95,7 @@ def knows_pins(problem: PlanningProblem) -> bool:
     return not sliding_friction(mechanism, mechanism.home[None]).any()
 
 
-def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+def power_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     """Return the quickest reach that never turns back but where it must, along limits on power and pin force, and its arcs.
 
     None without one, if no power or force is at its limit, or if the problem has other limits that the phase plane lacks.
@@ -112,9 +112,7 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
     return _guess(problem, start_pose, legs, arcs, boundaries)
 
 
-def power_legs(
-    problem: PlanningProblem, start_pose: np.ndarray, *, exactly: bool = False
-) -> tuple[list[Leg], np.ndarray] | None:
+def power_legs(problem: Problem, start_pose: np.ndarray, *, exactly: bool = False) -> tuple[list[Leg], np.ndarray] | None:
     """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None without one.
 
     Args:
@@ -140,7 +138,7 @@ def power_legs(
     return legs, np.array(boundaries)
 
 
-def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> LegField:
+def _field(problem: Problem, part: Part, start_pose: np.ndarray) -> LegField:
     """Return the field of accelerations that effort, power and pin forces allow along a part.
 
     Raises:
@@ -176,7 +174,7 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> LegF
     return LegField(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way, pins=pins)
 
 
-def _pins(problem: PlanningProblem, place: np.ndarray, forces: np.ndarray) -> PinForces:
+def _pins(problem: Problem, place: np.ndarray, forces: np.ndarray) -> PinForces:
     """Return forces (n, 4, n_rows) [N, ...] of all closures at places (n,) as those of limited ones, by their ratings."""
     import scipy
 
@@ -240,7 +238,7 @@ def _cut(leg: Leg, begin: float, end: float, later: float) -> Leg:
     return Leg(field=leg.field, state=leg.state, steps=leg.steps, towards=leg.towards, begin=begin, end=end, later=later)
 
 
-def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[Leg], arcs: list, boundaries: np.ndarray) -> Guess:
+def _guess(problem: Problem, start_pose: np.ndarray, legs: list[Leg], arcs: list, boundaries: np.ndarray) -> Guess:
     """Return legs as a guess, with their arcs between switch times and phase boundaries."""
     ends = np.array([leg.later + leg.end for leg in legs])
     n_u, duration = len(problem.limits.effort), float(ends[-1])

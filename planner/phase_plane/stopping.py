@@ -12,7 +12,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.phase_plane.grid import plane_of
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 
 # Cells between an end of the motion and the end of the range; and the share of its energy that must be left there: a hundred
 # times the error of the quadrature.
@@ -31,7 +31,7 @@ class _End:
     other_speed: float
 
 
-def no_way_to_stop(problem: PlanningProblem) -> str | None:
+def no_way_to_stop(problem: Problem) -> str | None:
     """Return the sentence on a speed at start or goal that no effort stops or gives within the joint's range, or None."""
     motion, mechanism = problem.motion, problem.mechanism
     if mechanism.dof != 1 or motion.kind != "reach" or motion.goal_is_free or not np.all(np.isfinite(problem.limits.effort)):
@@ -45,7 +45,7 @@ def no_way_to_stop(problem: PlanningProblem) -> str | None:
     return next((found for end in ends if end.speed and (found := _beyond_the_range(problem, end)) is not None), None)
 
 
-def _beyond_the_range(problem: PlanningProblem, end: _End) -> str | None:
+def _beyond_the_range(problem: Problem, end: _End) -> str | None:
     mechanism, limit = problem.mechanism, problem.limits.position
     way, (joint,) = int(np.sign(end.speed)), mechanism.independent_joints
     step = way * end.along

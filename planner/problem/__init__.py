@@ -1,4 +1,4 @@
-"""The continuous planning problem, checked when it is built.
+"""The planning problem, built from the sections of a problem file and checked when it is built.
 
-In: a mechanism, a motion, an objective, limits, a reference and settings. Out: a `PlanningProblem`.
+In: tables, as files, builders and saved plans make them. Out: a `Problem`: mechanism, motion, objective, limits, settings.
 """

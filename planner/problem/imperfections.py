@@ -5,13 +5,14 @@ Planning does not use them. Studies use them to run trackers on machines that di
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity
+from linkplan.planner.keys.reading import refuse_unknown_keys
 from linkplan.planner.problem.values import number
-
-KEYS = (*QUANTITIES, *WORDS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,12 +88,88 @@ def _legal(value: object, key: str, where: str) -> float:
     return found
 
 
-def refuse_unknown(table: Mapping) -> None:
-    """Refuse unknown keys.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImperfectionFactors:
+    """The section's quantities with their distributions, and the pushed body or joint."""
+
+    factors: tuple[Factor, ...]
+    push_body: str | None = None
+    push_joint: str | None = None
+
+
+def imperfections_of(table: Any, mechanism: Mechanism) -> ImperfectionFactors:
+    """Return a file's [imperfections] for a mechanism; a value without names applies to every joint, actuator or body.
 
     Raises:
-        ProblemError: with the nearest key.
+        ProblemError: for a key, name, or value that cannot be used.
     """
-    for key in table:
-        if key not in KEYS:
-            raise ProblemError(f"unknown key 'imperfections.{key}'{nearest(key, KEYS)}; keys are {', '.join(KEYS)}")
+    refuse_unknown_keys({"imperfections": table})
+    factors: list[Factor] = []
+    for key, value in table.items():
+        if key in WORDS:
+            continue
+        names = _names(QUANTITIES[key].of, mechanism)
+        if QUANTITIES[key].of and not names:
+            raise ProblemError(f"imperfections.{key} is for {_WHAT[QUANTITIES[key].of]}, of which the mechanism has none")
+        if not QUANTITIES[key].of:
+            factors.append(Factor(key=key, name="", spread=spread_of(value, key, key)))
+        elif isinstance(value, Mapping) and not is_spread(value):
+            for name, one in value.items():
+                if name not in names:
+                    raise ProblemError(
+                        f"imperfections.{key} names '{name}'{nearest(name, names)}; {_WHAT[QUANTITIES[key].of]} are"
+                        f" {', '.join(names)}"
+                    )
+                factors.append(Factor(key=key, name=name, spread=spread_of(one, key, f"{key}.{name}")))
+        else:
+            spread = spread_of(value, key, key)
+            factors += [Factor(key=key, name=name, spread=spread) for name in names]
+    pushed = {word: _word(table, word, mechanism) for word in WORDS}
+    _check_push({factor.key for factor in factors}, pushed)
+    return ImperfectionFactors(factors=tuple(factors), **pushed)
+
+
+_WHAT = {
+    "hinge": "independent hinges",
+    "slide": "independent slides",
+    "joint": "joints",
+    "actuator": "actuators",
+    "body": "moving bodies",
+}
+
+
+def _names(of: str, mechanism: Mechanism) -> list[str]:
+    if of in ("hinge", "slide"):
+        return [joint.name for joint in mechanism.independent_joints if joint.kind == of]
+    if of == "joint":
+        return [joint.name for joint in mechanism.joints]
+    if of == "actuator":
+        return [actuator.name for actuator in mechanism.actuators]
+    model = mechanism.model
+    return [model.body(i).name for i in range(1, model.nbody) if model.body_dofnum[i] > 0]
+
+
+def _word(table: Mapping, word: str, mechanism: Mechanism) -> str | None:
+    value = table.get(word)
+    if value is None:
+        return None
+    names = _names("joint", mechanism)
+    if word == "push_body":
+        names = [mechanism.model.body(i).name for i in range(1, mechanism.model.nbody)]
+    if not isinstance(value, str) or value not in names:
+        hint = nearest(value, names) if isinstance(value, str) else ""
+        raise ProblemError(f"imperfections.{word} is one of {', '.join(names)}, got {value!r}{hint}")
+    return value
+
+
+def _check_push(keys: set[str], pushed: dict[str, str | None]) -> None:
+    forces = sorted(key for key in keys if key.startswith("push_force"))
+    wanted = {"push_body": forces[:1], "push_joint": ["push_effort"] if "push_effort" in keys else []}
+    for word, needs in wanted.items():
+        if needs and pushed[word] is None:
+            raise ProblemError(f"imperfections.{needs[0]} is a push without a target; name imperfections.{word}")
+        if pushed[word] is not None and not needs:
+            lack = "push_force_x_n, _y_n or _z_n" if word == "push_body" else "push_effort"
+            raise ProblemError(f"imperfections.{word} is pushed with no force; give imperfections.{lack}")
+    if any(pushed.values()) and "push_duration_s" not in keys:
+        raise ProblemError("a push takes imperfections.push_duration_s [s] (and push_start_s, 0 where it is not given)")

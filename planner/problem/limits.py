@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.problem.sites import SiteLimit
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import choose
+from linkplan.planner.keys.limits_section import LimitsSection, MotorSection, RobustSection
+from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.problem.robust import Range, Robust
+from linkplan.planner.problem.sites import SiteLimit, site_limits_of
+from linkplan.planner.problem.values import frozen, interval
 
 
 def free_bounds(n: int) -> np.ndarray:
@@ -25,15 +31,6 @@ class Motor:
     resistance: float | None = None
     stall_effort: float | None = None
     no_load_speed: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ProblemError(f"motors.{name} is a positive number, got {value!r}")
-        for one, other in (("torque_constant", "resistance"), ("stall_effort", "no_load_speed")):
-            if (getattr(self, one) is None) != (getattr(self, other) is None):
-                raise ProblemError(f"a motor's {one} and {other} go together, got one of them alone")
 
     @property
     def has_line(self) -> bool:
@@ -67,28 +64,16 @@ class Limits:
     site: tuple[SiteLimit, ...] = ()
 
     def __post_init__(self) -> None:
-        n_u = len(self.effort)
         object.__setattr__(self, "site", tuple(self.site))
         for name in ("effort_rate", "power"):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, free_bounds(n_u))
-        if self.closure_force is None:
-            object.__setattr__(self, "closure_force", np.zeros(0))
+                object.__setattr__(self, name, free_bounds(len(self.effort)))
+        object.__setattr__(self, "closure_force", frozen(() if self.closure_force is None else self.closure_force))
         for name in ("effort", "position", "speed", "effort_rate", "power"):
-            value = np.array(getattr(self, name), dtype=float)
+            value = frozen(getattr(self, name))
             if value.ndim != 2 or value.shape[1] != 2 or np.any(np.isnan(value)):
                 raise ProblemError(f"limits.{name} has one [low, high] a row, got shape {value.shape}")
-            value.flags.writeable = False
             object.__setattr__(self, name, value)
-        force = np.array(self.closure_force, dtype=float)
-        if np.any(np.isnan(force)) or np.any(force <= 0):
-            raise ProblemError(f"limits.closure_force is positive, got {force}")
-        force.flags.writeable = False
-        object.__setattr__(self, "closure_force", force)
-        if not 0 <= self.reserve < 1:
-            raise ProblemError(f"limits.reserve is from 0 to below 1, got {self.reserve!r}")
-        if not 0 <= self.singular_margin < 1:
-            raise ProblemError(f"limits.singular_margin is from 0 to below 1, got {self.singular_margin!r}")
 
     @property
     def actuators_effort(self) -> np.ndarray:
@@ -99,3 +84,121 @@ class Limits:
     def limited_closures(self) -> tuple[int, ...]:
         """The closures with a limited force."""
         return tuple(int(i) for i in np.flatnonzero(np.isfinite(self.closure_force)))
+
+
+def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
+    """Return the limits of a [limits] table; the model's own limits are the default."""
+    effort = np.array(mechanism.effort_limit)
+    for name, value in section.effort.items():
+        effort[actuator_index(mechanism, name, "limits.effort")] = interval(value, f"limits.effort.{name}")
+    position = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
+    for index, value in joint_values(section, "range", "limits", mechanism).items():
+        joint = mechanism.joints[index]
+        shown = interval(value, f"limits.range_{joint.unit}.{joint.name}")
+        low, high = (joint.read(end) for end in shown)
+        if low < joint.lower or high > joint.upper:
+            raise ProblemError(
+                f"limits.range_{joint.unit}.{joint.name} = [{shown[0]:g}, {shown[1]:g}] is wider than the model's own range"
+                f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], where its stops act"
+            )
+        position[index] = low, high
+    speed = np.tile([-np.inf, np.inf], (mechanism.n_q, 1))
+    for index, value in joint_values(section, "speed_s", "limits", mechanism).items():
+        joint = mechanism.joints[index]
+        speed[index] = [joint.read(end) for end in _including_rest(value, f"limits.speed_{joint.unit}_s.{joint.name}")]
+    forces = np.full(len(mechanism.closure_names), np.inf)
+    for name, value in section.closure_force.items():
+        forces[closure_index(mechanism, name)] = value
+    return Limits(
+        effort=(1.0 - section.reserve) * effort,
+        reserve=section.reserve,
+        position=position,
+        speed=speed,
+        effort_rate=_actuator_rows(section.effort_rate, "limits.effort_rate", mechanism),
+        power=_actuator_rows(section.power_w, "limits.power_w", mechanism),
+        closure_force=forces,
+        singular_margin=section.singular_margin,
+        site=site_limits_of(section.site, mechanism),
+    )
+
+
+def robust_of(section: RobustSection, mechanism: Mechanism) -> Robust:
+    """Return the ranges of a [robust] table."""
+
+    def friction(table: dict[str, list[float]], where: str) -> dict[int, Range]:
+        joints = {name: mechanism.joint_index(name, ProblemError) for name in table}
+        return {index: interval(table[name], f"{where}.{name}", point=True) for name, index in joints.items()}
+
+    def factor(value: object, where: str) -> Range:
+        return interval(value, where, point=True) if isinstance(value, list) else (1.0, 1.0)
+
+    return Robust(
+        payload_factor=factor(section.payload_factor, "robust.payload_factor"),
+        torque_factor=factor(section.torque_constant_factor, "robust.torque_constant_factor"),
+        viscous=friction(section.viscous_friction, "robust.viscous_friction"),
+        coulomb=friction(section.coulomb_friction, "robust.coulomb_friction"),
+    )
+
+
+def actuator_index(mechanism: Mechanism, name: str, where: str) -> int:
+    """Return the index of a named actuator.
+
+    Raises:
+        ProblemError: for an unknown name.
+    """
+    names = [actuator.name for actuator in mechanism.actuators]
+    return names.index(choose(f"actuator in {where}", name, names, ProblemError))
+
+
+def closure_index(mechanism: Mechanism, name: str) -> int:
+    """Return the index of a closure named in limits.closure_force.
+
+    Raises:
+        ProblemError: for an unknown name.
+    """
+    names = mechanism.closure_names
+    if not names:
+        raise ProblemError(f"limits.closure_force.{name}: mechanism '{mechanism.name}' has no closure")
+    return names.index(choose("closure in limits.closure_force", name, names, ProblemError))
+
+
+def _including_rest(value: float | list[float], where: str) -> tuple[float, float]:
+    """Return [low, high] of a limit, from a positive number for both ways or an interval that contains zero."""
+    if not isinstance(value, list):
+        return -value, value
+    low, high = interval(value, where)
+    if not low <= 0 <= high:
+        raise ProblemError(f"{where} admits rest, low <= 0 <= high, got [{low:g}, {high:g}]")
+    return low, high
+
+
+def _actuator_rows(table: dict[str, float | list[float]], where: str, mechanism: Mechanism) -> np.ndarray:
+    """Return [low, high] (n_u, 2) of a limit per actuator."""
+    rows = free_bounds(mechanism.n_u)
+    for name, value in table.items():
+        rows[actuator_index(mechanism, name, where)] = _including_rest(value, f"{where}.{name}")
+    return rows
+
+
+def motors_of(section: dict[str, MotorSection], mechanism: Mechanism) -> tuple[Motor | None, ...]:
+    """Return the motor of each actuator; None if the [motors] table does not name it."""
+    motors: list[Motor | None] = [None] * mechanism.n_u
+    for name, motor in section.items():
+        index = actuator_index(mechanism, name, "[motors]")
+        where, unit = f"motors.{name}", mechanism.actuators[index].unit
+        right, wrong = "no_load_speed_m_s", "no_load_speed_deg_s"
+        if unit != "N":
+            right, wrong = wrong, right
+        if getattr(motor, wrong) is not None:
+            raise ProblemError(f"actuator '{name}' gives {unit}; use {where}.{right}, not {wrong}")
+        speed = getattr(motor, right)
+        for one, other in (("torque_constant", "resistance_ohm"), ("stall_effort", right)):
+            if (getattr(motor, one) is None) != (getattr(motor, other) is None):
+                raise ProblemError(f"{where}.{one} and {where}.{other} go together, got one of them alone")
+        motors[index] = Motor(
+            torque_constant=motor.torque_constant,
+            resistance=motor.resistance_ohm,
+            stall_effort=motor.stall_effort,
+            no_load_speed=None if speed is None else speed if unit == "N" else float(np.radians(speed)),
+        )
+    return tuple(motors)

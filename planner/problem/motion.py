@@ -1,13 +1,20 @@
 """Motions: prescribed states at both ends and at waypoints, and bounds on the duration."""
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
-from linkplan.planner.keys.reading import checked
-from linkplan.planner.problem.sites import SitePoint
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
+from linkplan.planner.keys.motion_section import MotionSection, WaypointSection
+from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.problem.limits import Limits
+from linkplan.planner.problem.reference import Sine, is_whole
+from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
 from linkplan.planner.problem.values import frozen
 
 
@@ -28,8 +35,6 @@ class Waypoint:
     guess: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if bool(self.at_rows) != (self.guess is not None) or (self.at_rows and not self.at):
-            raise ProblemError("a waypoint whose pose is open has places of sites, at_rows of them and a pose to guess")
         object.__setattr__(self, "position", frozen(self.position))
         object.__setattr__(self, "at", tuple(self.at))
         if self.guess is not None:
@@ -79,17 +84,13 @@ class Motion:
     goal_named: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        checked("motion.kind", self.kind)
         for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen(value))
         for name in ("waypoints", "start_at", "goal_at"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        self._check_sites()
         self._check_turns()
-        if self.duration_s is not None and not (np.isfinite(self.duration_s) and self.duration_s > 0):
-            raise ProblemError(f'motion.duration_s is a positive number or "free", got {self.duration_s!r}')
         low, high = self.min_duration_s, self.max_duration_s
         if low is not None and high is not None and not low < high:
             raise ProblemError(f"motion.min_duration_s is below motion.max_duration_s, got {low:g} and {high:g}")
@@ -130,18 +131,6 @@ class Motion:
         if not np.any(self.turns) or not np.all(self.turns == np.round(self.turns)):
             raise ProblemError(f"motion.turns are whole turns, at least one of them not 0, got {self.turns}")
 
-    def _check_sites(self) -> None:
-        for name in ("start", "goal"):
-            if getattr(self, f"{name}_at") and getattr(self, name) is None:
-                raise ProblemError(f"motion.{name}_at needs motion.{name}, a pose in which the sites are there")
-            if getattr(self, f"{name}_at") and self.kind == "track":
-                raise ProblemError(f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic', got 'track'")
-        if self.goal_is_free and (self.kind != "reach" or not self.goal_at):
-            raise ProblemError(
-                f"motion.goal_at of a {self.kind} motion names as many coordinates as the mechanism has freedoms; only the"
-                " end of a 'reach' may be left open"
-            )
-
     def _check_waypoints(self) -> None:
         if self.waypoints and self.kind == "track":
             raise ProblemError(
@@ -160,3 +149,215 @@ class Motion:
         longest = self.duration_s or self.max_duration_s
         if longest is not None and last >= longest:
             raise ProblemError(f"motion.waypoints end at {last:g} s, beyond the motion's {longest:g} s")
+
+
+# Largest difference of a dependent joint named in start_deg or goal_deg from the closed loop's position.
+_POSE_TOLERANCE = np.radians(0.05)
+
+
+def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | None, limits: Limits) -> Motion:
+    """Return the motion of a [motion] table; poses found from sites' places keep the limits if possible."""
+    kind, duration = section.kind, section.duration_s
+    if duration is None and reference is not None:
+        duration = reference.period_s
+    duration = None if duration == "free" else duration
+    repeats = kind == "periodic" and reference is not None and duration is not None
+    if repeats and not is_whole(duration * reference.frequency_hz):
+        raise ProblemError(
+            f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
+            f" {reference.period_s:g} s, got {duration:g}"
+        )
+    start, start_at, _ = _end(section, "start", kind, mechanism, limits, mechanism.home)
+    begin = mechanism.home if start is None else _closed(mechanism, start)
+    goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
+    motion = Motion(
+        kind=kind,
+        start=start,
+        goal=goal,
+        start_at=start_at,
+        goal_at=goal_at,
+        goal_rows=goal_rows,
+        start_speed=_state(section, "start_speed_s", mechanism, 0.0),
+        goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
+        duration_s=duration,
+        min_duration_s=section.min_duration_s,
+        max_duration_s=section.max_duration_s,
+        waypoints=_waypoints(section.waypoints, mechanism, limits, begin),
+        turns=_turns(section.turns, mechanism),
+        goal_named=tuple(np.flatnonzero(np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))).tolist()),
+    )
+    _check_poses(section, mechanism, motion)
+    return motion
+
+
+def _goal_joints(section: MotionSection, mechanism: Mechanism) -> set[int]:
+    """Return the joints with a position or speed in the goal."""
+    return set().union(*(joint_values(section, key, "motion", mechanism) for key in ("goal", "goal_speed_s")))
+
+
+def _state(
+    section: MotionSection | WaypointSection, key: str, mechanism: Mechanism, default: float | None, where: str = "motion"
+) -> np.ndarray | None:
+    """Return the independent joints' values (n_s,) of a boundary condition, or None if none is given."""
+    values = joint_values(section, key, where, mechanism)
+    if not values:
+        return None
+    result = []
+    if default is None:
+        values = _with_rests(values, f"{where}.{key}", mechanism)
+    for index in mechanism.independent:
+        joint = mechanism.joints[index]
+        if index not in values and default is None and int(index) not in mechanism.passive_dofs:
+            named = sorted(mechanism.joints[i].name for i in values)
+            others = len(values) == mechanism.dof and not {int(i) for i in values} <= {int(i) for i in mechanism.independent}
+            hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if others else ""
+            raise ProblemError(
+                f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
+            )
+        value = values.get(int(index), default)  # NaN (free) in a waypoint
+        # A passive degree of freedom that is not named stays at home.
+        result.append(mechanism.home[index] if value is None else joint.read(value))
+    if key.endswith("_s"):
+        _refuse_dependent(values, f"{where}.{key}", mechanism)
+    return np.array(result)
+
+
+def _refuse_dependent(values: dict[int, float], where: str, mechanism: Mechanism) -> None:
+    """Refuse speeds of dependent joints."""
+    for index in values:
+        if index not in mechanism.independent:
+            raise ProblemError(
+                f"{where} of joint {mechanism.joints[index].name}: its speed follows from"
+                f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
+            )
+
+
+def _end(
+    section: MotionSection, name: str, kind: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
+) -> tuple[np.ndarray | None, tuple[SitePoint, ...], tuple[int, ...]]:
+    """Return a start or goal (n_s,) given by joints or by sites' places, these places, and `Motion.goal_rows`."""
+    named = [key for key in (f"{name}_deg", f"{name}_m") if getattr(section, key)]
+    points = points_of(getattr(section, f"{name}_at"), f"motion.{name}_at", mechanism)
+    if not points:
+        return _state(section, name, mechanism, None), (), ()
+    if named:
+        raise ProblemError(f"motion.{name}_at and motion.{named[0]} both say where the {name} is; keep one")
+    if kind == "track":
+        raise ProblemError(
+            f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant"
+        )
+    s, rows = pose_at(points, f"motion.{name}_at", mechanism, limits.position, limits.site, begin)
+    if rows and (name == "start" or kind != "reach"):
+        raise ProblemError(
+            f"motion.{name}_at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a"
+            f" 'reach' may: name more coordinates, or the joints in motion.{name}_deg"
+        )
+    return s, points, rows
+
+
+def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | None:
+    """Return the whole turns (n_s,) over a period of a periodic motion; None if it returns."""
+    if asked is None:
+        return None
+    turns = np.zeros(mechanism.dof)
+    places = {int(index): column for column, index in enumerate(mechanism.independent)}
+    for name, n in asked.items():
+        index = mechanism.joint_index(name, ProblemError)
+        joint = mechanism.joints[index]
+        if joint.kind != "hinge" or joint.chart is not None:
+            what = "slide" if joint.kind == "slide" else "part of a ball joint"
+            raise ProblemError(f"motion.turns of joint {name}: it is a {what}; only hinges turn endlessly")
+        if index not in places:
+            names = ", ".join(j.name for j in mechanism.independent_joints)
+            raise ProblemError(f"motion.turns of joint {name}: its turns follow from {names}; name those")
+        turns[places[index]] = n
+    return turns
+
+
+def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
+    """Return the closed pose (n_q,) at a start; home if there is none, because the start is checked elsewhere."""
+    try:
+        return close_at(mechanism, s)
+    except AssemblyError:
+        return mechanism.home
+
+
+def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> dict[int, float]:
+    """Return a state's values, with undriven freedoms that it does not name at their equilibrium on springs."""
+    unnamed = tuple(c for c in sprung_freedoms(mechanism) if int(mechanism.independent[c]) not in values)
+    if not unnamed:
+        return values
+    joints = mechanism.joints
+    named = {
+        column: joints[index].read(values[index])
+        for column, index in enumerate(mechanism.independent.tolist())
+        if index in values
+    }
+    s = spring_equilibrium(mechanism, named, unnamed)
+    if s is None:
+        names = ", ".join(joints[int(mechanism.independent[c])].name for c in unnamed)
+        raise ProblemError(
+            f"{where} names no value for {names}, and no equilibrium of springs and weight was found near home"
+        )
+    return values | {int(mechanism.independent[c]): joints[int(mechanism.independent[c])].shown(s[c]) for c in unnamed}
+
+
+def _waypoints(
+    given: list[WaypointSection], mechanism: Mechanism, limits: Limits, begin: np.ndarray
+) -> tuple[Waypoint, ...]:
+    """Return the waypoints; sites' places are converted to the nearest poses, the first to the pose `begin` (n_q,)."""
+    waypoints = []
+    for k, item in enumerate(given):
+        where = f"motion.waypoints[{k}]"
+        nothing = np.full(mechanism.dof, np.nan)
+        position, speed = (_state(item, key, mechanism, np.nan, where) for key in ("at", "speed_s"))
+        points, rows, guess = points_of(item.at, f"{where}.at", mechanism), (), None
+        if points:
+            if position is not None:
+                both = "at_deg" if item.at_deg else "at_m"
+                raise ProblemError(f"{where}.at and {where}.{both} both say where it is; keep one")
+            guess, rows = pose_at(points, f"{where}.at", mechanism, limits.position, limits.site, begin)
+            begin, position = _closed(mechanism, guess), None if rows else guess
+        waypoints.append(
+            Waypoint(
+                position=nothing if position is None else position,
+                speed=speed,
+                time_s=None if item.time_s == "free" else item.time_s,
+                at=points,
+                at_rows=rows,
+                guess=guess if rows else None,
+            )
+        )
+    return tuple(waypoints)
+
+
+def _check_poses(section: MotionSection, mechanism: Mechanism, motion: Motion) -> None:
+    """Refuse a start, goal or waypoint with dependent joints that are not where the closed loop has them."""
+    states: list[tuple] = [(section, "motion", "start", motion.start), (section, "motion", "goal", motion.goal)]
+    for k, (item, waypoint) in enumerate(zip(section.waypoints, motion.waypoints, strict=True)):
+        states.append((item, f"motion.waypoints[{k}]", "at", waypoint.position))
+    for table, where, key, s in states:
+        named = joint_values(table, key, where, mechanism)
+        extra = [index for index in named if index not in mechanism.independent]
+        if s is None or not extra:
+            continue
+        if np.any(np.isnan(s)):
+            names = ", ".join(joint.name for joint in mechanism.independent_joints)
+            raise ProblemError(
+                f"{where}.{key} of joint {mechanism.joints[extra[0]].name}: it follows from {names}; a waypoint that leaves"
+                " one of them free must not name dependent joints"
+            )
+        try:
+            pose = close_at(mechanism, s)
+        except AssemblyError as error:
+            raise ProblemError(f"{where}.{key}_deg does not close: {error}") from error
+        for index in extra:
+            joint = mechanism.joints[index]
+            asked = joint.read(named[index])
+            if abs(asked - pose[index]) > _POSE_TOLERANCE:
+                pairs = zip(mechanism.independent_joints, s, strict=True)
+                raise ProblemError(
+                    f"{where}.{key}_{joint.unit} does not close: with"
+                    f" {', '.join(f'{j.name} = {j.said(x, 6)}' for j, x in pairs)} the loop has {joint.name} at"
+                    f" {joint.said(pose[index], 6)} {joint.unit}, asked {joint.said(asked, 6)}"
+                )

@@ -5,6 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.keys.motion_section import ReferenceSection
+from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.problem.values import frozen
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -22,13 +26,7 @@ class Sine:
 
     def __post_init__(self) -> None:
         for name in ("amplitude", "bias", "phase"):
-            value = np.array(getattr(self, name), dtype=float)
-            if not np.all(np.isfinite(value)):
-                raise ProblemError(f"reference.{name} is finite numbers, got {getattr(self, name)!r}")
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
-        if not (np.isfinite(self.frequency_hz) and self.frequency_hz > 0):
-            raise ProblemError(f"reference.frequency_hz is a positive number, got {self.frequency_hz!r}")
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def period_s(self) -> float:
@@ -40,3 +38,37 @@ class Sine:
         omega = 2 * np.pi * self.frequency_hz
         angle = omega * np.asarray(time_s, dtype=float)[:, None] + self.phase + order * np.pi / 2
         return (self.bias if order == 0 else 0.0) + self.amplitude * omega**order * np.sin(angle)
+
+
+def is_whole(number: float) -> bool:
+    """Check if a ratio is a whole number, except for the rounding of decimal input."""
+    return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
+
+
+def sine_of(section: ReferenceSection, mechanism: Mechanism) -> Sine:
+    """Return the reference of a [reference] table."""
+
+    def values(key: str, default: float | None) -> np.ndarray:
+        found = joint_values(section, key, "reference", mechanism)
+        for index in found:
+            if index not in mechanism.independent:
+                names = ", ".join(j.name for j in mechanism.independent_joints)
+                raise ProblemError(
+                    f"reference.{key} is for independent joints ({names}), got {mechanism.joints[index].name}"
+                )
+        result = []
+        for index, joint in zip(mechanism.independent.tolist(), mechanism.independent_joints, strict=True):
+            value = found.get(index, default)
+            if value is None:
+                raise ProblemError(f"reference.{key}_{joint.unit} names no value for joint {joint.name}")
+            result.append(joint.read(value))
+        return np.array(result)
+
+    for joint in section.phase_deg:
+        mechanism.joint_index(joint, ProblemError)
+    return Sine(
+        amplitude=values("amplitude", None),
+        bias=values("bias", 0.0),
+        phase=np.radians([section.phase_deg.get(joint.name, 0.0) for joint in mechanism.independent_joints]),
+        frequency_hz=section.frequency_hz,
+    )

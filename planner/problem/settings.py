@@ -13,7 +13,6 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY, MIN_INTERVAL_SHARE
 from linkplan.planner.keys.reading import checked
-from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
 from linkplan.planner.problem.values import frozen, plain, whole
 from linkplan.planner.transcription.schemes import scheme
@@ -88,8 +87,8 @@ class Tracking:
     """Settings of tracking: PD gains per actuated joint, sampling, delay, and LQR weights.
 
     kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators: one number for
-    all, or one for each joint by name. LQR gives equal weight to a position error of `lqr_position` [rad], a velocity error
-    of `lqr_velocity` and the whole effort limit; on a slide to `lqr_position_m` [m] and `lqr_velocity_m_s`. LQI gives the
+    all, or one for each joint by name. LQR gives equal weight to a position error of `lqr_position_deg`, a velocity error of
+    `lqr_velocity_deg_s` and the whole effort limit; on a slide to `lqr_position_m` [m] and `lqr_velocity_m_s`. LQI gives the
     same weight to the integral of that error over `integral_time_s`. Errors under computed torque and gain-scheduled PD have
     the natural frequency `bandwidth_hz` [Hz] and the damping ratio. MPC has the horizon `horizon_s` [s]. In tracking, the
     delay is a whole number of control periods; frequency responses allow any delay.
@@ -100,8 +99,8 @@ class Tracking:
     period_s: float = _TRACKING.period_s
     delay_periods: float = _TRACKING.delay_periods
     duration_s: float | None = None  # of the tracking run; default: the plan and a rest, or eight periods
-    lqr_position: float = np.radians(_TRACKING.lqr_position_deg)
-    lqr_velocity: float = np.radians(_TRACKING.lqr_velocity_deg_s)
+    lqr_position_deg: float = _TRACKING.lqr_position_deg
+    lqr_velocity_deg_s: float = _TRACKING.lqr_velocity_deg_s
     lqr_position_m: float = _TRACKING.lqr_position_m
     lqr_velocity_m_s: float = _TRACKING.lqr_velocity_m_s
     bandwidth_hz: float = _TRACKING.bandwidth_hz
@@ -110,18 +109,20 @@ class Tracking:
     horizon_s: float = _TRACKING.horizon_s
 
     def __post_init__(self) -> None:
-        keys = ("kp", "kd", "period_s", "duration_s", "lqr_position_m", "lqr_velocity_m_s")
-        keys += ("bandwidth_hz", "damping_ratio", "integral_time_s", "horizon_s")
-        _check(self, "tracking", _TRACKING, keys)
+        _check(self, "tracking", _TRACKING, [key for key in _TRACKING.__struct_fields__ if key != "delay_periods"])
         delay = plain(self.delay_periods)  # an integer stays an integer
         checked("tracking.delay_periods", delay)
         _set(self, "delay_periods", delay)
-        for key, in_file in (("lqr_position", "lqr_position_deg"), ("lqr_velocity", "lqr_velocity_deg_s")):
-            value = plain(getattr(self, key))
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            # Twelve digits remove the rounding of the conversion from degrees to radians and back.
-            checked(f"tracking.{in_file}", float(f"{np.degrees(value):.12g}") if is_number else value)
-            _set(self, key, float(value))
+
+    @property
+    def lqr_position(self) -> float:
+        """The position error [rad] of a hinge that has the weight 1."""
+        return float(np.radians(self.lqr_position_deg))
+
+    @property
+    def lqr_velocity(self) -> float:
+        """The velocity error [rad/s] of a hinge that has the weight 1."""
+        return float(np.radians(self.lqr_velocity_deg_s))
 
     def tracked(self) -> "Tracking":
         """Return these settings if they can track a motion: the delay must be a whole number of control periods."""
@@ -172,7 +173,9 @@ class Tracking:
         return position, np.where(hinge, self.lqr_velocity, self.lqr_velocity_m_s)
 
 
-def _check(settings: object, section: str, left_out: Section, keys: Sequence[str]) -> None:
+def _check(
+    settings: object, section: str, left_out: MeshSection | SolverSection | TrackingSection, keys: Sequence[str]
+) -> None:
     """Check settings against a file's section and set them; None is kept if the section has no default."""
     for key in keys:
         value = plain(getattr(settings, key))

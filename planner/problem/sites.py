@@ -4,16 +4,21 @@ Each limit is on one quantity of a site at p (3,) [m] in the world's frame: n . 
 a wall (n its normal), or the distance from a polyline for a tube.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.keys.kinds import Axis
-from linkplan.planner.problem.values import frozen
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, places_of, site_pose
+from linkplan.models.tree.sites import site_index
+from linkplan.planner.keys.limits_section import SITE_LIMITS, Box, Tube, Wall
+from linkplan.planner.keys.reading import read
+from linkplan.planner.problem.values import frozen, interval
 
-AXES = get_args(Axis)
+AXES = Box.__struct_fields__
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -96,3 +101,131 @@ class SitePoint:
     def off_m(self, p: np.ndarray) -> float:
         """Return the distance [m] of a place p (3,) from the point, in the prescribed coordinates."""
         return float(np.sqrt(np.nansum((np.asarray(p) - self.point) ** 2)))
+
+
+# A normal, or a segment of a polyline, below this length [1 or m] has no direction.
+_MIN_LENGTH = 1e-9
+
+
+def points_of(table: dict[str, list | dict], where: str, mechanism: Mechanism) -> tuple[SitePoint, ...]:
+    """Return prescribed places of sites from a table such as { foot = [x, y, z] } or { foot = { z = 0.2 } }."""
+    found = []
+    for name, value in table.items():
+        point = [value.get(axis, np.nan) for axis in AXES] if isinstance(value, dict) else value
+        index = site_index(mechanism.model, name, where, ProblemError)
+        found.append(SitePoint(site=name, index=index, point=np.array(point)))
+    return tuple(found)
+
+
+def pose_at(
+    points: tuple[SitePoint, ...],
+    where: str,
+    mechanism: Mechanism,
+    ranges: np.ndarray,
+    limits: Sequence[SiteLimit],
+    begin: np.ndarray,
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Return the positions (n_s,) of the pose nearest to `begin` with sites at their places, and `Motion.goal_rows`.
+
+    Args:
+        points: the sites' places.
+        where: their key, for messages.
+        mechanism: the mechanism.
+        ranges: of all joints (n_q, 2), which are kept.
+        limits: on sites, which are kept if possible.
+        begin: a closed pose (n_q,) to begin from.
+
+    Raises:
+        ProblemError: when no such pose is found; it names the nearest place and its distance.
+    """
+    targets = SiteTargets(sites=np.array([p.index for p in points]), points=np.array([p.point for p in points]))
+
+    def within(q: np.ndarray) -> bool:
+        return all(
+            limit.low <= float(limit.value(places_of(mechanism, limit.index, q))[0]) <= limit.high for limit in limits
+        )
+
+    found = site_pose(mechanism, targets, begin, ranges, within)
+    if not found.arrived(mechanism):
+        worst = points[int(np.argmax(found.off_m))]
+        place = places_of(mechanism, worst.index, found.pose)[0]
+        together = " together with the other sites" if len(points) > 1 else ""
+        raise ProblemError(
+            f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
+            f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {found.off_m.max():.4g} m away"
+        )
+    rows = independent_rows_of(mechanism, targets, found.pose, ranges)
+    active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
+    if not rows:
+        raise ProblemError(
+            f"{where} does not constrain the motion: the named coordinates of {', '.join(p.site for p in points)} do not"
+            " move"
+        )
+    s = found.pose[mechanism.independent]
+    return s, rows if len(rows) < active else ()
+
+
+def shown(point: np.ndarray) -> str:
+    """Return a point (3,) as problem files write it."""
+    if not np.any(np.isnan(point)):
+        return "[" + ", ".join(f"{x:.6g}" for x in point) + "]"
+    return "{ " + ", ".join(f"{axis} = {x:.6g}" for axis, x in zip(AXES, point, strict=True) if not np.isnan(x)) + " }"
+
+
+_LEGAL = (
+    "it is a box { z = [low, high] }, a wall { normal = [x, y, z], at = [x, y, z] }, a tube { along = [[x, y, z], ...],"
+    " radius_m = 0.01 }, or a list of these"
+)
+
+
+def site_limits_of(table: dict[str, dict | list[dict]], mechanism: Mechanism) -> tuple[SiteLimit, ...]:
+    """Return the limits of limits.site: { foot = { z = [0.0, inf] } }, or a list of boxes, walls and tubes."""
+    found: list[SiteLimit] = []
+    for site, value in table.items():
+        where = f"limits.site.{site}"
+        index = site_index(mechanism.model, site, "limits.site", ProblemError)
+        numbered = isinstance(value, list)
+        for k, one in enumerate(value if isinstance(value, list) else [value]):
+            number = f"[{k}]" if numbered else ""
+            for what, low, high, shape in _limits(one, f"{where}{number}"):
+                name = f"{site}{number}.{what}"
+                found.append(SiteLimit(site=site, index=index, what=what, name=name, low=low, high=high, **shape))
+        if numbered and not value:
+            raise ProblemError(f"{where} limits nothing; {_LEGAL}, got []")
+    return tuple(found)
+
+
+def _limits(one: dict, where: str) -> list[tuple[str, float, float, dict[str, Any]]]:
+    """Return the limits of one box, wall or tube: kind, bounds and shape of each."""
+    if not one:
+        raise ProblemError(f"{where} limits nothing; {_LEGAL}, got {{}}")
+    kind = next((kind for kind in SITE_LIMITS if set(one) & set(kind.__struct_fields__)), None)
+    if kind is None:
+        legal = ", ".join((*AXES, *(key for shape in (Wall, Tube) for key in shape.__struct_fields__)))
+        raise ProblemError(f"unknown key '{where}.{next(iter(one))}'; keys are {legal}")
+    _refuse_half_a_shape(one, kind, where)
+    found = read(kind, one, where)
+    if isinstance(found, Wall):
+        normal, length = np.array(found.normal), float(np.linalg.norm(found.normal))
+        if length < _MIN_LENGTH:
+            raise ProblemError(f"{where}.normal points to the free side and is not zero, got {one['normal']!r}")
+        shape = {"normal": normal / length, "origin": float(normal @ np.array(found.at)) / length}
+        return [("wall", 0.0, np.inf, shape)]
+    if isinstance(found, Tube):
+        along = np.array(found.along)
+        short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _MIN_LENGTH)
+        if len(short):
+            again = one["along"][int(short[0])]
+            raise ProblemError(f"{where}.along has distinct consecutive points, got {again!r} twice in a row")
+        return [("tube", 0.0, found.radius_m, {"along": along})]
+    given = {axis: getattr(found, axis) for axis in AXES if getattr(found, axis) is not None}
+    bounds = {axis: interval(ends, f"{where}.{axis}") for axis, ends in given.items()}
+    bounded = {axis: ends for axis, ends in bounds.items() if np.any(np.isfinite(ends))}
+    return [(axis, *ends, {"normal": np.eye(3)[AXES.index(axis)]}) for axis, ends in bounded.items()]
+
+
+def _refuse_half_a_shape(one: dict, kind: type[Wall | Tube | Box], where: str) -> None:
+    """Refuse a wall without a point or a normal, and a tube without a radius or a path."""
+    for key in kind.__struct_fields__ if kind is not Box else ():
+        if key not in one:
+            raise ProblemError(f"{where} is a {kind.__name__.lower()} and lacks {key}; {_LEGAL}")

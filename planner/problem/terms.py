@@ -29,7 +29,7 @@ class Term:
             value per actuator.
         order: 2 for squares, 1 for terms linear in the motion's quantities; 0 for terms without a negligible size.
         exact: the cost of an interval (`COSTS`) that integrates it exactly; None for quadrature at nodes.
-        needs: keys of `NEEDS` of a planning problem.
+        needs: keys of `lacking_parts` (consistency.py).
         efforts: the optimal efforts "jump" between limits, "bend" where they reach a limit, or are "smooth".
         chatters: whether its optimal motion may chatter.
         positive_power: whether it needs the actuators' positive powers, which have kinks and are unknowns of a program.

@@ -27,6 +27,14 @@ def number(value: object, key: str, *, positive: bool = False, at_least_zero: bo
     return read(Positive if positive else AtLeastZero if at_least_zero else Number, plain(value), key)
 
 
+def interval(value: list[float], key: str, *, point: bool = False) -> tuple[float, float]:
+    """Return [low, high] with low < high, or low <= high for a `point`; ends may be infinite."""
+    low, high = (end if np.isinf(end) else number(end, key) for end in value)
+    if not (low < high or (point and low == high)):
+        raise ProblemError(f"{key} is [low, high] with low {'<=' if point else '<'} high, got [{low:g}, {high:g}]")
+    return low, high
+
+
 def whole(value: object, key: str, low: int, high: int) -> int:
     """Return a whole number from `low` to `high`.
 

@@ -15,7 +15,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import progress, record, recorded, step_of
-from linkplan.planner.refinement.switches import Motion
+from linkplan.planner.refinement.switches import PiecewiseMotion
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
@@ -23,7 +23,7 @@ from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.system import Endpoint, System
 
 
-class Certificate(Protocol):
+class RefinementCertificate(Protocol):
     """The part of a certificate that refinement reads."""
 
     @property
@@ -42,8 +42,8 @@ class Certificate(Protocol):
         ...
 
 
-MotionT = TypeVar("MotionT", bound=Motion)
-CertificateT = TypeVar("CertificateT", bound=Certificate)
+MotionT = TypeVar("MotionT", bound=PiecewiseMotion)
+CertificateT = TypeVar("CertificateT", bound=RefinementCertificate)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -104,7 +104,7 @@ class ErrorReport:
     integration_error: float | None = None
 
 
-class Settings(Protocol):
+class RefinementSettings(Protocol):
     """The part of a problem that refinement reads."""
 
     @property
@@ -122,7 +122,7 @@ class Case(Protocol[MotionT, CertificateT]):
     """A problem that can be refined, with its own types of motion, start and certificate."""
 
     @property
-    def problem(self) -> Settings:
+    def problem(self) -> RefinementSettings:
         """The problem that is solved, with the limits tightened so far."""
         ...
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.switches import Motion
+from linkplan.planner.refinement.switches import PiecewiseMotion
 
 # The effort of an arc is sampled at so many instants. This share of an arc along a power limit shows the arc before it.
 SAMPLES_OF_ARC, SHARE_INTO_ARC = 33, 0.1
@@ -31,7 +31,7 @@ class _Arc:
 
 
 def held_throughout(
-    motion: Motion, limit: np.ndarray, ends_s: np.ndarray, fixed: FixedArcs, powers: np.ndarray
+    motion: PiecewiseMotion, limit: np.ndarray, ends_s: np.ndarray, fixed: FixedArcs, powers: np.ndarray
 ) -> tuple[np.ndarray, FixedArcs] | None:
     """Return switch times (n,) [s] and what is held, where arcs on which nothing was seen to be held are bangs.
 
@@ -63,7 +63,7 @@ def held_throughout(
     )
 
 
-def _without_gaps(seen: list[_Arc], motion: Motion, limit: np.ndarray) -> list[_Arc]:
+def _without_gaps(seen: list[_Arc], motion: PiecewiseMotion, limit: np.ndarray) -> list[_Arc]:
     """Return arcs of which each is held: loose ones at the limit that they are nearer to, or parted by their neighbours."""
     arcs: list[_Arc] = []
     parted: float | None = None
@@ -80,7 +80,7 @@ def _without_gaps(seen: list[_Arc], motion: Motion, limit: np.ndarray) -> list[_
     return arcs
 
 
-def _from_rest(arcs: list[_Arc], motion: Motion, limit: np.ndarray, powers: np.ndarray) -> list[_Arc]:
+def _from_rest(arcs: list[_Arc], motion: PiecewiseMotion, limit: np.ndarray, powers: np.ndarray) -> list[_Arc]:
     """Return arcs, the outermost first, that begin with a bang up to where the power's limit is reached.
 
     With an inertia that is constant meanwhile and a power P, from rest: M w = U t_1 and U w = P where they meet, and from
@@ -106,7 +106,7 @@ def _from_rest(arcs: list[_Arc], motion: Motion, limit: np.ndarray, powers: np.n
     return [bang, along, *arcs[1 if along.paths is first.paths else 2 :]]
 
 
-def _with_the_other_limit(arcs: list[_Arc], motion: Motion, powers: np.ndarray) -> list[_Arc]:
+def _with_the_other_limit(arcs: list[_Arc], motion: PiecewiseMotion, powers: np.ndarray) -> list[_Arc]:
     """Return arcs, the outermost first, whose bang is an arc along a power's other limit where it would exceed that."""
     if len(arcs) < 2 or arcs[0].paths.any() or not arcs[1].paths.any():
         return arcs

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Case, CertificateT, MotionT
 from linkplan.planner.refinement.certified_iterate import CertifiedIterate
-from linkplan.planner.refinement.switches import Motion
+from linkplan.planner.refinement.switches import PiecewiseMotion
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
@@ -77,7 +77,7 @@ def uneven_of(at: CertifiedIterate[Any, Any]) -> np.ndarray:
     return rough if touching is None else rough | touching
 
 
-def rough_of(motion: Motion) -> np.ndarray:
+def rough_of(motion: PiecewiseMotion) -> np.ndarray:
     """Return the intervals (n,) on which the efforts' polynomials bend most in their highest degree: next to kinks."""
     widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
     bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])
@@ -122,7 +122,7 @@ def degree_of(scheme_name: str) -> int:
     return int(scheme_name.rpartition("-")[2])
 
 
-def widths_of(motion: Motion, marked: np.ndarray) -> np.ndarray:
+def widths_of(motion: PiecewiseMotion, marked: np.ndarray) -> np.ndarray:
     """Return the intervals' widths [s] once those marked (n,) are halved."""
     widths = np.diff(motion.breaks_s)
     pieces = np.where(marked, 2, 1)

@@ -15,7 +15,7 @@ SMEARED_INTERVALS = 3
 SHARE_BESIDE_OTHERS = {True: 1e-3, False: 0.1}
 
 
-class Motion(Protocol):
+class PiecewiseMotion(Protocol):
     """The part of a motion that refinement reads."""
 
     @property
@@ -34,7 +34,7 @@ class Motion(Protocol):
 
 
 def find_switch_times(
-    trajectory: Motion,
+    trajectory: PiecewiseMotion,
     limit: np.ndarray,
     boundaries_s: np.ndarray | None = None,
     on_path: np.ndarray | None = None,
@@ -147,7 +147,7 @@ def _pulse_in(breaks: np.ndarray, coefficients: np.ndarray, limits: tuple[float,
     return [middle - length / 2, middle + length / 2]
 
 
-def find_bang_efforts(trajectory: Motion, limit: np.ndarray, switch_times: np.ndarray) -> np.ndarray:
+def find_bang_efforts(trajectory: PiecewiseMotion, limit: np.ndarray, switch_times: np.ndarray) -> np.ndarray:
     """Return the efforts (n_switches + 1, n_u) of bang arcs between switch times: a limit, or NaN where they vary.
 
     Looked at away from the switch times, next to which the fixed mesh smears the switch.

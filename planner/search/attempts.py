@@ -11,7 +11,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import with_longer_durations
@@ -58,7 +58,7 @@ def plan_from(
     return missed
 
 
-def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Iterate]:
+def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> list[Iterate]:
     """Return solutions from a start, the most promising first."""
     mesh, durations = first_mesh(problem, guess)
     found = [solve_from(problem, guess, mesh, durations, word)]
@@ -82,7 +82,7 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
     return [one for one in found if one is not None]
 
 
-def refined(search: Search, problem: PlanningProblem, found: Iterate, *, mended: bool = True) -> Plan:
+def refined(search: Search, problem: Problem, found: Iterate, *, mended: bool = True) -> Plan:
     """Return the plan of a first solution; if its certificate does not pass, the search's repairs are tried in turn."""
     plan = certified(problem, found)
     for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
@@ -92,7 +92,7 @@ def refined(search: Search, problem: PlanningProblem, found: Iterate, *, mended:
 
 
 def certified(
-    problem: PlanningProblem,
+    problem: Problem,
     found: Iterate,
     *,
     warm: bool = False,
@@ -127,7 +127,7 @@ def certified(
 
 
 def without_solving(
-    problem: PlanningProblem,
+    problem: Problem,
     motion: Trajectory,
     objective: float,
     said: str,
@@ -154,27 +154,27 @@ def unsound(plan: Plan) -> bool:
     return plan.certificate is not None and plan.certificate.mendable
 
 
-def from_next_to_it(problem: PlanningProblem, found: Iterate) -> Plan | None:
+def from_next_to_it(problem: Problem, found: Iterate) -> Plan | None:
     """Return the plan whose finer meshes start warm at the coarser solution; None if it does not pass."""
     # Kinks of efforts that do not jump are not looked for: they are worth a thousandth of the objective at the most.
     plan = certified(problem, found, warm=True, kinks=False)
     return plan if plan.passed else None
 
 
-def may_be_enclosed(problem: PlanningProblem, plan: Plan) -> bool:
+def may_be_enclosed(problem: Problem, plan: Plan) -> bool:
     """True if limits on power or pin force are overrun between the nodes and rows on coefficients may keep them."""
     margins = () if plan.certificate is None else plan.certificate.margins
     overrun = any(margin.of.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 
-def enclosed(problem: PlanningProblem, found: Iterate) -> Plan | None:
+def enclosed(problem: Problem, found: Iterate) -> Plan | None:
     """Return the plan with limits on power and pin force at every instant; None if it does not pass."""
     plan = certified(problem, found, enclosed=True)
     return plan if plan.passed else None
 
 
-def constant_efforts_would_do(problem: PlanningProblem, plan: Plan) -> bool:
+def constant_efforts_would_do(problem: Problem, plan: Plan) -> bool:
     """True if a polynomial effort overruns limits between its nodes: along a constrained arc it oscillates about the limit.
 
     Efforts with a limited or penalised rate cannot be constant over intervals.
@@ -185,7 +185,7 @@ def constant_efforts_would_do(problem: PlanningProblem, plan: Plan) -> bool:
     return problem.mesh.effort == "polynomial" and overrun
 
 
-def with_constant_efforts(problem: PlanningProblem, found: Iterate) -> Plan | None:
+def with_constant_efforts(problem: Problem, found: Iterate) -> Plan | None:
     """Return the plan with efforts constant over intervals; None if it does not pass."""
     plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=HURRIED.of(problem.solver))
     mesh = found.mesh

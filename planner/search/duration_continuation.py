@@ -13,7 +13,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.switch_search import at_bounds
@@ -104,7 +104,7 @@ def _quickest(search: Search, budget: Budget) -> tuple[Guess | None, int]:
     return (None if plan is None else with_switch_times(plan)), 1
 
 
-def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int, known: KnownMotions) -> Continued | None:
+def continued(problem: Problem, quickest: Guess, n_intervals: int, known: KnownMotions) -> Continued | None:
     """Return the best motion of a problem, continued from a motion of least time; None if it is lost.
 
     If the duration is free, every motion on the way solves the problem, and the last one is returned if longer ones are
@@ -166,7 +166,7 @@ def _saved_little(before: Continued, after: Continued) -> bool:
     return before.objective - after.objective < MIN_SAVING * abs(after.objective)
 
 
-def _step(problem: PlanningProblem, at: Continued, allowed: float) -> Continued | None:
+def _step(problem: Problem, at: Continued, allowed: float) -> Continued | None:
     """Return the best motion within a duration, started from a shorter one; None if it is lost."""
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s
     motion = replace(problem.motion, min_duration_s=least if least is not None and least <= allowed else None)

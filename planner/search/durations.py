@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.solving import Iterate, solve_from
@@ -20,7 +20,7 @@ GRID_ERROR_FACTOR, GRID_ERROR_FACTOR_AT_SPEED_LIMIT = 1.001, 1.01
 _MAX_EXTENSIONS, _EXTENSION_FACTOR, _UNBOUNDED_SHARE = 2, 30.0, 1e-3
 
 
-def with_longer_durations(problem: PlanningProblem, found: Iterate) -> tuple[Iterate, str | None]:
+def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
     """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
 
     def solve(at: _BoundedByGuess, longer: float) -> _BoundedByGuess | None:
@@ -56,7 +56,7 @@ class _BoundedByGuess:
     unbounded: str | None
 
 
-def unbounded_duration(problem: PlanningProblem, solution: Solution) -> str | None:
+def unbounded_duration(problem: Problem, solution: Solution) -> str | None:
     """Return the sentence on a free duration that grew to the end of what its guess allows; None elsewhere.
 
     That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
@@ -70,12 +70,12 @@ def unbounded_duration(problem: PlanningProblem, solution: Solution) -> str | No
     return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
 
 
-def longest(problem: PlanningProblem) -> float:
+def longest(problem: Problem) -> float:
     """Return the longest that a motion may take [s]."""
     return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
 
 
-def may_swing(problem: PlanningProblem) -> bool:
+def may_swing(problem: Problem) -> bool:
     """True if a motion may build up energy by swings that no start has tried.
 
     For one degree of freedom the phase plane has tried all swings.

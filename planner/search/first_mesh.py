@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
 # The smallest number of intervals for each swing of a guess, and for each segment between switch times.
@@ -15,7 +15,7 @@ _MIN_INTERVALS_PER_SEGMENT = 3
 _SAMPLES_PER_SEGMENT, _END_SPACING_SHARE = 301, 1e-6
 
 
-def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
+def first_mesh(problem: Problem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
     """Return the first mesh of a problem and its segments' durations [s] in a guess."""
     n = n_intervals or max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings if guess.swings > 1 else 0)
     if guess.boundaries_s is not None:

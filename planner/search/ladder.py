@@ -16,7 +16,7 @@ from linkplan.models.interrupts import check
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.search.known_motions import KnownMotions
@@ -49,7 +49,7 @@ class Search:
     are computed at their first use.
     """
 
-    problem: PlanningProblem
+    problem: Problem
     start_pose: np.ndarray
     repairs: Sequence["Repair"] = ()
     plans: list[Plan] = field(default_factory=list)
@@ -86,11 +86,11 @@ class Search:
             yield "the guess given", own
         yield "a smooth path", self.smooth
 
-    def of_another(self, problem: PlanningProblem) -> "Search":
+    def of_another(self, problem: Problem) -> "Search":
         """Return a search for another problem's motion from the same start; it is climbed inside its own `recording`."""
         return Search(problem=problem, start_pose=self.start_pose, repairs=self.repairs)
 
-    def within(self, budget: Budget) -> PlanningProblem:
+    def within(self, budget: Budget) -> Problem:
         """Return the problem with the settings that a budget allows its solves."""
         return replace(self.problem, solver=budget.of(self.problem.solver))
 
@@ -157,8 +157,8 @@ class Repair:
     """
 
     name: str
-    tried: Callable[[PlanningProblem, Plan], bool]
-    mend: Callable[[PlanningProblem, Iterate], Plan | None]
+    tried: Callable[[Problem, Plan], bool]
+    mend: Callable[[Problem, Iterate], Plan | None]
     always: bool = True  # or only if every repair is to be tried
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import record, step_of
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
@@ -33,7 +33,7 @@ class LeastLimit:
     first: float  # the factor on the mesh as given
 
 
-def least_limit_of_starts(problem: PlanningProblem, guess: Guess) -> LeastLimit | None:
+def least_limit_of_starts(problem: Problem, guess: Guess) -> LeastLimit | None:
     """Return the least factor on the effort limits from several starts; None if no start led to a motion.
 
     Further starts are tried while the factor is above 1.
@@ -52,7 +52,7 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess) -> LeastLimit 
     return best
 
 
-def settled_limit(problem: PlanningProblem, found: LeastLimit) -> LeastLimit:
+def settled_limit(problem: Problem, found: LeastLimit) -> LeastLimit:
     """Return the least factor on finer and finer meshes, until it changes by less than 1e-4.
 
     A motion can exploit the error of a coarse mesh, and then needs more effort than the factor says.
@@ -69,7 +69,7 @@ def settled_limit(problem: PlanningProblem, found: LeastLimit) -> LeastLimit:
 
 
 def least_limit(
-    problem: PlanningProblem,
+    problem: Problem,
     guess: Guess,
     mesh: Mesh,
     durations: np.ndarray,

@@ -4,21 +4,20 @@ import functools
 
 import numpy as np
 
-from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.reach import Reach, is_open, reach
+from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.planner.certificate.site_ends import SITE_SLACK
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.limits.site import site_title
 from linkplan.planner.phase_plane.stopping import no_way_to_stop
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
-from linkplan.planner.search.turning import check_turns
 
 # Poses examined between start and goal of one degree of freedom; singular poses are examined at every fourth of them.
 _POSES_BETWEEN, _SINGULAR_STRIDE = 401, 4
@@ -27,73 +26,7 @@ _POSES_BETWEEN, _SINGULAR_STRIDE = 401, 4
 _PASSES, _POSE_TOLERANCE = "between start and goal, where every motion of one degree of freedom passes", 1e-6
 
 
-def start_pose_of(problem: PlanningProblem) -> np.ndarray:
-    """Return the closed pose at the start.
-
-    Raises:
-        ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval; as of
-            `check_turns`.
-    """
-    mechanism, motion = problem.mechanism, problem.motion
-    for name in ("start", "goal"):
-        value = getattr(motion, name)
-        if value is not None:
-            _check_reach(problem, f"motion.{name}_deg", value)
-    for k, waypoint in enumerate(motion.waypoints):
-        if not np.all(np.isnan(waypoint.position)):
-            _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position)
-    if motion.start is not None or problem.reference is None:
-        pose = np.array(mechanism.home) if motion.start is None else close_at(mechanism, motion.start)
-        if motion.turns is not None:
-            check_turns(problem, pose, reach(mechanism) if mechanism.dof == 1 else None)
-        return pose
-    first = problem.reference.derivative(np.zeros(1))[0]
-    period = np.linspace(0.0, problem.reference.period_s, 181)
-    values = problem.reference.derivative(period)
-    for extreme in (np.argmin, np.argmax):
-        for column in range(mechanism.dof):
-            _check_reach(problem, "reference", values[int(extreme(values[:, column]))], ranges=False)
-    return close_at(mechanism, first)
-
-
-def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, ranges: bool = True) -> None:
-    mechanism = problem.mechanism
-    can = reach(mechanism) if mechanism.dof == 1 and not np.isnan(s[0]) and not is_open(mechanism, s) else None
-    for column, joint in enumerate(mechanism.independent_joints):
-        if np.isnan(s[column]):  # a waypoint leaves it free
-            continue
-        index = int(mechanism.independent[column])
-        low, high = problem.limits.position[index]
-        interval, reason = (low, high), f"range of {joint.name}"
-        inside = low <= s[column] <= high
-        if inside or not ranges:
-            if can is None or can.turns_fully:
-                continue
-            interval = (can.lower.position, can.upper.position)
-            inside = interval[0] <= s[column] <= interval[1]
-            reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
-        if not inside:
-            raise ProblemError(
-                f"{what} {joint.name} = {joint.said(s[column], 6)} {joint.unit} is beyond reach:"
-                f" {joint.name} reaches from {joint.said(interval[0], 6)} to {joint.said(interval[1], 6)} {joint.unit}"
-                f" ({reason}"
-                f"{_way_through(can, reason, s[column])})"
-            )
-
-
-def _way_through(can: Reach | None, reason: str, asked: float) -> str:
-    """Return the remedy at the end of a reach at a dead centre of its coordinate; an empty text at a branching pose."""
-    if can is None or reason != "singular pose":
-        return ""
-    end = can.lower.position if asked < can.lower.position else can.upper.position
-    if end in can.single:
-        return "; the loops lose rank there, and no other coordinate passes it"
-    if end in dict(can.branching):
-        return "; the mechanism may branch there"
-    return "; another joint as mechanism.independent may pass it"
-
-
-def plain_contradiction(problem: PlanningProblem) -> str | None:
+def plain_contradiction(problem: Problem) -> str | None:
     """Return the sentence on a limit that no motion can keep, found without solving, or None."""
     mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
     for name in ("start_speed", "goal_speed"):
@@ -135,7 +68,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
     return None
 
 
-def _branches_on_the_way(problem: PlanningProblem) -> str | None:
+def _branches_on_the_way(problem: Problem) -> str | None:
     """Return the sentence on a pose at which the loops lose rank between start and goal of a single freedom, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
@@ -156,7 +89,7 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
     return None
 
 
-def _site_beyond(problem: PlanningProblem) -> str | None:
+def _site_beyond(problem: Problem) -> str | None:
     """Return the sentence on a site, tendon or extra limit that start, goal or a waypoint overruns, or None."""
     motion, limits = problem.motion, problem.limits
     places = [("the start", motion.start, None), ("the goal", motion.goal, motion.goal_at if motion.goal_is_free else None)]
@@ -183,7 +116,7 @@ def _known(limit: SiteLimit, points: tuple[SitePoint, ...]) -> bool:
     return any(p.index == limit.index and not np.any(np.isnan(p.point[looked_at])) for p in points)
 
 
-def _on_the_only_way(problem: PlanningProblem) -> str | None:
+def _on_the_only_way(problem: Problem) -> str | None:
     """Return the sentence on a limit on poses that is overrun between start and goal of a single freedom."""
     poses = _only_way(problem) if _limits_poses(problem) else None
     if poses is None:
@@ -192,16 +125,16 @@ def _on_the_only_way(problem: PlanningProblem) -> str | None:
     return _pose_beyond(problem, poses, _PASSES) or next((found for found in beyond if found), None)
 
 
-def _limits_poses(problem: PlanningProblem) -> bool:
+def _limits_poses(problem: Problem) -> bool:
     return bool(problem.limits.site or problem.mechanism.tendons or problem.extra_limits)
 
 
-def _pose_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
+def _pose_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
     """Return the sentence on a tendon or extra limit that the worst of poses (n, n_q) overruns, or None."""
     return _tendon_beyond(problem, poses, when) or _extra_beyond(problem, poses, when)
 
 
-def _extra_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
+def _extra_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
     """Return the sentence on an extra limit on the pose alone that the worst of poses (n, n_q) overruns, or None."""
     for limit in ExtraPathLimit.of(problem):
         if not limit.of_position:
@@ -218,7 +151,7 @@ def _extra_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str
 
 
 @functools.lru_cache(maxsize=4)
-def _only_way(problem: PlanningProblem) -> np.ndarray | None:
+def _only_way(problem: Problem) -> np.ndarray | None:
     """Return poses (n, n_q) between start and goal of a single freedom, all of which every motion passes; None elsewhere."""
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
@@ -230,7 +163,7 @@ def _only_way(problem: PlanningProblem) -> np.ndarray | None:
         return None
 
 
-def _tendon_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
+def _tendon_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
     """Return the sentence on a tendon whose range the worst of poses (n, n_q) leaves, or None."""
     mechanism = problem.mechanism
     if not mechanism.tendons:
@@ -247,7 +180,7 @@ def _tendon_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> st
     return None
 
 
-def _range_on_the_only_way(problem: PlanningProblem) -> str | None:
+def _range_on_the_only_way(problem: Problem) -> str | None:
     """Return the sentence on a joint beyond its range, or a pose too near to a singular one, on the only way; or None."""
     mechanism, limit, margin = problem.mechanism, problem.limits.position, problem.limits.singular_margin
     dependent = mechanism.dependent
@@ -277,7 +210,7 @@ def _range_on_the_only_way(problem: PlanningProblem) -> str | None:
     )
 
 
-def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:
+def _beyond(problem: Problem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:
     """Return the sentence on a site's limit that the worst of poses (n, n_q) leaves, or None."""
     values = limit.value(places_of(problem.mechanism, limit.index, poses))
     nearest = np.clip(values, limit.low, limit.high)
@@ -289,7 +222,7 @@ def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when:
     return f"infeasible: {site_title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
 
 
-def _beyond_ctrl(problem: PlanningProblem) -> str | None:
+def _beyond_ctrl(problem: Problem) -> str | None:
     """Return the sentence on a start or goal where no ctrl of a servo gives an effort within its limits, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     if not any(actuator.limits_control for actuator in mechanism.actuators):
@@ -315,7 +248,7 @@ def _beyond_ctrl(problem: PlanningProblem) -> str | None:
     return None
 
 
-def _singular(problem: PlanningProblem) -> str | None:
+def _singular(problem: Problem) -> str | None:
     """Return the sentence on a start or goal that is nearer to a singular pose than the problem admits, or None."""
     margin, motion = problem.limits.singular_margin, problem.motion
     for name in ("start", "goal"):

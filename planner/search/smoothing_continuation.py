@@ -12,7 +12,7 @@ import numpy as np
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.transcribe import own_objective
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.refined import Refined
@@ -42,7 +42,7 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
 
     A motion without smoothing in its objective, or one that does not pass, is returned unchanged.
     """
-    problem: PlanningProblem = case.problem
+    problem: Problem = case.problem
     if not (problem.objective.is_smoothed and problem.objective.has("tracking") and refined.certificate.passed):
         return refined, 0.0
     unit = refined.solution.transcribed.units.objective

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of, held_arcs_of
 from linkplan.planner.closed_chain.guess import closes
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.transcription.mesh import Mesh
 
@@ -14,7 +14,7 @@ __all__ = ["Iterate", "solve_from"]
 
 
 def solve_from(
-    problem: PlanningProblem,
+    problem: Problem,
     guess: Any,  # a `Guess`: the case's own starts
     mesh: Mesh,
     durations: np.ndarray,

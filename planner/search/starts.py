@@ -14,7 +14,7 @@ from linkplan.planner.phase_plane.detours import quicker_may_exist
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import knows_pins, power_guess
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
@@ -42,7 +42,7 @@ def one_start_is_worth_it(search: Search) -> bool:
     return search.problem.solver.starts == 1 and search.starts_are_worth_it
 
 
-def other_limits(problem: PlanningProblem) -> bool:
+def other_limits(problem: Problem) -> bool:
     """True if a problem has limits that the phase plane leaves out: a motion may be slow because of them."""
     return any(kind is not SpeedLimit for kind in relaxed_kinds(problem))
 

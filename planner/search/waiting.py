@@ -17,7 +17,7 @@ from linkplan.planner.certificate.saved import objective_value
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import certified, refined, without_solving
 from linkplan.planner.search.duration_continuation import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
@@ -79,7 +79,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     return _rest_and_motion(search, budget, quick)
 
 
-def _on_its_scheme(problem: PlanningProblem, quick: Plan) -> PlanningProblem:
+def _on_its_scheme(problem: Problem, quick: Plan) -> Problem:
     """Return a problem in the transcription that the least-time motion's certificate passed with."""
     return replace(problem, guess=None, mesh=replace(problem.mesh, scheme=quick.solved.scheme.name))
 
@@ -140,7 +140,7 @@ def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool)
     return replace(motion, breaks_s=np.concatenate(breaks), **parts)
 
 
-def _waits(problem: PlanningProblem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:
+def _waits(problem: Problem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:
     motion, mesh = motion_of(quick.trajectory), quick.solved.program.mesh
     lengths = np.bincount(mesh.segment, weights=np.diff(quick.trajectory.breaks_s))
     rest = np.full(_REST_INTERVALS, 1.0 / _REST_INTERVALS)
@@ -181,7 +181,7 @@ def _rested(motion: Guess, wait: float, effort: np.ndarray, *, first: bool) -> G
     )
 
 
-def _held(problem: PlanningProblem, end: str) -> np.ndarray | None:
+def _held(problem: Problem, end: str) -> np.ndarray | None:
     """Return the effort (n_u,) that holds start or goal, at rest there; None where none within the limits does."""
     motion, mechanism, limit = problem.motion, problem.mechanism, problem.limits.effort
     if end == "goal" and motion.goal_is_free:

@@ -18,10 +18,10 @@ from msgspec import Struct
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.planner.batch import plan_cases
 from linkplan.planner.files.archive import read_member
-from linkplan.planner.files.batch_file import Batch, Case
-from linkplan.planner.files.plan_folder import write_plan
-from linkplan.planner.files.plan_record import read_plan_record
 from linkplan.planner.files.trajectory_file import read_trajectory
+from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
+from linkplan.planner.plan_folder import write_plan
+from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.refinement.history import Say
 from linkplan.studies.output.batch_table import case_record, case_row
 
@@ -56,7 +56,7 @@ def block_count(n: int) -> int:
     return next(block for block in range(n + 1) if not cases_of(block, n))
 
 
-def plan_block(batch: Batch, block: int, target: Path | None, parquet: bool, say: Say) -> list[Planned]:
+def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool, say: Say) -> list[Planned]:
     """Return the answers of a block's cases.
 
     Args:
@@ -66,9 +66,9 @@ def plan_block(batch: Batch, block: int, target: Path | None, parquet: bool, say
         parquet: write a trajectory.parquet for every plan.
         say: receives the name of each case.
     """
-    part, found = cases_of(block, len(batch.cases)), []
-    cases = [batch.cases[i] for i in part]
-    for case, plan in plan_cases(batch, cases, lambda name: say(f"{part[len(found)] + 1} of {len(batch.cases)}: {name}")):
+    part, found = cases_of(block, len(batch.case)), []
+    cases = [batch.case[i] for i in part]
+    for case, plan in plan_cases(batch, cases, lambda name: say(f"{part[len(found)] + 1} of {len(batch.case)}: {name}")):
         files = {}
         if plan.passed and target is not None:
             with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
@@ -103,7 +103,7 @@ class _Answer(Struct, frozen=True):
     failure: str | None
 
 
-def unpacked(path: Path, cases: Sequence[Case], place: Path | None) -> list[Planned]:
+def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> list[Planned]:
     """Return the answers of a block from its archive, and write their files into folders at `place` if given.
 
     Raises:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from linkplan.planner.batch import check_batch
-from linkplan.planner.files.batch_file import Batch
 from linkplan.planner.files.folders import check_target, write_json
-from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.files.work_folders import replace_file
+from linkplan.planner.keys.batch_sections import BatchFile
+from linkplan.planner.plan_folder import versions
 from linkplan.planner.refinement.history import silent
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked
 from linkplan.studies.tasks.engine import Engine, Say, here
@@ -31,7 +31,13 @@ class Outcome:
 
 
 def run_batch(
-    batch: Batch, target: Path | None, say: Say, *, engine: Engine = here, parquet: bool = False, keep_records: bool = True
+    batch: BatchFile,
+    target: Path | None,
+    say: Say,
+    *,
+    engine: Engine = here,
+    parquet: bool = False,
+    keep_records: bool = True,
 ) -> Outcome:
     """Return the outcome of a batch, and write its plans into a folder if one is given.
 
@@ -68,12 +74,12 @@ def run_batch(
     return outcomes[0]
 
 
-def _asked(batch: Batch, target: Path | None, parquet: bool) -> dict:
+def _asked(batch: BatchFile, target: Path | None, parquet: bool) -> dict:
     """Return all inputs of a batch's files."""
-    cases = {case.name: list(case.settings) for case in batch.cases}
+    cases = {case.name: list(case.set) for case in batch.case}
     return {
         "problem": batch.problem,
-        "set": list(batch.common),
+        "set": list(batch.set),
         "cases": cases,
         "meaning": check_batch(batch),
         "place": None if target is None else str(target.resolve()),
@@ -82,8 +88,8 @@ def _asked(batch: Batch, target: Path | None, parquet: bool) -> dict:
     }
 
 
-def _conduct(folder: Path, batch: Batch, target: Path | None, engine: Engine, parquet: bool, say: Say) -> None:
-    n, there = len(batch.cases), done(folder)
+def _conduct(folder: Path, batch: BatchFile, target: Path | None, engine: Engine, parquet: bool, say: Say) -> None:
+    n, there = len(batch.case), done(folder)
     progress = Progress(n, sum(len(cases_of(block, n)) for block in there), "cases", say)
     work = functools.partial(_work, batch, target, parquet, say if engine is here else None)
     todo = [block for block in range(block_count(n)) if block not in there]
@@ -97,16 +103,16 @@ def _write(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
-def _work(batch: Batch, target: Path | None, parquet: bool, say: Say | None, block: int, threads: int) -> list[Planned]:
+def _work(batch: BatchFile, target: Path | None, parquet: bool, say: Say | None, block: int, threads: int) -> list[Planned]:
     """Return a block's answers; runs in any worker process, with one thread."""
     del threads
     return plan_block(batch, block, target, parquet, say or silent)
 
 
-def _outcome(folder: Path, batch: Batch, place: Path | None, keep_records: bool) -> Outcome:
+def _outcome(folder: Path, batch: BatchFile, place: Path | None, keep_records: bool) -> Outcome:
     rows, failures, cases = [], [], {}
-    for block in range(block_count(len(batch.cases))):
-        cases_here = [batch.cases[i] for i in cases_of(block, len(batch.cases))]
+    for block in range(block_count(len(batch.case))):
+        cases_here = [batch.case[i] for i in cases_of(block, len(batch.case))]
         for answer in unpacked(part(folder, block, "zip"), cases_here, place):
             rows.append(answer.row)
             failures += [] if answer.failure is None else [answer.failure]

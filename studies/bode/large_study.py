@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.planning_problem import Limits
+from linkplan.planner.problem.limits import Limits
 from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.frequency.describing import LargeSignals, default_large_frequencies, large_record, large_signals
 from linkplan.studies.frequency.feasible import FeasibleCurve, curve_rows, default_amplitudes, feasible_curve

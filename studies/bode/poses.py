@@ -8,8 +8,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.bode.bode import DEFAULT_POSES, default_poses, inner_reach, is_held, turns_fully
 from linkplan.studies.bode.scan import Line, coordinate_line, motion_line
 from linkplan.studies.frequency.feedback_loops import require_actuated
@@ -29,7 +28,7 @@ class LoopPoses:
 
 def loop_poses(
     mechanism: Mechanism,
-    problem: PlanningProblem | None,
+    problem: Problem | None,
     effort_limit: np.ndarray,
     asked: Sequence[Mapping[str, float]] = (),
 ) -> LoopPoses:
@@ -62,7 +61,7 @@ def loop_poses(
     return LoopPoses(positions=np.array([[{**home, **pose}[name] for name in names] for pose in asked]))
 
 
-def _over_reach(mechanism: Mechanism, problem: PlanningProblem | None, effort_limit: np.ndarray) -> LoopPoses:
+def _over_reach(mechanism: Mechanism, problem: Problem | None, effort_limit: np.ndarray) -> LoopPoses:
     """Return default poses for one degree of freedom, over the motion or the reach, and the line between their ends."""
     ends = _motion_range(problem)
     positions, note = default_poses(mechanism, ends, effort_limit)
@@ -73,13 +72,13 @@ def _over_reach(mechanism: Mechanism, problem: PlanningProblem | None, effort_li
     return LoopPoses(positions=positions, note=note, line=line)
 
 
-def _along_motion(mechanism: Mechanism, problem: PlanningProblem | None, effort_limit: np.ndarray) -> LoopPoses:
+def _along_motion(mechanism: Mechanism, problem: Problem | None, effort_limit: np.ndarray) -> LoopPoses:
     """Return default poses for several degrees of freedom: along a problem's reference or smooth path, else home."""
     home = LoopPoses(positions=mechanism.home[mechanism.independent][None])
     if problem is None:
         return home
     try:
-        guess = first_guess(problem, start_pose_of(problem))
+        guess = first_guess(problem, problem.start_pose())
     except LinkplanError:  # `linkplan plan` explains why a problem has no initial guess
         return home
     time = np.linspace(0.0, guess.duration_s, 61)
@@ -95,7 +94,7 @@ def _along_motion(mechanism: Mechanism, problem: PlanningProblem | None, effort_
     return LoopPoses(positions=np.unique(positions, axis=0), note=note, line=motion_line(time, path))
 
 
-def _motion_range(problem: PlanningProblem | None) -> np.ndarray | None:
+def _motion_range(problem: Problem | None) -> np.ndarray | None:
     """Return the ends (2,) [rad or m] of a problem's motion; None without a motion or with several degrees of freedom."""
     if problem is None or problem.mechanism.dof != 1:
         return None

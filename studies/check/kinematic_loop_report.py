@@ -23,8 +23,7 @@ from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
 from linkplan.planner.closed_chain.guess import first_guess, poses_along
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem
 
 # Samples of a path: a path of a few radians is sampled about every degree.
 _PATH_SAMPLES = 121
@@ -172,7 +171,7 @@ def _followed(mechanism: Mechanism, gap: np.ndarray, one: np.ndarray) -> np.ndar
     return np.empty((0, mechanism.n_q))
 
 
-def motion_path(problem: PlanningProblem) -> KinematicLoopPath:
+def motion_path(problem: Problem) -> KinematicLoopPath:
     """Return the report along a problem's motion before any solve: its reference, or its smooth path.
 
     Raises:
@@ -180,7 +179,7 @@ def motion_path(problem: PlanningProblem) -> KinematicLoopPath:
         AssemblyError: if the loops do not close along the path.
     """
     mechanism, motion = problem.mechanism, problem.motion
-    guess = first_guess(problem, start_pose_of(problem))
+    guess = first_guess(problem, problem.start_pose())
     time = np.linspace(0.0, guess.duration_s, _PATH_SAMPLES)
     follows = motion.kind != "reach" and problem.reference is not None and not motion.waypoints
     title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"

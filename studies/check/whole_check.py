@@ -6,9 +6,9 @@ from pathlib import Path
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.planner.files.tables import Tables
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.check_report import path_blocks
 from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
 from linkplan.studies.check.inspection_blocks import inspection_blocks
@@ -67,7 +67,7 @@ class WholeCheck:
 
 def mechanism_and_problem(
     name: str, tables: Tables, folder: Path | None
-) -> tuple[Mechanism, PlanningProblem | None, tuple[str, ...]]:
+) -> tuple[Mechanism, Problem | None, tuple[str, ...]]:
     """Return the mechanism of a problem file, its problem if it has one, and the reasons why it cannot be planned.
 
     Raises:
@@ -76,7 +76,7 @@ def mechanism_and_problem(
     if "motion" not in tables:
         return mechanism_from_tables(tables, folder), None, ()
     try:
-        problem = problem_from_tables(name, tables, folder)
+        problem = Problem.from_tables(name, tables, folder)
     except REFUSED:
         raise
     except LinkplanError as error:
@@ -86,7 +86,7 @@ def mechanism_and_problem(
 
 def check_whole(
     mechanism: Mechanism,
-    problem: PlanningProblem | None,
+    problem: Problem | None,
     poses: Sequence[dict[str, float]] = (),
     notes: Sequence[str] = (),
 ) -> WholeCheck:
@@ -109,7 +109,7 @@ def check_whole(
     return WholeCheck(found=replace(found, notes=(*found.notes, *singular, *notes, *chosen, *off_path)), paths=paths)
 
 
-def _motion(problem: PlanningProblem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:
+def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:
     """Return the path of a problem's motion, or None with the reason."""
     if problem is None:
         return None, ()

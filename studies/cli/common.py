@@ -12,11 +12,11 @@ from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_sourc
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.exit_codes import NO
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
@@ -56,7 +56,7 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
         return None
     if not arguments.output:
         raise ProblemError("-o takes a file, got an empty name")
-    from linkplan.planner.files.new_file import check_new
+    from linkplan.planner.files.single_file import check_new
 
     target = Path(arguments.output)
     try:
@@ -183,13 +183,13 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
             )
         name, tables, folder = read_tables(source)
         set_all(tables, overrides)
-        return plan_motion(problem_from_tables(name, tables, folder), say)
+        return plan_motion(Problem.from_tables(name, tables, folder), say)
     for override in overrides:
         if not override.startswith(("tracking.", "imperfections.")):
             raise ProblemError(
                 f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it"
             )
-    from linkplan.planner.files.plan_folder import read_plan, unchecked
+    from linkplan.planner.plan_folder import read_plan, unchecked
 
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
@@ -201,7 +201,7 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
 
 def no_plan(arguments: argparse.Namespace, plan: Plan) -> int:
     """Show the reason why there is no motion and return the exit code."""
-    from linkplan.planner.files.plan_folder import record
+    from linkplan.planner.plan_folder import record
 
     show(arguments, record(plan), f"{plan.problem.name}: {plan.message}")
     return NO

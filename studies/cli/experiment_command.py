@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.common import deliver, engine_asked, no_plan, output_folder, plan_asked, sample_again, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
@@ -45,7 +45,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     if source in PROBLEMS or Path(source).is_file():
         name, tables, folder = read_tables(source)
         set_all(tables, arguments.set)
-        problem = problem_from_tables(name, tables, folder)
+        problem = Problem.from_tables(name, tables, folder)
         digest, asked = None, {"name": name, **problem.source, "model_hash": problem.mechanism.fingerprint()}
 
         def plan():

@@ -12,7 +12,7 @@ from linkplan.studies.export.formats import FORMATS
 
 def run_export(arguments: argparse.Namespace) -> int:
     """Write a plan for another program; 1 if the plan has no motion."""
-    from linkplan.planner.files.new_file import write_new
+    from linkplan.planner.files.single_file import write_new
     from linkplan.studies.export.export import exported
 
     choose("format", arguments.to, FORMATS, ProblemError)

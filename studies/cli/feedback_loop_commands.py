@@ -9,9 +9,9 @@ from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
-from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.build import mechanism_from_tables, tracking_from_tables
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
@@ -134,11 +134,11 @@ def run_tune(arguments: argparse.Namespace) -> int:
     return DONE if found.found else NO
 
 
-def _loop_of(arguments: argparse.Namespace) -> tuple[PlanningProblem | None, Mechanism, Tracking, np.ndarray]:
+def _loop_of(arguments: argparse.Namespace) -> tuple[Problem | None, Mechanism, Tracking, np.ndarray]:
     """Return the problem or None, the mechanism, the tracking settings and the effort limits."""
     name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
     if is_problem:
-        problem: PlanningProblem | None = problem_from_tables(name, tables, folder)
+        problem: Problem | None = Problem.from_tables(name, tables, folder)
         mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.actuators_effort
     else:
         problem, mechanism = None, mechanism_from_tables(tables, folder)
@@ -185,7 +185,7 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
     return np.geomspace(low, high, count)
 
 
-def _extra(name: str, study, problem: PlanningProblem | None, say: Progress) -> tuple[dict, list[Block]]:
+def _extra(name: str, study, problem: Problem | None, say: Progress) -> tuple[dict, list[Block]]:
     """Return the record and the document of the stability map, of large signals, or of the loop along a motion."""
     from linkplan.studies.bode import along_motion, large_study, loop_blocks, map_study
 

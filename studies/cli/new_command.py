@@ -12,7 +12,7 @@ from linkplan.studies.cli.printing import progress, show
 
 def run_new(arguments: argparse.Namespace) -> int:
     """Write a problem file for a mechanism; 1 if no motion was found for it."""
-    from linkplan.planner.files.new_file import write_new
+    from linkplan.planner.files.single_file import write_new
     from linkplan.studies.check.softness import soft_closures
     from linkplan.studies.new.first_motion import first_motion, model_beside
     from linkplan.studies.new.problem_text import problem_text

@@ -4,9 +4,9 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.robustness import price_of, with_price
 from linkplan.studies.cli.common import engine_asked, output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
@@ -21,7 +21,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     target, say = output_folder(arguments), progress(arguments)
     name, tables, folder = read_tables(arguments.problem)
     set_all(tables, arguments.set)
-    plan = plan_motion(problem_from_tables(name, tables, folder), say)
+    plan = plan_motion(Problem.from_tables(name, tables, folder), say)
     price = price_of(plan, say)
     plan = with_price(plan, price)
     if plan.passed and target is not None:
@@ -44,7 +44,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     blocks = [*plan_blocks(plan), *([] if price is None else [Text(text=price.sentence())])]
 
     def document() -> dict:
-        from linkplan.planner.files.plan_folder import record
+        from linkplan.planner.plan_folder import record
 
         return record(plan) | ({} if price is None else {"price": asdict(price)})
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.models.names import choose
-from linkplan.planner.files.whole_file import check_file_target
+from linkplan.planner.files.single_file import check_file_target
 from linkplan.studies.cli.common import no_plan, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show

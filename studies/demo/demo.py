@@ -8,10 +8,10 @@ import numpy as np
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.files.plan_folder import record, versions
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import record, versions
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import bode_record

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.check.draw_mechanism import draw_poses
 from linkplan.studies.output.drawing import outside_legend, page
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from linkplan.models.errors import LinkplanError, PlanFileError
 from linkplan.models.reading import read_file
-from linkplan.planner.files.plan_folder import read_plan
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import read_plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources
 from linkplan.studies.experiment.block import block_count, run_block, samples_of
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of

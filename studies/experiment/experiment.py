@@ -17,9 +17,9 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.imperfections_file import ImperfectionsSection, imperfections_of
-from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import versions
+from linkplan.planner.problem.imperfections import ImperfectionFactors, imperfections_of
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
 from linkplan.studies.compare.user_tracker import known_tracker
@@ -89,7 +89,7 @@ class Experiment:
 
     plan: Plan
     settings: Settings
-    section: ImperfectionsSection
+    section: ImperfectionFactors
     values: np.ndarray
     draws: np.ndarray
     scheme: Scheme | None
@@ -157,7 +157,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     )
 
 
-def _refuse_late_push(section: ImperfectionsSection, values: np.ndarray, end_s: float) -> None:
+def _refuse_late_push(section: ImperfectionFactors, values: np.ndarray, end_s: float) -> None:
     """Refuse pushes that start after a run's end [s] on every machine."""
     labels = [factor.label for factor in section.factors]
     if "push_start_s" in labels and values[:, labels.index("push_start_s")].min() >= end_s:

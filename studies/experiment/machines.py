@@ -14,11 +14,11 @@ from linkplan.controllers.imperfections.imperfections import (
     Start,
 )
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.imperfections_file import ImperfectionsSection
+from linkplan.planner.problem.imperfections import ImperfectionFactors
 
 
 def machine_of(
-    section: ImperfectionsSection, values: Sequence[float], mechanism: Mechanism, noise_seed: tuple[int, ...]
+    section: ImperfectionFactors, values: Sequence[float], mechanism: Mechanism, noise_seed: tuple[int, ...]
 ) -> Imperfections:
     """Return the machine with a value for each of the section's factors, and with the noise of a seed."""
     given: dict[str, dict[str, float]] = {}
@@ -85,7 +85,7 @@ def _solref(one: Mapping[str, float], mechanism: Mechanism) -> tuple[float, floa
     return one.get(names[0], float(own[0])), one.get(names[1], float(own[1]))
 
 
-def _pushes(section: ImperfectionsSection, one: Mapping[str, float]) -> tuple[Push, ...]:
+def _pushes(section: ImperfectionFactors, one: Mapping[str, float]) -> tuple[Push, ...]:
     window = {"start_s": one.get("push_start_s", 0.0), "duration_s": one.get("push_duration_s", 0.0)}
     pushes = []
     if section.push_body is not None:

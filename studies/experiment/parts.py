@@ -8,9 +8,9 @@ import numpy as np
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import write_whole
 from linkplan.planner.files.parquet_table import Kind, read_table, schema_of
-from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import write_plan
 from linkplan.studies.experiment.block import block_count, samples_of
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.metrics import metrics_of

@@ -13,8 +13,8 @@ from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.planner.files.folders import check_target, plain_record, write_json
 from linkplan.planner.files.json_record import read_record
-from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import write_plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources, source_hash
 from linkplan.studies.experiment.conduct import conduct
 from linkplan.studies.experiment.design import LATIN_HYPERCUBE, replicate_of
@@ -178,7 +178,7 @@ def saved_experiment(folder: Path) -> Experiment:
     Raises:
         PlanFileError: if the folder holds no experiment.
     """
-    from linkplan.planner.files.plan_folder import read_plan
+    from linkplan.planner.plan_folder import read_plan
 
     asked = read_asked(folder)
     return experiment_of(read_plan(folder / PLAN, anyway=True), asked.settings)

@@ -19,13 +19,12 @@ from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import contact_note
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import RUNGS, plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import PATIENT, Rung
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.outcome import OF_TIME
 from linkplan.studies.new.hanging import (
@@ -106,7 +105,7 @@ def first_motion(model: str, say: Say) -> FirstMotion:
                 tried.append((moving, tables))
             hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, 0.5 * left)}}
             try:
-                answer = plan_motion(problem_from_tables(moving.name, hurried, mechanism=moving), say, rungs)
+                answer = plan_motion(Problem.from_tables(moving.name, hurried, mechanism=moving), say, rungs)
             except LinkplanError as error:
                 found = FirstMotion(mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
@@ -164,7 +163,7 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
         goal[rest] = start[rest]
         goal = at_rest(mechanism, goal, close_at(mechanism, start))
         tables = _tables(mechanism, start, goal)
-        problem = problem_from_tables(mechanism.name, tables, mechanism=mechanism)
+        problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
         if np.array_equal(start, goal) or not _is_clear(problem):
             return None
         duration = _duration_s(problem)
@@ -245,7 +244,7 @@ def _rounded(joint: Joint, position: float, low: float, high: float) -> float:
     return position
 
 
-def _is_clear(problem: PlanningProblem) -> bool:
+def _is_clear(problem: Problem) -> bool:
     """Tell if the straight way from start to goal is clear at 61 poses.
 
     The loops close, the ranges are kept, det J_z stays above a quarter of its value at home, no geoms collide, and the
@@ -305,25 +304,25 @@ def _many_hang(mechanism: Mechanism) -> bool:
     return len(hanging_columns(mechanism)) > 1
 
 
-def _duration_s(problem: PlanningProblem) -> float:
+def _duration_s(problem: Problem) -> float:
     """Return a duration [s] in two digits: twice the shortest one on a smooth path, so that the efforts are moderate.
 
     With hanging joints it is at least two swings of a pendulum of the mechanism's size, else at least 0.1 s.
     """
     mechanism = problem.mechanism
-    shortest = first_guess(problem, start_pose_of(problem)).duration_s
+    shortest = first_guess(problem, problem.start_pose()).duration_s
     swing = 2 * np.pi * np.sqrt(mechanism.extent_m / GRAVITY_M_S2)
     least = 2 * swing if hanging_columns(mechanism) else 0.1
     return float(f"{max(2 * shortest, least):.2g}")
 
 
-def _gains(mechanism: Mechanism, problem: PlanningProblem, duration: float) -> dict:
+def _gains(mechanism: Mechanism, problem: Problem, duration: float) -> dict:
     """Return PD gains for a duration: critically damped with the inertia at the start, zero for undriven coordinates.
 
     The natural frequency gives eight cycles in the motion. A sampled PD law of period T is stable up to about kd = 2 J / T:
     the gains stay below a tenth of that for T = 0.1 ms.
     """
-    inertia = np.array(mechanism.dynamics.reduced_inertia(start_pose_of(problem))).diagonal()
+    inertia = np.array(mechanism.dynamics.reduced_inertia(problem.start_pose())).diagonal()
     inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
     frequency = min(2 * np.pi * 8 / duration, 0.1 / 1e-4)  # [rad/s]
     gains = {"kp": inertia * frequency**2, "kd": 2 * inertia * frequency}

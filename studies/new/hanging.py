@@ -17,7 +17,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.files.problem_file import mechanism_from_tables
+from linkplan.planner.problem.build import mechanism_from_tables
 
 GRAVITY_M_S2 = 9.81
 

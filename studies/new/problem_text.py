@@ -1,5 +1,6 @@
 """A problem file as text: the keys that are set, and every other key as a comment with its default and meaning."""
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 
@@ -10,7 +11,6 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.sites import site_names
-from linkplan.planner.files.examples import EXAMPLES, NEEDS, Example
 from linkplan.planner.files.toml_text import inline, key_text
 from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES
@@ -42,7 +42,7 @@ def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], descriptio
         for key in (row for row in rows if row.section == section.name):
             lines += _lines(key, tables.get(section.name, {}), facts)
         if section.name == "motors":
-            code = f"#{facts['actuator']} = {_filled(EXAMPLES['motors.{actuator}'].text, facts)}"
+            code = f"#{facts['actuator']} = {_filled(section.example, facts)}"
             of_one = [row for row in rows if row.section == "motors.NAME" and f"{row.name} =" in code]
             lines += _laid_out(code, "; ".join(f"{row.name}: {row.doc} [{row.unit}]" for row in of_one))
     return "\n".join(line.rstrip() for line in lines) + "\n"
@@ -50,13 +50,12 @@ def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], descriptio
 
 def _lines(key: Key, section: Mapping, facts: Mapping) -> list[str]:
     """Return the lines of a key with its comment; no lines if the mechanism cannot have the key."""
-    path = f"{key.section}.{key.name}"
-    example = EXAMPLES[path] if key.default is None else Example(text=inline(key.default))
+    example = key.example if key.default is None else inline(key.default)
     if key.name in section:
         return _laid_out(f"{key.name} = {inline(section[key.name])}", _said(key).removesuffix("; required"))
-    if not facts["has"].issuperset(example.needs):
+    if not facts.keys() >= {*re.findall(r"\{(\w+)\}", example), *key.needs.split()}:
         return []
-    return _laid_out(f"#{key.name} = {_filled(example.text, facts)}", _said(key))
+    return _laid_out(f"#{key.name} = {_filled(example, facts)}", _said(key))
 
 
 def _said(key: Key) -> str:
@@ -75,16 +74,16 @@ def _laid_out(code: str, doc: str) -> list[str]:
     return [f"{code.ljust(_COMMENT_COLUMN)}# {first}", *(f"{'':{_COMMENT_COLUMN}}# {more}" for more in rest)]
 
 
-def _filled(text: str, facts: Mapping) -> str:
+def _filled(text: str, facts: Mapping[str, str]) -> str:
     """Return a text with its placeholders, such as {hinge}, replaced by names of the mechanism."""
     for name, value in facts.items():
-        text = text.replace(f"{{{name}}}", value) if isinstance(value, str) else text
+        text = text.replace(f"{{{name}}}", value)
     return text
 
 
-def _facts(mechanism: Mechanism) -> dict:
-    """Return the values of the examples' placeholders as TOML and, under "has", the `NEEDS` that are met."""
-    facts: dict = {"independent": ", ".join(inline(joint.name) for joint in mechanism.independent_joints)}
+def _facts(mechanism: Mechanism) -> dict[str, str]:
+    """Return the values of the examples' placeholders as TOML; those that the mechanism has no object for are missing."""
+    facts: dict[str, str] = {"independent": ", ".join(inline(joint.name) for joint in mechanism.independent_joints)}
     facts["joint"] = key_text(mechanism.independent_joints[0].name)
     facts["joint_name"] = inline(mechanism.independent_joints[0].name)
     facts |= _joint_facts(mechanism)
@@ -100,9 +99,8 @@ def _facts(mechanism: Mechanism) -> dict:
         facts["site"], facts["site_home"] = place
     bodies = [name for k in range(1, mechanism.model.nbody) if (name := mechanism.model.body(k).name)]
     if bodies:
-        facts["body"], facts["body_name"] = bodies[-1], inline(bodies[-1])
+        facts["body"] = inline(bodies[-1])
     facts |= {"fully_driven": "fully_driven"} if mechanism.n_u == mechanism.dof else {}
-    facts["has"] = {need for need in NEEDS if need in facts}
     return facts
 
 

@@ -2,20 +2,20 @@
 
 from collections.abc import Sequence
 
-from linkplan.planner.files.batch_file import Case
-from linkplan.planner.files.plan_folder import record
+from linkplan.planner.keys.batch_sections import CaseSection
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import record
 from linkplan.studies.output.digits import figure, known_digits
 from linkplan.studies.output.document import Block, Text, table_of
 from linkplan.studies.output.objective_unit import objective_unit
 
 
-def case_record(case: Case, plan: Plan) -> dict:
+def case_record(case: CaseSection, plan: Plan) -> dict:
     """Return a case's entry in `batch.json`."""
-    return {"settings": list(case.settings), **record(plan)}
+    return {"settings": list(case.set), **record(plan)}
 
 
-def case_row(case: Case, plan: Plan) -> list:
+def case_row(case: CaseSection, plan: Plan) -> list:
     """Return a case's row of the table."""
     problem, digits = plan.problem, known_digits(plan)
     duration = None if plan.trajectory is None else figure(plan.trajectory.duration_s, digits)
@@ -25,7 +25,7 @@ def case_row(case: Case, plan: Plan) -> list:
     seconds = f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"
     shown = None if peak is None else f"{peak[0]:.4g} {peak[1]}"
     warm = "again" if plan.solved_again else "anew"
-    return [case.name, " ".join(case.settings), plan.status, objective, duration, shown, seconds, warm]
+    return [case.name, " ".join(case.set), plan.status, objective, duration, shown, seconds, warm]
 
 
 def batch_blocks(rows: Sequence[list], failures: Sequence[str]) -> list[Block]:

@@ -1,9 +1,9 @@
 """The unit of a problem's objective, which depends on its actuators for efforts and on its joints for distances."""
 
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 
 
-def objective_unit(problem: PlanningProblem) -> str:
+def objective_unit(problem: Problem) -> str:
     """Return the unit of a single term, after a space; an empty string for a sum of terms."""
     terms = list(problem.objective.weights)
     unit, mechanism = problem.objective.unit, problem.mechanism

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import write_plan
 
 
 def save_plan(plan: Plan, place: Path, target: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same 
     from linkplan.models.errors import LinkplanError
     from linkplan.planner.ode.problem import OdeProblem
     from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
+    from linkplan.planner.problem.problem import Problem
     from linkplan.plans import Plan, Planner, plan, read_plan, solve_ocp
-    from linkplan.problems import Problem
     from linkplan.tracking import compare, track
 
     __version__: str
@@ -54,29 +54,22 @@ __all__ = [
     "tune",
 ]
 
-# The module of each public name, loaded when the name is first used (PEP 562). No module of this package has a public name,
+# The public names by their modules, loaded when a name is first used (PEP 562). No module of this package has a public name,
 # because its import would replace that name by the module.
-_HOMES = {
-    "ExtraCost": "linkplan.planner.problem.extra",
-    "ExtraLimit": "linkplan.planner.problem.extra",
-    "LinkplanError": "linkplan.models.errors",
-    "OdeProblem": "linkplan.planner.ode.problem",
-    "Plan": "linkplan.plans",
-    "Planner": "linkplan.plans",
-    "Problem": "linkplan.problems",
-    "Tracker": "linkplan.controllers.trackers.tracker",
-    "bode": "linkplan.loops",
-    "check": "linkplan.mechanisms",
-    "compare": "linkplan.tracking",
-    "decompose": "linkplan.decompositions",
-    "experiment": "linkplan.experiments",
-    "load_mechanism": "linkplan.mechanisms",
-    "plan": "linkplan.plans",
-    "read_plan": "linkplan.plans",
-    "solve_ocp": "linkplan.plans",
-    "track": "linkplan.tracking",
-    "tune": "linkplan.loops",
+_MODULES = {
+    "linkplan.controllers.trackers.tracker": ("Tracker",),
+    "linkplan.decompositions": ("decompose",),
+    "linkplan.experiments": ("experiment",),
+    "linkplan.loops": ("bode", "tune"),
+    "linkplan.mechanisms": ("check", "load_mechanism"),
+    "linkplan.models.errors": ("LinkplanError",),
+    "linkplan.planner.ode.problem": ("OdeProblem",),
+    "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
+    "linkplan.planner.problem.problem": ("Problem",),
+    "linkplan.plans": ("Plan", "Planner", "plan", "read_plan", "solve_ocp"),
+    "linkplan.tracking": ("compare", "track"),
 }
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:

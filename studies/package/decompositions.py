@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import LINEAR
-from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.paths import drawn
-from linkplan.plain import plain
-from linkplan.planner.files.imperfections_file import imperfections_of
+from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import whole
-from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study
 from linkplan.studies.decompose.decomposition_blocks import decomposition_text
+from linkplan.subjects import listed, plan_to_track, with_imperfections
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,19 +48,11 @@ def decompose(
     Raises:
         LinkplanError: if the plan has no motion, or an argument is invalid.
     """
-    if not isinstance(plan, Plan):
-        raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
-    if plan.answer.trajectory is None:
-        raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
-    if isinstance(trackers, str) or not isinstance(trackers, Sequence):
-        raise ProblemError(f"trackers are a list of names or functions, got {trackers!r}")
+    plan_to_track(plan)
+    listed(trackers, "names or functions")
     whole(seed, "seed", 0, 2**63 - 1)
-    answer, problem = plan.answer, plan.answer.problem
-    if imperfections is not None:
-        table = plain(imperfections)
-        imperfections_of(table, problem.mechanism)
-        answer = replace(answer, problem=replace(problem, source={**problem.source, "imperfections": table}))
-    return DecompositionResult(decomposition=study.decompose(answer, trackers, samples, seed, listener(progress)))
+    given = with_imperfections(plan, imperfections)
+    return DecompositionResult(decomposition=study.decompose(given, trackers, samples, seed, listener(progress)))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,13 +12,11 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.paths import drawn, path_of
-from linkplan.plain import plain
-from linkplan.planner.files.imperfections_file import imperfections_of
+from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import whole
-from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.experiment.experiment import Settings, plan_digest
 from linkplan.studies.experiment.experiment_blocks import outcome_text
@@ -29,6 +27,7 @@ from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
 from linkplan.studies.tasks.cluster import cluster as at_address
 from linkplan.studies.tasks.engine import MOST_WORKERS, processes
+from linkplan.subjects import listed, plan_to_track, with_imperfections
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,21 +73,13 @@ def experiment(
     Raises:
         LinkplanError: if the plan has no motion, an argument is invalid, or the folder has other files.
     """
-    if not isinstance(plan, Plan):
-        raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
-    if plan.answer.trajectory is None:
-        raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
-    if isinstance(trackers, str) or not isinstance(trackers, Sequence):
-        raise ProblemError(f"trackers are a list of names, got {trackers!r}")
+    plan_to_track(plan)
+    listed(trackers, "names")
     whole(workers, "workers", 1, MOST_WORKERS)
     whole(threads, "threads", 0, 10_000)
     if cluster is not None and workers != 1:
         raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
-    answer, problem = plan.answer, plan.answer.problem
-    if imperfections is not None:
-        table = plain(imperfections)
-        imperfections_of(table, problem.mechanism)
-        answer = replace(answer, problem=replace(problem, source={**problem.source, "imperfections": table}))
+    given = with_imperfections(plan, imperfections)
     settings = Settings(
         trackers=tuple(trackers),
         samples=samples,
@@ -98,12 +89,12 @@ def experiment(
         tube_deg=tube_deg,
         tube_m=tube_m,
     )
-    source = {"name": problem.name, **answer.problem.source}
+    source = {"name": given.problem.name, **given.problem.source}
     target = None if folder is None else path_of(folder, "folder")
     say = listener(progress)
     engine = processes(workers) if cluster is None else at_address(cluster)
     outcome = run_experiment(
-        source, plan_digest(answer), lambda: answer, settings, target, say, engine=engine, threads=threads
+        source, plan_digest(given), lambda: given, settings, target, say, engine=engine, threads=threads
     )
     return ExperimentResult(outcome=outcome)
 

@@ -15,10 +15,10 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.paths import drawn
-from linkplan.plain import plain
-from linkplan.planner.files.problem_file import tracking_from_tables
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import Tracking
-from linkplan.planner.problem.values import number
+from linkplan.planner.problem.values import number, plain
 from linkplan.reporting import Progress, listener
 from linkplan.studies.bode.bode import BodeStudy, bode_study
 from linkplan.studies.bode.poses import loop_poses
@@ -27,7 +27,7 @@ from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
-from linkplan.subjects import Subject, poses_of, subject_of
+from linkplan.subjects import Subject, poses_of, subject_of, tracking_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,14 +65,14 @@ def bode(
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
-    mechanism, planning, settings, limit = _loop_of(subject, tracking)
+    mechanism, problem, settings, limit = _loop_of(subject, tracking)
     setup = None
     if measure is not None:
         method = choose("way to measure", str(measure), METHODS, ProblemError)
         amplitude = None if amplitude_deg is None else number(plain(amplitude_deg), "amplitude_deg", positive=True)
         joint = mechanism.independent_joints[0]
         setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
-    looked = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     study = bode_study(
         mechanism,
         looked.positions,
@@ -129,10 +129,10 @@ def tune(
         settling_s=None if settling_s is None else number(plain(settling_s), "settling_s", positive=True),
         damping_ratio=number(plain(damping_ratio), "damping_ratio", at_least_zero=True),
     )
-    mechanism, planning, settings, limit = _loop_of(subject, tracking)
+    mechanism, problem, settings, limit = _loop_of(subject, tracking)
     if mechanism.dof != 1:
         raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
-    looked = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     found = tuning.tune(points, wanted, settings, timing, limit, law=tracker, say=say, line=looked.line)
@@ -140,15 +140,12 @@ def tune(
 
 
 def _loop_of(subject: Subject, tracking: object):
-    """Return the mechanism, its planning problem or None, the tracking settings and the effort limits (n_u, 2)."""
+    """Return the mechanism, its problem or None, the tracking settings and the effort limits (n_u, 2)."""
     mechanism, problem = subject_of(subject)
-    if tracking is not None and not isinstance(tracking, Mapping):
-        raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
-    own = {} if problem is None else problem.to_dict().get("tracking", {})
-    settings = _settings(own | plain(tracking or {}), mechanism)
+    settings = _settings(tracking_table(problem, tracking), mechanism)
     if problem is None:
         return mechanism, None, settings, mechanism.effort_limit
-    return mechanism, problem.planning, settings, problem.planning.limits.actuators_effort
+    return mechanism, problem, settings, problem.limits.actuators_effort
 
 
 def _settings(table: dict, mechanism: Mechanism) -> Tracking:
@@ -189,7 +186,6 @@ class BodeResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        from linkplan.planner.files.folders import plain_record
         from linkplan.studies.bode.bode_report import bode_record
 
         return plain_record(bode_record(self.study) | {"note": self.note})
@@ -244,8 +240,6 @@ class TuneResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        from linkplan.planner.files.folders import plain_record
-
         return plain_record(tune_report.tune_record(self.tuning) | {"note": self.note})
 
     def plot(self, path: str | Path | None = None) -> Figure:

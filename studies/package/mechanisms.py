@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
-from linkplan.plain import plain
-from linkplan.planner.files.problem_file import mechanism_from_tables
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.tables import read_tables
+from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.values import plain
 from linkplan.subjects import Subject, is_problem, poses_of, subject_of
 
 if TYPE_CHECKING:
@@ -83,14 +84,13 @@ def check(
     notes: tuple[str, ...] = ()
     try:
         if isinstance(subject, str | Path) and is_problem(subject):
-            mechanism, planning, notes = mechanism_and_problem(*read_tables(subject))
+            mechanism, problem, notes = mechanism_and_problem(*read_tables(subject))
         else:
             mechanism, problem = subject_of(subject)
-            planning = None if problem is None else problem.planning
     except REFUSED as error:
         text = str(subject)
         return CheckResult(found=RefusedModel(name="the model" if "<" in text else Path(text).stem, error=error))
-    return CheckResult(found=check_whole(mechanism, planning, poses_of(mechanism, at_deg, at_m), notes))
+    return CheckResult(found=check_whole(mechanism, problem, poses_of(mechanism, at_deg, at_m), notes))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -111,8 +111,6 @@ class CheckResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        from linkplan.planner.files.folders import plain_record
-
         return plain_record(self.found.record())
 
     def plot(self, path: str | Path | None = None) -> Figure:

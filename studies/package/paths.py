@@ -5,8 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from linkplan.models.errors import PlanFileError, ProblemError
 
 if TYPE_CHECKING:
@@ -44,18 +42,3 @@ def drawn(path: object, draw: Callable[[Path | None], "Figure"]) -> "Figure":
         return draw(place)
     except (OSError, ValueError) as error:
         raise PlanFileError(f"'{place}' cannot be written: {getattr(error, 'strerror', None) or error}") from error
-
-
-def times_of(time_s: object) -> np.ndarray | None:
-    """Return times [s] as an array of shape () for a number or (n,) for a row; None for None.
-
-    Raises:
-        ProblemError: for anything but finite numbers.
-    """
-    try:
-        time = None if time_s is None else np.asarray(time_s, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        time = np.full((), np.nan)
-    if time is not None and (time.ndim > 1 or not np.all(np.isfinite(time))):
-        raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
-    return time

@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
-from linkplan.models.extras import load_extra
-from linkplan.next_motion import NextMotion
-from linkplan.paths import drawn, path_of, times_of
+from linkplan.models.errors import ProblemError
+from linkplan.paths import drawn, path_of
 from linkplan.planner import plan as planned
-from linkplan.planner.certificate.certificate import Certificate
-from linkplan.planner.files import plan_folder
+from linkplan.planner import plan_folder
 from linkplan.planner.files.folders import write_whole
-from linkplan.planner.files.motion_table import MotionTable, motion_table
+from linkplan.planner.motion_step import NextMotion
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
-from linkplan.planner.refinement.history import Step
-from linkplan.planner.replan import Planner as Replanner
-from linkplan.problems import Problem
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.replan import Replanner
 from linkplan.reporting import LOG, Progress, listener
 
 if TYPE_CHECKING:
-    import pandas  # pyright: ignore[reportMissingImports]
     from matplotlib.figure import Figure
 
 
@@ -42,8 +35,7 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None) -> Pla
     Raises:
         LinkplanError: if the problem is invalid.
     """
-    asked = _problem(problem)
-    return Plan(problem=asked, answer=plan_motion(asked.planning, listener(progress)))
+    return Plan.of(plan_motion(_problem(problem), listener(progress)))
 
 
 def read_plan(
@@ -71,7 +63,7 @@ def read_plan(
     note = plan_folder.unchecked(folder)
     if note is not None:
         LOG.warning("%s: %s", folder, note)
-    return Plan(problem=Problem(planning=answer.problem), answer=answer)
+    return Plan.of(answer)
 
 
 def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
@@ -115,8 +107,7 @@ class Planner:
         Raises:
             LinkplanError: if the problem is invalid.
         """
-        asked = _problem(problem)
-        return Plan(problem=asked, answer=self._planner.plan(asked.planning))
+        return Plan.of(self._planner.plan(_problem(problem)))
 
     def step(self, problem: Problem | str | Path) -> NextMotion | None:
         """Return a motion by a few Newton steps from the last plan, for replanning at the rate of control.
@@ -128,95 +119,22 @@ class Planner:
         Raises:
             LinkplanError: if the problem is invalid.
         """
-        asked = _problem(problem)
-        step = self._planner.step(asked.planning)
-        return None if step is None else NextMotion(problem=asked, step=step)
+        return self._planner.step(_problem(problem))
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class Plan:
+class Plan(planned.Plan):
     """A certified motion, or the reason why there is none. `str(plan)` is its report; `to_dict()` has every value.
 
-    Times are in seconds from the motion's start.
+    Times are in seconds from the motion's start. It is the planner's plan; its own members need files, figures and reports,
+    which the planner cannot import.
     """
 
-    problem: Problem
-    answer: planned.Plan
+    __slots__ = ()
 
-    @property
-    def status(self) -> str:
-        """The status: "optimal" (converged and certified), "feasible" (certified), "infeasible" or "failed".
-
-        A feasible motion may not be locally optimal; `message` has the reason.
-        """
-        return self.answer.status
-
-    @property
-    def message(self) -> str:
-        """The answer in a sentence; without a motion, it names the limit, the joint, the instant and the excess."""
-        return self.answer.message
-
-    @property
-    def objective(self) -> float | None:
-        """The value of the objective in SI units: effort [N2 m2 s], time [s], tracking [rad2 s], ...; None if unknown."""
-        return self.answer.objective
-
-    @property
-    def duration_s(self) -> float | None:
-        """The duration of the motion [s]; None without a motion."""
-        return None if self.answer.trajectory is None else self.answer.trajectory.duration_s
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """The checks between the nodes: `passed`, `failures` and all values, in SI units; None without a motion."""
-        return self.answer.certificate
-
-    @property
-    def history(self) -> tuple[Step, ...]:
-        """The solves before this plan, in order, each with its settings and its result."""
-        return self.answer.history
-
-    def require(self) -> Plan:
-        """Return this plan if its motion is certified (optimal or feasible).
-
-        Raises:
-            InfeasibleError: otherwise: a `LinkplanError` with the message and with the plan as `.plan`.
-        """
-        if not self.answer.passed:
-            raise InfeasibleError(self.message, self)
-        return self
-
-    def sample(self, time_s: float | np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
-        """Return the motion at times: `position`, `speed`, `acceleration` by joint and `effort` by actuator.
-
-        Args:
-            time_s: a time or times (n,) [s], in any order; by default ten instants of every interval. A periodic motion
-                continues beyond its ends, any other motion rests there.
-            jumps: whether the default times have both sides of a jump in effort, at equal times; else they increase.
-
-        Returns:
-            `time_s`; `position` [deg or m] and `speed` of all joints by name; `acceleration` of the independent joints;
-            `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and `effort_unit` are their
-            units; `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world frame. `columns()` returns
-            all columns under heads with units.
-
-        Raises:
-            LinkplanError: if the plan has no motion, or a time is not finite.
-        """
-        self._moves("sample")
-        time = times_of(time_s)
-        table = motion_table(self.answer, None if time is None else np.atleast_1d(time), jumps=jumps)
-        return table.single() if time is not None and time.ndim == 0 else table
-
-    def to_frame(self, time_s: np.ndarray | None = None) -> pandas.DataFrame:
-        """Return the motion at times (n,) [s] as a pandas table, with a row for each time and units in the columns' names.
-
-        Raises:
-            MissingPackageError: if pandas is not installed.
-            LinkplanError: as for `sample`.
-        """
-        table = self.sample(None if time_s is None else np.atleast_1d(time_s))
-        return load_extra("pandas", "Plan.to_frame").DataFrame(table.columns())
+    @classmethod
+    def of(cls, plan: planned.Plan) -> Plan:
+        """Return the planner's plan with these members."""
+        return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of positions, speeds and efforts over time, saved at `path` if it is given.
@@ -224,10 +142,10 @@ class Plan:
         Raises:
             LinkplanError: if the plan has no motion.
         """
-        self._moves("draw")
+        self.require_motion("draw")
         from linkplan.studies.output.draw_plan import plan_figure
 
-        return drawn(path, lambda place: plan_figure(self.answer, place))
+        return drawn(path, lambda place: plan_figure(self, place))
 
     def save(self, folder: str | Path, *, jumps: bool = False) -> Path:
         """Write the plan as a folder, whole or not at all, and return its path: plan.json, trajectory.npz, .csv, plan.png.
@@ -237,11 +155,11 @@ class Plan:
         Raises:
             LinkplanError: if the plan has no motion, the folder has other files, or it cannot be written.
         """
-        self._moves("save")
+        self.require_motion("save")
         from linkplan.studies.output.save_plan import save_plan
 
         target = path_of(folder, "folder")
-        write_whole(target, lambda place: save_plan(self.answer, place, target, jumps=jumps))
+        write_whole(target, lambda place: save_plan(self, place, target, jumps=jumps))
         return target
 
     def report(self, path: str | Path) -> Path:
@@ -254,25 +172,17 @@ class Plan:
         from linkplan.studies.report.reports import plan_report
 
         place = path_of(path, "path")
-        write_report(plan_report(self.answer), place)
+        write_report(plan_report(self), place)
         return place
 
     def to_dict(self) -> dict:
         """Return the record of plan.json: status, message, certificate, history, problem, versions; units in names."""
-        return plan_folder.record(self.answer)
-
-    def _moves(self, what: str) -> None:
-        if self.answer.trajectory is None:
-            raise LinkplanError(f"nothing to {what}, the plan has no motion: {self.message}")
+        return plan_folder.record(self)
 
     def __str__(self) -> str:
         from linkplan.studies.output.plan_blocks import plan_text
 
-        return plan_text(self.answer)
-
-    def __repr__(self) -> str:
-        duration = "no motion" if self.duration_s is None else f"{self.duration_s:.6g} s"
-        return f"Plan({self.problem.name!r}, {self.status}, {duration})"
+        return plan_text(self)
 
 
 def _problem(problem: object) -> Problem:

@@ -1,18 +1,21 @@
-"""The subject of a study: a mechanism, a problem, or the name or path of either; and the poses to analyse."""
+"""The subject of a study: a mechanism, a problem, or the name or path of either, with poses to analyse; or a plan."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.plain import plain
-from linkplan.planner.files.joint_values import joint_values
-from linkplan.planner.files.problem_file import mechanism_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.keys.kinds import Angles, Numbers
 from linkplan.planner.keys.motion_section import WaypointSection
 from linkplan.planner.keys.reading import read
-from linkplan.problems import Problem
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.imperfections import imperfections_of
+from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.values import plain
 
 # A pose consists of a table of joint = value in degrees and another table in metres.
 _KINDS = {"at_deg": Angles, "at_m": Numbers}
@@ -39,6 +42,49 @@ def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
 def is_problem(name: str | Path) -> bool:
     """Tell if a name or path is that of a problem, not of a model."""
     return str(name) in PROBLEMS or Path(str(name)[:255]).suffix == ".toml"
+
+
+def plan_to_track(plan: object) -> Plan:
+    """Return a plan if it has a motion.
+
+    Raises:
+        LinkplanError: if it is no plan, or has no motion.
+    """
+    if not isinstance(plan, Plan):
+        raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
+    plan.require_motion("track")
+    return plan
+
+
+def with_imperfections(plan: Plan, imperfections: Mapping | None) -> Plan:
+    """Return a plan whose problem has another table [imperfections], if one is given.
+
+    Raises:
+        ProblemError: for a key, name, or value that cannot be used.
+    """
+    if imperfections is None:
+        return plan
+    problem, table = plan.problem, plain(imperfections)
+    imperfections_of(table, problem.mechanism)
+    return replace(plan, problem=replace(problem, source={**problem.source, "imperfections": table}))
+
+
+def listed(trackers: object, legal: str) -> Sequence:
+    """Return trackers if they are a list; `legal` says of what."""
+    if isinstance(trackers, str) or not isinstance(trackers, Sequence):
+        raise ProblemError(f"trackers are a list of {legal}, got {trackers!r}")
+    return trackers
+
+
+def tracking_table(problem: Problem | None, tracking: object) -> dict:
+    """Return the table [tracking] of a problem, with other settings in place of its own.
+
+    Raises:
+        ProblemError: if the settings are no table.
+    """
+    if tracking is not None and not isinstance(tracking, Mapping):
+        raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
+    return ({} if problem is None else problem.to_dict().get("tracking", {})) | plain(tracking or {})
 
 
 def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:

@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.controllers.rollout import Rollout
-from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.paths import drawn, path_of
-from linkplan.plain import plain
-from linkplan.planner import plan as planned
-from linkplan.planner.files.problem_file import tracking_from_tables
-from linkplan.plans import Plan
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_text
 from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.subjects import listed, plan_to_track, tracking_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,25 +81,18 @@ def compare(
         LinkplanError: as for `track`.
     """
     answer = _to_track(plan, tracking)
-    if isinstance(trackers, str) or not isinstance(trackers, Sequence):
-        raise ProblemError(f"trackers are a list of names, objects or functions, got {trackers!r}")
+    listed(trackers, "names, objects or functions")
     mismatch = study.mismatch_of(answer, mass_factor, delay_periods)
     return TrackingResult(comparison=study.compare(answer, mismatch, listener(progress), trackers))
 
 
-def _to_track(plan: object, tracking: object) -> planned.Plan:
-    """Return the planner's plan, with a motion and with new tracking settings."""
-    if not isinstance(plan, Plan):
-        raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
-    if plan.answer.trajectory is None:
-        raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
+def _to_track(plan: Plan, tracking: object) -> Plan:
+    """Return a plan with a motion, with new tracking settings if any are given."""
+    problem = plan_to_track(plan).problem
+    table = tracking_table(problem, tracking)
     if tracking is None:
-        return plan.answer
-    if not isinstance(tracking, Mapping):
-        raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
-    table = plan.problem.to_dict().get("tracking", {}) | plain(tracking)
-    settings = tracking_from_tables({"tracking": table}, plan.answer.problem.mechanism)
-    return replace(plan.answer, problem=replace(plan.answer.problem, tracking=settings))
+        return plan
+    return replace(plan, problem=replace(problem, tracking=tracking_from_tables({"tracking": table}, problem.mechanism)))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -126,8 +118,6 @@ class TrackingResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types: errors in deg or m, efforts, share at the limits, loop gap."""
-        from linkplan.planner.files.folders import plain_record
-
         return plain_record(study.comparison_record(self.comparison))
 
     def save(self, folder: str | Path) -> Path:

@@ -10,7 +10,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.extras import load_extra
-from linkplan.planner.files.whole_file import MADE_BY
+from linkplan.planner.files.single_file import MADE_BY
 
 
 def write_png(path: Path, image: np.ndarray) -> None:

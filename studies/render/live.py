@@ -47,9 +47,9 @@ def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracki
         tracking,
         kp=times(tracking.kp, kp_factor),
         kd=times(tracking.kd, kd_factor),
-        lqr_position=tracking.lqr_position / kp_factor,
+        lqr_position_deg=tracking.lqr_position_deg / kp_factor,
         lqr_position_m=tracking.lqr_position_m / kp_factor,
-        lqr_velocity=tracking.lqr_velocity / kd_factor,
+        lqr_velocity_deg_s=tracking.lqr_velocity_deg_s / kd_factor,
         lqr_velocity_m_s=tracking.lqr_velocity_m_s / kd_factor,
     )
 
@@ -96,8 +96,8 @@ def _words(motion: Motion, tracking: Tracking, controls: Controls, k: int) -> Ro
     factors = [f"  (x{factor:.3g})" if factor != 1.0 else "" for factor in (controls.kp_factor, controls.kd_factor)]
     if controls.tracker == "lqr":
         hinge = any(joint.kind == "hinge" for joint in motion.mechanism.independent_joints)
-        position = f"{np.degrees(tracking.lqr_position):.4g} deg" if hinge else f"{tracking.lqr_position_m:.4g} m"
-        velocity = f"{np.degrees(tracking.lqr_velocity):.4g} deg/s" if hinge else f"{tracking.lqr_velocity_m_s:.4g} m/s"
+        position = f"{tracking.lqr_position_deg:.4g} deg" if hinge else f"{tracking.lqr_position_m:.4g} m"
+        velocity = f"{tracking.lqr_velocity_deg_s:.4g} deg/s" if hinge else f"{tracking.lqr_velocity_m_s:.4g} m/s"
         gains = [("weighs 1: position", position + factors[0]), ("weighs 1: speed", velocity + factors[1])]
     else:
         gains = [("kp", _gain_said(tracking.kp) + factors[0]), ("kd", _gain_said(tracking.kd) + factors[1])]

@@ -9,7 +9,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.interrupts import check
-from linkplan.planner.files.whole_file import write_file_whole
+from linkplan.planner.files.single_file import write_file_whole
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.studies.render.camera import Camera, camera_from

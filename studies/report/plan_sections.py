@@ -5,8 +5,8 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.problem_file import file_text
 from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.problem.problem import file_text
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, Text
 from linkplan.studies.output.draw_plan import time_plots
 from linkplan.studies.output.lines import TIME, Line, plots

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.folders import RECORDS, complete
+from linkplan.planner.files.folders import complete
 from linkplan.planner.files.json_record import read_record
-from linkplan.planner.files.plan_folder import read_plan, unchecked
+from linkplan.planner.files.manifest import RECORDS
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import read_plan, unchecked
 from linkplan.studies.batch.saved import read_batch_record
 from linkplan.studies.batch.study import RECORD as BATCH
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT

@@ -14,7 +14,7 @@ import msgspec
 from linkplan.models.catalogue import is_folder, is_there
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import read_head
-from linkplan.planner.files.new_file import write_over
+from linkplan.planner.files.single_file import write_over
 from linkplan.studies.output.document import Report
 
 # Each script uses only those before it.

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import versions
 from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck

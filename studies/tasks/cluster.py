@@ -12,7 +12,7 @@ from concurrent.futures import CancelledError
 
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.extras import load_extra
-from linkplan.planner.files.plan_folder import versions
+from linkplan.planner.plan_folder import versions
 from linkplan.studies.tasks.engine import Engine, Pool, Say
 
 # A running scheduler answers within milliseconds.

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.files.plan_folder import versions
+from linkplan.planner.plan_folder import versions
 
 # A worker of a cluster may run tasks in several threads, which would share CasADi's functions and the working folder.
 _ONE_TASK_LOCK = threading.Lock()

@@ -240,12 +240,9 @@ def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: flo
     # LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2. Solve for the weights s_w and v_w.
     limit = _effort_weight(points)
     extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
-    hinge = points[0].mechanism.independent_joints[0].kind == "hinge"
-    ends = np.radians(LQR_ERRORS) if hinge else LQR_ERRORS
-    position, velocity = (float(np.clip(value, *ends)) for value in (limit / kp, limit / np.sqrt(extra)))
-    if hinge:
-        return replace(settings, lqr_position=position, lqr_velocity=velocity)
-    return replace(settings, lqr_position_m=position, lqr_velocity_m_s=velocity)
+    joint = points[0].mechanism.independent_joints[0]
+    position, velocity = (float(np.clip(joint.shown(x), *LQR_ERRORS)) for x in (limit / kp, limit / np.sqrt(extra)))
+    return replace(settings, **{f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity})
 
 
 def _effort_weight(points: Sequence[OperatingPoint]) -> float:

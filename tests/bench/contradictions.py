@@ -22,8 +22,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar import FourBar, Lump
 
 # Durations of the least efforts, as multiples of the least time. Below the first one there must be no motion.
@@ -76,7 +76,7 @@ def plan_of(tables: dict) -> dict:
     """Return the status, message, cost, duration and processor time of one problem's answer."""
     begun = time.process_time()
     try:
-        plan = plan_motion(problem_from_tables("contradictions", tables))
+        plan = plan_motion(Problem.from_tables("contradictions", tables))
         duration = None if plan.trajectory is None or not plan.passed else plan.trajectory.duration_s
         answer = {"status": plan.status, "message": plan.message, "objective": plan.objective, "duration_s": duration}
     except LinkplanError as error:

@@ -36,7 +36,7 @@ WORDS = ('""', '"none"', '"$x^$"', '"=1+1"', '"\\u001b[31m"', '"../.."', '"/dev/
 
 # What examples of keys name in braces, of the knee.
 NAMES = {"hinge": "O", "free_hinge": "O", "joint": "O", "actuator": "act_O", "closure": "loop", "independent": '"O"',
-         "joint_name": '"O"', "body_name": '"crank"', "effort_range": "[-50.0, 50.0]", "effort_high": "50.0"}  # fmt: skip
+         "joint_name": '"O"', "body": '"crank"', "effort_range": "[-50.0, 50.0]", "effort_high": "50.0"}  # fmt: skip
 # Sections that are drawn more often than by chance: trackers and imperfections have most keys and run most code.
 OFTEN = ("tracking", "imperfections", "robust", "limits")
 FORMATS = ("keyframes", "mjcf", "ros", "mat", "csv", "parquet", "x")
@@ -81,12 +81,12 @@ def damaged(rng: random.Random, content: bytes) -> bytes:
 
 def _example(rng: random.Random, section: str, key: str) -> str:
     """Return a value that a key may have, in words of the knee: its example, or one that is a table by joint."""
-    from linkplan.planner.files.examples import EXAMPLES
+    from linkplan.planner.keys.key_table import key_table
 
-    path = f"{section}.{'{actuator}' if section == 'motors' else key}"
-    if path not in EXAMPLES or rng.random() < 0.2:
+    path = ("", "motors") if section == "motors" else (section, key)
+    text = next((row.example for row in key_table() if (row.section, row.name) == path), "")
+    if not text or rng.random() < 0.2:
         return rng.choice(["{ O = 1.0 }", "1.0", "{ act_O = 1.0 }", '"O"'])
-    text = EXAMPLES[path].text
     for name, value in NAMES.items():
         text = text.replace(f"{{{name}}}", value)
     return re.sub(r"\{\w+\}", "0.1", text)

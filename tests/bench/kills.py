@@ -27,7 +27,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from linkplan.planner.files.folders import MANIFEST, check_target
+from linkplan.planner.files.folders import check_target
+from linkplan.planner.files.manifest import MANIFEST
 
 WAYS = ("kill", "term", "int", "full", "size")
 LATE = ("kill", "term", "int")

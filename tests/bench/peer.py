@@ -13,11 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.files.tables import BUILT_IN
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.replan import Planner
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.replan import Replanner
 from linkplan.studies.output.tables import table
 from tests.bench.packages import installed
 from tests.bench.shares import timed_solves
@@ -122,7 +121,7 @@ def _again(name: str, duration: float | None, held: list[list[object]]) -> str:
     problem = load_problem(name, ["solver.compile=always"])
     works = {peer: _in_turn(solve(duration).again()) for peer, solve in there.items()}
     for label, alone in ((_PLAN, False), (_ALONE, True)):
-        planner = Planner()
+        planner = Replanner()
         planner.plan(problem)
         works[label] = _in_turn(lambda goal, planner=planner, alone=alone: _plan(planner, problem, goal, alone))
     times = medians_s(works, _RE_SOLVES)
@@ -140,11 +139,11 @@ def _in_turn(solve: Callable[[float], object]) -> Callable[[], object]:
     return lambda: solve(next(goals))
 
 
-def _to(problem: PlanningProblem, goal: float) -> PlanningProblem:
+def _to(problem: Problem, goal: float) -> Problem:
     return replace(problem, motion=replace(problem.motion, goal=np.array([goal])))
 
 
-def _plan(planner: Planner, problem: PlanningProblem, goal: float, alone: bool) -> None:
+def _plan(planner: Replanner, problem: Problem, goal: float, alone: bool) -> None:
     asked = _to(problem, goal)
     again = planner.solve_again(asked) is not None if alone else planner.plan(asked).solved_again
     assert again, "not solved again, but planned from the beginning"

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar_problems import KINDS, Case, kind_of, random_case
 
 # A least time against the phase plane's, relative: both sides' own errors are below 1e-7.
@@ -75,7 +75,7 @@ def answer(seed: int, number: int) -> dict:
     record = {"number": number, "seed": seed, "kind": case.kind, "feasible": case.feasible}
     record |= {"duration": case.duration, "shortest": case.shortest, "notes": case.notes}
     try:
-        plan = plan_motion(problem_from_tables(f"{case.kind} {number}", case.tables))
+        plan = plan_motion(Problem.from_tables(f"{case.kind} {number}", case.tables))
     except LinkplanError as error:
         return record | {"verdict": "refused", "message": str(error)} | spent()
     except Exception as error:  # what must never come: noted and judged, not hidden

@@ -7,15 +7,15 @@ motions without linkplan.
 import sys
 import time
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
-from tests.support.linkage_problems import Problem, drawn
+from linkplan.planner.problem.problem import Problem
+from tests.support.linkage_problems import LinkageProblem, drawn
 
 
-def judged(problem: Problem) -> tuple[str, float, float]:
+def judged(problem: LinkageProblem) -> tuple[str, float, float]:
     """Return "right", or what is wrong with an answer; its error (relative) and the processor time [s]."""
     begin = time.process_time()
-    plan = plan_motion(problem_from_tables(problem.family, problem.tables))
+    plan = plan_motion(Problem.from_tables(problem.family, problem.tables))
     spent = time.process_time() - begin
     if plan.status != "optimal":
         return f"{plan.status}: {plan.message}", float("nan"), spent

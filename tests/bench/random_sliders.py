@@ -6,8 +6,8 @@ The best motions are known without linkplan (`tests.support.sliders`).
 import sys
 import time
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from tests.support.sliders import drawn
 
 # An answer against the best, relative.
@@ -17,7 +17,7 @@ EXACT = 1e-6
 def judged(seed: int, number: int) -> tuple[str, float, float, str]:
     """Return a random problem's kind, its answer's error (relative), the processor time [s], and what was said."""
     case, begin = drawn(seed, number), time.process_time()
-    plan = plan_motion(problem_from_tables(f"slider-{number}", case.tables))
+    plan = plan_motion(Problem.from_tables(f"slider-{number}", case.tables))
     spent = time.process_time() - begin
     if plan.status != "optimal":
         return case.minimize, float("nan"), spent, plan.message

@@ -30,8 +30,8 @@ STATUSES = ("optimal", "feasible", "infeasible", "failed", "refused", "error")
 
 def builtin_answer(name: str) -> dict:
     """Return the answer to a built-in problem."""
-    from linkplan.planner.files.problem_file import load_problem
     from linkplan.planner.planning import plan_motion
+    from linkplan.planner.problem.problem import load_problem
 
     return answer_of(plan_motion(load_problem(name)))
 
@@ -59,10 +59,10 @@ def linkage_answer(number: str) -> dict:
 
 def tables_answer(tables: dict) -> dict:
     """Return the answer to the problem of some tables."""
-    from linkplan.planner.files.problem_file import problem_from_tables
     from linkplan.planner.planning import plan_motion
+    from linkplan.planner.problem.problem import Problem
 
-    return answer_of(plan_motion(problem_from_tables("recorded", tables)))
+    return answer_of(plan_motion(Problem.from_tables("recorded", tables)))
 
 
 def answer_of(plan) -> dict:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from linkplan.studies.output.drawing import BLUE, GREEN, GREY, PURPLE, page
 from linkplan.studies.output.tables import table

@@ -13,9 +13,8 @@ import numpy as np
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers import solve as solving
 from linkplan.planner.solvers.outcome import Solver
@@ -77,7 +76,7 @@ def timed_solves() -> Iterator[list[float]]:
         solving.build_solver = build
 
 
-def whole_plan(problem: PlanningProblem) -> tuple[Plan, dict[str, float]]:
+def whole_plan(problem: Problem) -> tuple[Plan, dict[str, float]]:
     """Return the plan of a problem that needs no refinement, by the planner's own steps, and the time [s] of each."""
     times, begin = {}, time.process_time()
 
@@ -101,7 +100,7 @@ def whole_plan(problem: PlanningProblem) -> tuple[Plan, dict[str, float]]:
     return plan, times | solver.parts(times.pop("solve"))
 
 
-def re_solves(problem: PlanningProblem, goals) -> list[dict[str, float]]:
+def re_solves(problem: Problem, goals) -> list[dict[str, float]]:
     """Return the times [s] of solving a built program again for other goals."""
     program = first_program(problem)
     solver = Timed(build_solver(program.program, problem.solver, warm=True))

@@ -17,10 +17,9 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.models.tree.ties import tied_points
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from linkplan.studies.output.tables import table
@@ -62,7 +61,7 @@ def n_bodies(mechanism: Mechanism) -> int:
     return len(set(np.asarray(mechanism.model.body_weldid).tolist()) - {0})
 
 
-def random_problem(seed: int) -> PlanningProblem | None:
+def random_problem(seed: int) -> Problem | None:
     """Return a reach of the random planar mechanism of a seed; None where no actuator drives one of its freedoms."""
     mechanism = load_mechanism(random_planar(seed).text)
     values = np.linalg.svd(np.array(mechanism.dynamics.effort_map(mechanism.home)), compute_uv=False)
@@ -73,7 +72,7 @@ def random_problem(seed: int) -> PlanningProblem | None:
     start[0] -= min(_MOST, _SHARE * (start[0] - can.lower.position))
     goal[0] += min(_MOST, _SHARE * (can.upper.position - goal[0]))
     unlimited = free_bounds(mechanism.n_q)
-    return PlanningProblem(
+    return Problem(
         name=f"planar {seed}",
         mechanism=mechanism,
         motion=Motion(kind="reach", start=start, goal=goal, duration_s=_DURATION_S),
@@ -82,7 +81,7 @@ def random_problem(seed: int) -> PlanningProblem | None:
     )
 
 
-def problems() -> Iterator[PlanningProblem]:
+def problems() -> Iterator[Problem]:
     """Yield the problems in the order of the table."""
     for name in BUILT_IN:
         yield load_problem(name)
@@ -95,7 +94,7 @@ def problems() -> Iterator[PlanningProblem]:
                 break
 
 
-def one_size(problem: PlanningProblem, intervals: int) -> Size:
+def one_size(problem: Problem, intervals: int) -> Size:
     """Return what building and solving a problem once takes on so many intervals."""
     settings = MeshSettings(scheme=problem.mesh.scheme, intervals=intervals, effort=problem.mesh.effort)
     solver_settings = SolverSettings(compile="never", max_iterations=_ITERATIONS)

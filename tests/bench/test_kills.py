@@ -5,7 +5,8 @@ import os
 
 import pytest
 
-from linkplan.planner.files.folders import MANIFEST, write_json, write_whole
+from linkplan.planner.files.folders import write_json, write_whole
+from linkplan.planner.files.manifest import MANIFEST
 from tests.bench import kills
 
 pytestmark = [

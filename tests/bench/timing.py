@@ -12,8 +12,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import uniform
@@ -62,13 +61,13 @@ def over(value: float, exact: float | None) -> float | None:
     return None if exact is None else value / exact - 1
 
 
-def first_program(problem: PlanningProblem) -> Transcribed:
+def first_program(problem: Problem) -> Transcribed:
     """Return the program of a problem on its first mesh."""
-    guess = first_guess(problem, start_pose_of(problem))
+    guess = first_guess(problem, problem.start_pose())
     return transcribe(problem, guess, uniform(problem.mesh.intervals), np.array([guess.duration_s]))
 
 
-def first_solve(problem: PlanningProblem) -> Solution:
+def first_solve(problem: Problem) -> Solution:
     """Transcribe a problem on its first mesh and solve it once: what the peer does too."""
     return solve(first_program(problem), problem.solver)
 

@@ -8,8 +8,8 @@ import pytest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.compare.compare import track
 from tests.support.data import DATA
@@ -71,7 +71,7 @@ def test_with_its_couplers_locked_it_is_planned_and_tracked(tmp_path):
     path.write_text(locked(), encoding="utf-8")
     motion = {"start_deg": {"left_driver_joint": 5.0}, "goal_deg": {"left_driver_joint": 30.0}, "duration_s": 0.5}
     plan = plan_motion(
-        problem_from_tables("close", {"mechanism": {"model": str(path)}, "motion": {"kind": "reach", **motion}})
+        Problem.from_tables("close", {"mechanism": {"model": str(path)}, "motion": {"kind": "reach", **motion}})
     )
     assert plan.require().certificate.passed
     rollout = track(plan, "pd+ff")
@@ -84,7 +84,7 @@ def test_closed_too_far_its_pads_meet_and_the_plan_is_refused(tmp_path):
     path.write_text(locked().replace('ctrlrange="0 255"', 'ctrlrange="-100 400"'), encoding="utf-8")
     motion = {"start_deg": {"left_driver_joint": 5.0}, "goal_deg": {"left_driver_joint": 45.0}, "duration_s": 0.5}
     plan = plan_motion(
-        problem_from_tables("close", {"mechanism": {"model": str(path)}, "motion": {"kind": "reach", **motion}})
+        Problem.from_tables("close", {"mechanism": {"model": str(path)}, "motion": {"kind": "reach", **motion}})
     )
     assert plan.status == "failed"
     assert "geoms right_pad" in plan.message

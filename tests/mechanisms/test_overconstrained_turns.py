@@ -49,7 +49,7 @@ def test_a_plan_of_a_turn_is_certified(name, noise):
     assert plan.certificate.passed
     assert plan.certificate.closure_gap_m < GAP_M[noise]
     assert plan.certificate.integration_error_deg < INTEGRATED_DEG
-    trajectory = plan.answer.trajectory
+    trajectory = plan.trajectory
     turned = 0.0 if name == "bricard" else 2 * np.pi
     assert trajectory.position[-1, -1, 0] - trajectory.position[0, 0, 0] == pytest.approx(turned, abs=1e-9)
 
@@ -74,7 +74,7 @@ def test_a_turn_is_tracked_in_mujoco(name, noise):
 @pytest.mark.parametrize("noise", [exact])
 def test_pin_forces_along_the_turn_are_mujocos_of_least_norm(name, noise):
     plan = planned(name, noise)
-    mechanism, trajectory = plan.answer.problem.mechanism, plan.answer.trajectory
+    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     time = np.linspace(0.03, 0.97, 9)
     path = np.concatenate([np.linspace(0.0, 0.03, 20)[:-1], np.linspace(0.03, 0.97, 401)])
     q = follow(mechanism, trajectory.position_at(path), trajectory.start_pose)[19::50]

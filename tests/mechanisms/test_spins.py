@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.compare.compare import rollout_record, track
 from tests.support.spins import BUSH, DRAGGING, FIXED_BUSH, ON_A_BALL, ROUND, SPINS, TWO_BALLS, WISHBONE, WISHBONE_WITHOUT
 
@@ -25,7 +25,7 @@ TRACKED_DEG, SPUN_DEG = 0.1, 2.0
 
 def planned(model: str, motion: dict, **tables: dict) -> Plan:
     asked = {"mechanism": {"model": model, "solref": "stiff"}, "motion": motion, "objective": {"minimize": "effort"}}
-    return plan_motion(problem_from_tables("spin", asked | tables)).require()
+    return plan_motion(Problem.from_tables("spin", asked | tables)).require()
 
 
 @cache

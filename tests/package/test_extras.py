@@ -113,17 +113,17 @@ def test_lists_that_cannot_be_are_refused_in_one_line(knee, given, said):
 def test_variants_of_a_problem_keep_its_extras_until_they_are_taken_back(knee):
     problem = Problem.reach(knee, **REACH, extra_limits=[LIMIT], extra_costs=[COST])
     for variant in (problem.replace(duration_s=0.3), problem.with_settings({"motion.duration_s": 0.3})):
-        assert variant.planning.extras == (LIMIT, COST)
-    assert problem.replace(extra_limits=None).planning.extras == (COST,)
-    assert problem.replace(extra_costs=[]).planning.extras == (LIMIT,)
+        assert variant.extras == (LIMIT, COST)
+    assert problem.replace(extra_limits=None).extras == (COST,)
+    assert problem.replace(extra_costs=[]).extras == (LIMIT,)
 
 
 def test_a_problem_whose_expressions_are_functions_of_a_module_goes_to_another_process(knee):
     cost = ExtraCost(name="lean", expression=angle, weight=1e-6)
     problem = Problem.reach(knee, **REACH, extra_limits=[LIMIT], extra_costs=[cost])
     again = pickle.loads(pickle.dumps(problem))
-    assert [one.name for one in again.planning.extras] == ["wide", "lean"]
-    assert again.planning.objective.weights == problem.planning.objective.weights
+    assert [one.name for one in again.extras] == ["wide", "lean"]
+    assert again.objective.weights == problem.objective.weights
     assert linkplan.plan(again).objective == linkplan.plan(problem).objective
 
 
@@ -148,7 +148,7 @@ def test_a_saved_plan_is_read_with_its_extras(saved):
     again = linkplan.read_plan(folder, extra_limits=[LIMIT], extra_costs=[COST])
     assert (again.status, again.objective) == ("optimal", plan.objective)
     assert [margin.title for margin in again.certificate.margins] == ["the extra limit 'wide'"]
-    assert not [note for note in again.answer.problem.notes if "extra" in note]
+    assert not [note for note in again.problem.notes if "extra" in note]
 
 
 def test_a_saved_plan_that_is_read_without_its_extras_says_so(saved):
@@ -159,7 +159,7 @@ def test_a_saved_plan_that_is_read_without_its_extras_says_so(saved):
         " checked against it"
     )
     assert (again.status, again.objective) == ("optimal", plan.objective)
-    assert note in again.answer.problem.notes
+    assert note in again.problem.notes
     assert f"note: {note}" in str(again)
 
 

@@ -1,10 +1,11 @@
 """What callers give that is no path, no time and no value is refused as everything else, in one line of linkplan's own."""
 
+import numpy as np
 import pytest
 
 import linkplan
 from linkplan.models.errors import LinkplanError
-from linkplan.next_motion import NextMotion
+from linkplan.planner.motion_step import NextMotion
 from tests.support.plans import optimal
 from tests.support.refusals import refusal
 
@@ -13,8 +14,7 @@ NO_PATHS = (None, b"plan", 5, ["plan"], "", "a\0b", "\ud800", "x" * 300)
 
 @pytest.fixture(scope="module")
 def plan() -> linkplan.Plan:
-    answer = optimal("knee-reach")
-    return linkplan.Plan(problem=linkplan.Problem(planning=answer.problem), answer=answer)
+    return linkplan.Plan.of(optimal("knee-reach"))
 
 
 @pytest.mark.parametrize("value", NO_PATHS)
@@ -31,7 +31,16 @@ def test_a_figure_that_cannot_be_saved_is_refused(value, plan, tmp_path, monkeyp
 
 @pytest.mark.parametrize("value", ["now", 10**400, float("nan"), [[0.0]], object()])
 def test_what_is_no_time_is_refused_of_a_plan_and_of_a_next_motion(value, plan):
-    step = NextMotion(problem=plan.problem, step=None)  # refused before it is looked at
+    none = dict.fromkeys(("position_bound", "velocity_bound", "effort_bound"), np.zeros(1))
+    step = NextMotion(
+        problem=plan.problem,
+        trajectory=plan.trajectory,
+        **none,
+        duration_error_s=0.0,
+        violation=0.0,
+        newton_s=0.0,
+        settled=True,
+    )
     for motion in (plan, step):
         assert "times are finite" in refusal(lambda motion=motion: motion.sample(value), LinkplanError)
 

@@ -37,7 +37,7 @@ def test_a_problem_is_planned_elsewhere_as_here(plan):
 
 
 def test_a_mechanisms_loops_close_elsewhere_too(plan):
-    knee = plan.problem.planning.mechanism
+    knee = plan.problem.mechanism
     again = sent(knee)
     pose = knee.home + np.array([0.1, 0.0, 0.0])
     np.testing.assert_array_equal(np.array(again.dynamics.closure(pose)), np.array(knee.dynamics.closure(pose)))

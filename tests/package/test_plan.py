@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 import linkplan
 from linkplan.models.errors import InfeasibleError, LinkplanError, PlanFileError, ProblemError
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,8 @@ import pytest
 import linkplan
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
 from linkplan.models.library import built_in_text
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem
 
 REACH = {"start_deg": {"O": -49.07}, "goal_deg": {"O": 56.27}, "duration_s": 0.2}
 SINE = {"amplitude_deg": {"O": 20.0}, "bias_deg": {"O": 3.6}, "frequency_hz": 4.0}
@@ -44,14 +43,14 @@ def test_a_problem_written_as_toml_is_the_same_problem_again(name, tmp_path):
     again = linkplan.Problem.from_file(written)
     assert again.name == name
     assert again.to_dict() == problem.to_dict()
-    assert not differences(problem.planning, again.planning)
+    assert not differences(problem, again)
     assert problem.mechanism.fingerprint() == again.mechanism.fingerprint()
 
 
 def test_the_comparison_of_two_problems_sees_a_difference(knee):
     one = linkplan.Problem.reach(knee, **REACH)
-    assert differences(one.planning, one.replace(duration_s=0.21).planning)
-    assert differences(one.planning, one.replace(goal_deg={"O": 56.0}).planning)
+    assert differences(one, one.replace(duration_s=0.21))
+    assert differences(one, one.replace(goal_deg={"O": 56.0}))
 
 
 def test_a_built_problem_is_what_a_file_says(knee):
@@ -97,18 +96,18 @@ def test_a_built_problem_is_what_a_file_says(knee):
         kp = 50
         kd = 2
     """
-    read = problem_from_tables("mine", tomllib.loads(file))
-    assert not differences(built.planning, read)
-    assert built.planning.motion.start == pytest.approx(np.radians(-49.07))
+    read = Problem.from_tables("mine", tomllib.loads(file))
+    assert not differences(built, read)
+    assert built.motion.start == pytest.approx(np.radians(-49.07))
     assert built.name == "mine"
 
 
 @pytest.mark.parametrize("kind", ["periodic", "track"])
 def test_motions_that_repeat_are_built_about_their_reference(knee, kind):
     problem = BUILDERS[kind](knee, reference=SINE)
-    assert problem.planning.motion.kind == kind
-    assert problem.planning.objective.name == "tracking"
-    assert problem.planning.motion.duration_s == pytest.approx(0.25)
+    assert problem.motion.kind == kind
+    assert problem.objective.name == "tracking"
+    assert problem.motion.duration_s == pytest.approx(0.25)
 
 
 def test_a_slide_is_stated_in_metres():
@@ -116,7 +115,7 @@ def test_a_slide_is_stated_in_metres():
     problem = linkplan.Problem.reach(
         pole, start_m={"cart": 0}, start_deg={"pole": 0}, goal_m={"cart": 1}, goal_deg={"pole": 180}, duration_s=2
     )
-    assert problem.planning.motion.goal == pytest.approx([1.0, np.pi])
+    assert problem.motion.goal == pytest.approx([1.0, np.pi])
 
 
 def test_a_mechanism_is_assembled_as_it_is_asked(tmp_path):
@@ -159,11 +158,11 @@ def test_a_varied_problem_keeps_the_rest_and_the_first_one(knee):
     problem = linkplan.Problem.reach(knee, **REACH, limits={"effort": {"act_O": [-80, 80]}})
     other = problem.replace(goal_deg={"O": 40.0}, minimize="effort_rate")
     assert other.mechanism is knee
-    assert other.planning.motion.goal == pytest.approx(np.radians(40.0))
-    assert other.planning.objective.name == "effort_rate"
-    assert other.planning.limits.effort.tolist() == [[-80.0, 80.0]]
-    assert problem.planning.motion.goal == pytest.approx(np.radians(56.27))
-    assert other.replace(limits=None, minimize=None).planning.limits.effort.tolist() == [[-100.0, 100.0]]
+    assert other.motion.goal == pytest.approx(np.radians(40.0))
+    assert other.objective.name == "effort_rate"
+    assert other.limits.effort.tolist() == [[-80.0, 80.0]]
+    assert problem.motion.goal == pytest.approx(np.radians(56.27))
+    assert other.replace(limits=None, minimize=None).limits.effort.tolist() == [[-100.0, 100.0]]
 
 
 def test_a_payload_is_put_on_and_taken_off(knee):
@@ -180,8 +179,8 @@ def test_single_settings_stand_in_for_those_of_a_file():
     problem = linkplan.Problem.from_file(
         "knee-reach", {"motion.duration_s": np.float64(0.2), "limits.effort.act_O": (-90, 90)}
     )
-    assert problem.planning.motion.duration_s == 0.2
-    assert problem.planning.limits.effort.tolist() == [[-90.0, 90.0]]
+    assert problem.motion.duration_s == 0.2
+    assert problem.limits.effort.tolist() == [[-90.0, 90.0]]
 
 
 # builder, arguments in place of those of a sound problem, and the same as a file's tables
@@ -246,7 +245,7 @@ def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, a
     else:
         tables.setdefault(section, {})[key] = value
     with pytest.raises(LinkplanError) as from_file:
-        start_pose_of(problem_from_tables("mine", tables))
+        Problem.from_tables("mine", tables).start_pose()
     with pytest.raises(type(from_file.value)) as built:
         BUILDERS[kind](knee, **(sound | argument), name="mine")
     assert str(built.value) == str(from_file.value)
@@ -267,7 +266,6 @@ def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, a
         (lambda: linkplan.load_mechanism("optimus-knee", independent="O"), ModelError, "list of joint names"),
         (lambda: linkplan.load_mechanism("optimus-knee", independent=["K"]), ModelError, "joints are O, A, C"),
         (lambda: linkplan.load_mechanism("<mujoco><worldbody>"), ModelError, "does not parse"),
-        (lambda: linkplan.Problem(planning=3), ProblemError, "Problem.reach, .periodic, .track or .from_file"),
         (lambda: linkplan.Problem.reach("optimus-knee", **REACH, name=""), ProblemError, "name is a word"),
         (lambda: linkplan.Problem.reach(None, **REACH), ProblemError, "mechanism.model"),
         (lambda: linkplan.Problem.from_file("knee-reech"), ProblemError, "did you mean 'knee-reach'"),

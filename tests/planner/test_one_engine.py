@@ -11,16 +11,15 @@ from linkplan.planner.certificate.boundary import exact_bounds, relative_violati
 from linkplan.planner.certificate.flow import flow, flows
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import straight_guess
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.starts import perturbed
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import Case
 from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
 from linkplan.planner.refinement.perturbation import perturbation
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
 from linkplan.planner.transcription.bernstein import bernstein_matrix, bernstein_value
 from linkplan.planner.transcription.mesh import Mesh, uniform
@@ -74,7 +73,7 @@ def test_a_bend_is_as_large_as_the_motion_it_bends():
 
 def test_mechanisms_and_differential_equations_are_bent_alike():
     problem = load_problem("knee-reach")
-    pose = start_pose_of(problem)
+    pose = problem.start_pose()
     base, (_, guess) = first_guess(problem, pose), next(iter(perturbed_guesses(problem, pose)))
     times = np.linspace(0.0, base.duration_s, 121)
     offset = guess.position(times) - base.position(times)

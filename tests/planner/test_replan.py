@@ -9,21 +9,20 @@ import pytest
 
 from linkplan.planner import replan
 from linkplan.planner.closed_chain.answer import finished
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.replan import Planner, structure
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.replan import Replanner, structure
 from tests.support.tolerances_planner import SAME_FIGURE, TIGHTENED_ANEW
 
 
-def with_goal(problem: PlanningProblem, degrees: float) -> PlanningProblem:
+def with_goal(problem: Problem, degrees: float) -> Problem:
     return replace(problem, motion=replace(problem.motion, goal=np.radians([degrees])))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["knee-reach", "knee-sprint"])
 def test_a_changed_goal_has_the_answer_that_planning_from_the_beginning_has(name):
-    problem, planner = load_problem(name), Planner()
+    problem, planner = load_problem(name), Replanner()
     planner.plan(problem)
     for goal in (50.0, 56.27, 53.0):
         changed = with_goal(problem, goal)
@@ -36,7 +35,7 @@ def test_a_changed_goal_has_the_answer_that_planning_from_the_beginning_has(name
 
 @pytest.mark.slow
 def test_switches_that_move_far_are_looked_for_from_the_beginning():
-    problem, planner = load_problem("knee-sprint"), Planner()
+    problem, planner = load_problem("knee-sprint"), Replanner()
     planner.plan(problem)
     changed = with_goal(problem, -20.0)
     again = planner.plan(changed)
@@ -47,7 +46,7 @@ def test_switches_that_move_far_are_looked_for_from_the_beginning():
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "limit"), [("knee-sprint", 200.0), ("knee-reach", 100.0)])
 def test_bang_arcs_are_not_held_at_the_limits_of_the_last_problem(name, limit):
-    planner = Planner()
+    planner = Replanner()
     held = planner.plan(load_problem(name, ["limits.effort.act_O=[-60, 60]"]))
     changed = load_problem(name, [f"limits.effort.act_O=[-{limit}, {limit}]"])
     again = planner.plan(changed)
@@ -68,7 +67,7 @@ def test_bang_arcs_are_not_held_at_the_limits_of_the_last_problem(name, limit):
     ],
 )
 def test_durations_limits_boundary_states_and_payloads_are_numbers(overrides):
-    planner = Planner()
+    planner = Replanner()
     planner.plan(load_problem("knee-reach", ["motion.start_speed_deg_s={ O = 0.0 }"]))
     changed = load_problem("knee-reach", ["motion.start_speed_deg_s={ O = 0.0 }", *overrides])
     again = planner.plan(changed)
@@ -77,7 +76,7 @@ def test_durations_limits_boundary_states_and_payloads_are_numbers(overrides):
 
 
 def test_nothing_is_built_for_new_numbers(monkeypatch):
-    problem, planner = load_problem("knee-reach"), Planner()
+    problem, planner = load_problem("knee-reach"), Replanner()
     planner.plan(problem)
     monkeypatch.setattr(replan, "plan_motion", lambda *_: pytest.fail("planned from the beginning"))
     monkeypatch.setattr(replan, "build_solver", lambda *_, **__: pytest.fail("a solver was built"))
@@ -100,7 +99,7 @@ def test_nothing_is_built_for_new_numbers(monkeypatch):
 def test_another_structure_is_planned_from_the_beginning(overrides):
     first, second = load_problem("knee-reach"), load_problem("knee-reach", overrides)
     assert structure(first) != structure(second)
-    planner = Planner()
+    planner = Replanner()
     planner.plan(first)
     assert planner.solve_again(second) is None
     plan = planner.plan(second)
@@ -122,7 +121,7 @@ def test_another_structure_is_planned_from_the_beginning(overrides):
     ],
 )
 def test_further_limits_weights_and_waypoints_are_numbers(settings, changes):
-    planner = Planner()
+    planner = Replanner()
     planner.plan(load_problem("knee-reach", settings))
     changed = load_problem("knee-reach", changes)
     fresh, again = plan_motion(changed), planner.solve_again(changed)
@@ -134,7 +133,7 @@ def test_further_limits_weights_and_waypoints_are_numbers(settings, changes):
 
 @pytest.mark.slow
 def test_an_infeasible_problem_is_explained_and_does_not_spoil_the_next():
-    problem, planner = load_problem("knee-reach"), Planner()
+    problem, planner = load_problem("knee-reach"), Replanner()
     planner.plan(problem)
     refused = planner.plan(replace(problem, motion=replace(problem.motion, duration_s=0.1)))
     assert refused.status == "infeasible"
@@ -155,7 +154,7 @@ CART = """<mujoco><option gravity="0 0 0"/><worldbody><body name="cart"><joint n
 
 
 def test_a_tolerance_that_the_last_mesh_misses_is_not_called_met():
-    planner = Planner()
+    planner = Replanner()
     first = planner.plan(load_problem("knee-reach"))
     asked = load_problem("knee-reach", ["mesh.tolerance_deg=1e-9"])
     assert first.certificate.integration_error_deg > asked.mesh.tolerance_deg  # the mesh that is solved on again
@@ -166,7 +165,7 @@ def test_a_tolerance_that_the_last_mesh_misses_is_not_called_met():
 
 def test_a_plan_solved_again_is_judged_as_a_fresh_one(monkeypatch):
     """Whatever turns a fresh plan's certificate into a status decides over a warm one, too."""
-    problem, planner = load_problem("knee-reach"), Planner()
+    problem, planner = load_problem("knee-reach"), Replanner()
     planner.plan(problem)
     looser = load_problem("knee-reach", ["mesh.tolerance_deg=1e-6"])
     monkeypatch.setattr(replan, "plan_motion", lambda *_: pytest.fail("planned from the beginning"))
@@ -183,13 +182,13 @@ def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning(t
     """The least of u^2 dt + w T over a distance of one is at T = (36 / w)^(1/4)."""
     (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
 
-    def cart(weight: float) -> PlanningProblem:
+    def cart(weight: float) -> Problem:
         motion = {"kind": "reach", "start_m": {"X": 0.0}, "goal_m": {"X": 1.0}, "duration_s": "free"}
         objective = {"minimize": {"effort": 1.0, "time": weight}}
         model = {"model": str(tmp_path / "cart.xml")}
-        return problem_from_tables("cart", {"mechanism": model, "motion": motion, "objective": objective})
+        return Problem.from_tables("cart", {"mechanism": model, "motion": motion, "objective": objective})
 
-    planner = Planner()
+    planner = Replanner()
     assert planner.plan(cart(36e4)).trajectory.duration_s == pytest.approx(0.1, rel=1e-3)
     held = planner.solve_again(cart(36e-5))
     assert held is None, "a hundred times the last duration is not enough"
@@ -201,7 +200,7 @@ def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning(t
 
 def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
     """A motion kept clear of singular poses was solved with a margin: its program has a row more than its problem."""
-    planner, problem = Planner(), load_problem("knee-reach")
+    planner, problem = Replanner(), load_problem("knee-reach")
     clear = plan_motion(replace(problem, limits=replace(problem.limits, singular_margin=0.1)))
     planner._keep(problem, clear.solved)
     assert planner.solve_again(problem) is None
@@ -209,11 +208,11 @@ def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
 
 SHARED = """
 import sys, threading
-from linkplan.planner.files.problem_file import load_problem
-from linkplan.planner.replan import Planner
-shared, statuses = Planner(), []
+from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.replan import Replanner
+shared, statuses = Replanner(), []
 def run(first):
-    planner = shared if sys.argv[1] == "one" else Planner()
+    planner = shared if sys.argv[1] == "one" else Replanner()
     for goal in range(first, 60, 4):
         statuses.append(planner.plan(load_problem("knee-reach", [f"motion.goal_deg.O={goal}"])).status)
 threads = [threading.Thread(target=run, args=(first,)) for first in (50, 51)]

@@ -5,9 +5,8 @@ import pytest
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.transcription import collocation
 
@@ -27,8 +26,18 @@ REFUSED = [
     (Tracking, {"delay_periods": 1001}, "tracking.delay_periods=1001", ["tracking.delay_periods", "from 0 to 1000", "1001"]),
     (Tracking, {"delay_periods": "1"}, 'tracking.delay_periods="1"', ["tracking.delay_periods", "'1'"]),
     (Tracking, {"duration_s": -1.0}, "tracking.duration_s=-1.0", ["tracking.duration_s is a positive number", "got -1.0"]),
-    (Tracking, {"lqr_position": -0.1}, "tracking.lqr_position_deg=-5.0", ["tracking.lqr_position_deg is a positive number"]),
-    (Tracking, {"lqr_velocity": 1e9}, "tracking.lqr_velocity_deg_s=1e10", ["tracking.lqr_velocity_deg_s", "to 1e+09"]),
+    (
+        Tracking,
+        {"lqr_position_deg": -5.0},
+        "tracking.lqr_position_deg=-5.0",
+        ["tracking.lqr_position_deg is a positive number"],
+    ),
+    (
+        Tracking,
+        {"lqr_velocity_deg_s": 1e10},
+        "tracking.lqr_velocity_deg_s=1e10",
+        ["tracking.lqr_velocity_deg_s", "to 1e+09"],
+    ),
     (Tracking, {"lqr_position_m": "far"}, "tracking.lqr_position_m=far", ["tracking.lqr_position_m is", "got 'far'"]),
     (Tracking, {"lqr_velocity_m_s": 0}, "tracking.lqr_velocity_m_s=0", ["tracking.lqr_velocity_m_s is a positive number"]),
     (MeshSettings, {"scheme": "radu-3"}, "mesh.scheme=radu-3", ["mesh.scheme", "did you mean 'radau-3'"]),
@@ -79,9 +88,9 @@ def test_angles_at_the_ends_of_what_is_legal_survive_their_way_through_radians()
 def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
     problem = load_problem("knee-reach")
     broken = Tracking(delay_periods=0.5)
-    values = {name: getattr(problem, name) for name in PlanningProblem.__slots__} | {"tracking": broken}
+    values = {name: getattr(problem, name) for name in Problem.__slots__} | {"tracking": broken}
     with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
-        PlanningProblem(**values)
+        Problem(**values)
 
 
 def test_what_compiles_knows_when_the_plan_is_to_be_done(monkeypatch):

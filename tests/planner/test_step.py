@@ -8,17 +8,15 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.motion_step import motion_step
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.replan import Planner
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.replan import Replanner
 from linkplan.planner.solvers.newton import NewtonStep, Optimum
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.tolerances_planner import SOLVERS_OWN_EFFORT, SOLVERS_OWN_POSITION
 
 
-def with_goal(problem: PlanningProblem, degrees: float) -> PlanningProblem:
+def with_goal(problem: Problem, degrees: float) -> Problem:
     return replace(problem, motion=replace(problem.motion, goal=np.radians([degrees])))
 
 
@@ -27,8 +25,8 @@ def problem():
     return load_problem("knee-reach")
 
 
-def prepared(problem: PlanningProblem) -> Planner:
-    planner = Planner()
+def prepared(problem: Problem) -> Replanner:
+    planner = Replanner()
     planner.plan(problem)
     return planner
 
@@ -48,14 +46,14 @@ def test_the_bound_holds_against_the_converged_answer(problem, goal):
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     position, effort = errors(step, exact)
     assert step.settled
-    assert position <= step.position_error[0] + SOLVERS_OWN_POSITION
-    assert effort <= step.effort_error[0] + SOLVERS_OWN_EFFORT
-    assert step.effort_error[0] < 0.05  # of 86 N.m: it says something
+    assert position <= step.position_bound[0] + SOLVERS_OWN_POSITION
+    assert effort <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
+    assert step.effort_bound[0] < 0.05  # of 86 N.m: it says something
 
 
 def test_a_longer_way_leaves_more(problem):
     near, far = (prepared(problem).step(with_goal(problem, goal)) for goal in (56.0, 53.0))
-    assert far.effort_error[0] > 100 * near.effort_error[0]
+    assert far.effort_bound[0] > 100 * near.effort_bound[0]
 
 
 def test_a_limit_that_comes_to_bind_is_kept_exactly(problem):
@@ -66,14 +64,14 @@ def test_a_limit_that_comes_to_bind_is_kept_exactly(problem):
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     assert step.settled
     assert np.abs(step.trajectory.effort).max() == pytest.approx(80.0, rel=1e-12)
-    assert errors(step, exact)[1] <= step.effort_error[0] + SOLVERS_OWN_EFFORT
+    assert errors(step, exact)[1] <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
 
 
 def test_a_changed_payload_is_numbers(problem):
     changed = load_problem("knee-reach", ["mechanism.payload.mass_kg=3.9"])
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     assert step.settled
-    assert errors(step, exact)[1] <= step.effort_error[0] + SOLVERS_OWN_EFFORT
+    assert errors(step, exact)[1] <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
     assert np.abs(step.trajectory.effort - prepared(problem).step(problem).trajectory.effort).max() > 0.1
 
 
@@ -83,21 +81,21 @@ def test_steps_go_on_from_one_another(problem):
         step = planner.step(with_goal(problem, goal))
         assert step.settled
     position, effort = errors(step, prepared(problem).solve_again(with_goal(problem, 46.0)))
-    assert position <= step.position_error[0] + SOLVERS_OWN_POSITION
-    assert effort <= step.effort_error[0] + SOLVERS_OWN_EFFORT
+    assert position <= step.position_bound[0] + SOLVERS_OWN_POSITION
+    assert effort <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
 
 
 def test_a_step_too_far_says_so_and_does_not_spoil_the_next(problem):
     planner = prepared(problem)
     far = planner.step(with_goal(problem, 10.0))
     assert not far.settled
-    assert np.all(np.isinf(far.effort_error))
+    assert np.all(np.isinf(far.effort_bound))
     near = planner.step(with_goal(problem, 56.0))
-    assert near.effort_error[0] < 1e-3
+    assert near.effort_bound[0] < 1e-3
 
 
 def test_where_there_is_no_plan_of_its_structure_there_is_no_step(problem):
-    assert Planner().step(problem) is None
+    assert Replanner().step(problem) is None
     assert prepared(problem).step(load_problem("knee-reach", ["mesh.intervals=30"])) is None
 
 
@@ -113,7 +111,7 @@ def test_a_plan_after_a_step_is_certified(problem):
 
 
 def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
-    numbered = transcribe(problem, first_guess(problem, start_pose_of(problem)), uniform(8), np.array([0.16]))
+    numbered = transcribe(problem, first_guess(problem, problem.start_pose()), uniform(8), np.array([0.16]))
     left = 1e-4
     begin = numbered.start
 
@@ -123,5 +121,5 @@ def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
 
     step, moved = at(begin), at(begin + left)
     change = np.abs(moved.trajectory.effort - step.trajectory.effort).max()
-    assert change == pytest.approx(step.effort_error[0], rel=1e-6)
-    assert np.all(step.position_error > 0)
+    assert change == pytest.approx(step.effort_bound[0], rel=1e-6)
+    assert np.all(step.position_bound > 0)

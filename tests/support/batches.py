@@ -2,14 +2,14 @@
 
 import json
 
-from linkplan.planner.files.batch_file import Batch, Case
+from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
 
 
 def swept(n):
     """A batch of n cases that take a tenth of a second each, one of them impossible."""
-    cases = [Case(name=f"{i}", settings=(f"motion.goal_deg.O={-40 + i}",)) for i in range(n)]
-    cases[1] = Case(name="1", settings=("motion.duration_s=0.001",))
-    return Batch(problem="knee-reach", common=("mesh.intervals=10", "mesh.tolerance_deg=0.01"), cases=tuple(cases))
+    cases = [CaseSection(name=f"{i}", set=[f"motion.goal_deg.O={-40 + i}"]) for i in range(n)]
+    cases[1] = CaseSection(name="1", set=["motion.duration_s=0.001"])
+    return BatchFile(problem="knee-reach", set=["mesh.intervals=10", "mesh.tolerance_deg=0.01"], case=cases)
 
 
 def same_plans(first, second, n):

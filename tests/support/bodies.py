@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 
 # Without gravity: an inertia [kg m2], and the angle [rad] that it is turned by.
 HINGE = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0"/>
@@ -28,7 +27,7 @@ PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><
 QUARTER_TURN = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n'
 
 
-def body_problem(mjcf: str, motion: str, *overrides: str) -> PlanningProblem:
+def body_problem(mjcf: str, motion: str, *overrides: str) -> Problem:
     """Return the problem of a motion (the lines of a [motion] table) of an inline model."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "model.xml").write_text(mjcf, encoding="utf-8")

@@ -11,8 +11,7 @@ from scipy.optimize import brentq
 
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem
 
 _POSES, _LONGEST_S, _STEP_S = 4001, 100.0, 0.01
 # Next to the ends, this share of the way, the legs are not yet apart.
@@ -32,7 +31,7 @@ class Curves:
     linear: Any
 
 
-def least_time(problem: PlanningProblem) -> float:
+def least_time(problem: Problem) -> float:
     """Return the least time [s] of a reach from rest to rest of one coordinate and one actuator that never turns back."""
     start, goal = float(problem.motion.start[0]), float(problem.motion.goal[0])
     return least_time_of(curves_of(problem, start, goal), start, goal, problem.limits.effort[0], problem.limits.power[0])
@@ -80,10 +79,10 @@ def least_time_within(
     return _at(ahead, switch)[0] - _at(back, switch)[0]
 
 
-def curves_of(problem: PlanningProblem, start: float, goal: float) -> Curves:
+def curves_of(problem: Problem, start: float, goal: float) -> Curves:
     dynamics, way = problem.mechanism.dynamics, np.sign(goal - start)
     place = np.linspace(start, goal, _POSES)
-    q = follow(problem.mechanism, place[:, None], start_pose_of(problem))
+    q = follow(problem.mechanism, place[:, None], problem.start_pose())
     inertia = sampled(dynamics.reduced_inertia, q)[:, 0, 0]
     none = np.zeros((_POSES, 1))
     still, fast, back = (

@@ -27,7 +27,7 @@ ASKED = ("time", "effort", "time within a power", "effort within a limit")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Problem:
+class LinkageProblem:
     """A file's tables, its family, what is asked in words, and the best value; how exact that is, relative."""
 
     tables: dict
@@ -37,7 +37,7 @@ class Problem:
     exact: float = 1e-6
 
 
-def drawn(seed: int, number: int) -> Problem:
+def drawn(seed: int, number: int) -> LinkageProblem:
     """Return a random problem by its number."""
     rng = np.random.default_rng([seed, number, 71])
     family = FAMILIES[number % len(FAMILIES)]
@@ -50,7 +50,7 @@ def drawn(seed: int, number: int) -> Problem:
             return found
 
 
-def _of_five_bar(rng: np.random.Generator) -> Problem:
+def _of_five_bar(rng: np.random.Generator) -> LinkageProblem:
     while True:
         bar, goal, duration = random_five_bar(rng)
         best = least_effort(bar, goal, duration)
@@ -65,10 +65,10 @@ def _of_five_bar(rng: np.random.Generator) -> Problem:
             "motion": {"kind": "reach", "start_deg": {"O1": 0.0, "O2": 0.0}, "duration_s": duration} | named,
             "objective": {"minimize": "effort"},
         }
-        return Problem(tables=tables, family="five-bar", asked="effort", best=best)
+        return LinkageProblem(tables=tables, family="five-bar", asked="effort", best=best)
 
 
-def _attempted(rng: np.random.Generator, linkage: Linkage, asked: str) -> Problem | None:
+def _attempted(rng: np.random.Generator, linkage: Linkage, asked: str) -> LinkageProblem | None:
     model = mujoco.MjModel.from_xml_string(linkage.mjcf)
     goal = float(rng.choice([-1, 1]) * rng.uniform(0.4, 2.5))
     beyond = _BEYOND if asked.startswith("time") else _SWINGS
@@ -98,7 +98,7 @@ def _attempted(rng: np.random.Generator, linkage: Linkage, asked: str) -> Proble
         if best is None:
             return None
     tables["objective"] = {"minimize": asked.split()[0]}
-    return Problem(tables=tables, family=linkage.kind, asked=asked, best=best)
+    return LinkageProblem(tables=tables, family=linkage.kind, asked=asked, best=best)
 
 
 def _goal(rng: np.random.Generator, model: mujoco.MjModel, poses: Poses, goal: float) -> dict:

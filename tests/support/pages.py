@@ -21,7 +21,7 @@ from pathlib import Path
 
 import linkplan
 from linkplan.planner.files.batch_file import read_batch
-from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.main import main
 
 # What may stand in a page, and is run or read. Directives ("{toctree}") are the site's own.
@@ -153,7 +153,7 @@ def _read(block: Block) -> None:
         tables = tomllib.loads(Path(whole).read_text(encoding="utf-8"))
         for name, table in tomllib.loads(block.text).items():
             tables[name] = tables.get(name, {}) | table
-        problem_from_tables(Path(whole).stem, tables, Path.cwd())
+        Problem.from_tables(Path(whole).stem, tables, Path.cwd())
     name = block.marks.get("file")
     if name or block.kind == "toml":
         place = Path(name or "a-block-without-a-name.toml")

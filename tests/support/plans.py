@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.planner.files.folders import write_whole
-from linkplan.planner.files.plan_folder import write_plan
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 
 # Where the knee's reach begins and ends [rad], and its motor's limit [N.m].
 START, GOAL = np.radians([-49.07, 56.27])
@@ -18,7 +17,7 @@ LIMIT = 100.0
 
 
 @cache
-def problem_of(name: str, *overrides: str) -> PlanningProblem:
+def problem_of(name: str, *overrides: str) -> Problem:
     """Return a built-in problem with overrides, loaded once."""
     return load_problem(name, overrides)
 

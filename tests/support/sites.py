@@ -8,10 +8,9 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from tests.support.arms import arm
 
 # Past the hip from above to below it: the shortest way leads through a place that walls may keep clear of.
@@ -24,12 +23,12 @@ def arm_of(*lengths: float) -> Mechanism:
     return load_mechanism(arm(*lengths))
 
 
-def site_problem(mechanism: Mechanism, motion: dict, site: dict | None = None, **tables: dict) -> PlanningProblem:
+def site_problem(mechanism: Mechanism, motion: dict, site: dict | None = None, **tables: dict) -> Problem:
     """Return the problem of a reach, of limits.site where they are given, and of other tables of a file."""
     said = {"motion": {"kind": "reach", **motion}, "limits": {}, **tables}
     if site is not None:
         said["limits"] = {**said["limits"], "site": site}
-    return problem_from_tables("sites", copy.deepcopy(said), mechanism=mechanism)
+    return Problem.from_tables("sites", copy.deepcopy(said), mechanism=mechanism)
 
 
 def plan_of(mechanism: Mechanism, motion: dict, site: dict | None = None, **tables: dict) -> Plan:

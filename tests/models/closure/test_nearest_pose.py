@@ -9,8 +9,8 @@ from scipy.optimize import minimize
 from linkplan.models.closure.closed_pose import home_text
 from linkplan.models.errors import UnassembledError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.files.problem_file import mechanism_from_tables
 from linkplan.planner.files.tables import parse_value
+from linkplan.planner.problem.build import mechanism_from_tables
 from tests.support.mechanisms import replaced
 
 # A five-bar leg drawn with all its links along x: its feet stand half a metre apart, and no Newton step closes them.

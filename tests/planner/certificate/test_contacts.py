@@ -14,11 +14,10 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import meetings
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.answer import finished
-from linkplan.planner.files.plan_folder import read_plan, record, write_plan
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import read_plan, record, write_plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.studies.cli.main import main
 from tests.support.tolerances_planner import TOUCHING
 
@@ -38,7 +37,7 @@ def with_block(*, y: float = 0.0) -> str:
     return HARD_ROCKER.replace('<body name="thigh"', f'{block}<body name="thigh"')
 
 
-def problem_with(text: str, *overrides: str) -> PlanningProblem:
+def problem_with(text: str, *overrides: str) -> Problem:
     problem = load_problem("knee-reach", list(overrides))
     return replace(problem, mechanism=load_mechanism(text, payload="shank"))
 

@@ -6,9 +6,9 @@ import pytest
 
 from linkplan.models.errors import CertificateError
 from linkplan.planner.certificate.saved import negligible_objective
-from linkplan.planner.files.plan_folder import read_plan, write_plan
-from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 
 ARM = """
 <mujoco model="arm">
@@ -37,7 +37,7 @@ def planned(tmp_path, motion: str, range_: str, minimize):
         "motion": {"kind": "reach", "duration_s": duration} | ends,
         "objective": {"minimize": minimize},
     }
-    return plan_motion(problem_from_tables("arm", tables))
+    return plan_motion(Problem.from_tables("arm", tables))
 
 
 @pytest.mark.parametrize("minimize", ["work", "effort", {"work": 1e-3, "effort_rate": 1e-6}], ids=str)

@@ -9,16 +9,15 @@ import pytest
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.integration import RESTART_GROWTH, integrate
 from linkplan.planner.closed_chain.guess import motion_of
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import duration_continuation
 from linkplan.planner.search.duration_continuation import MIN_SAVING, continued, from_continuation
 from linkplan.planner.search.known_motions import KnownMotions
 from linkplan.planner.search.ladder import PATIENT, Search
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import least_time_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case
@@ -128,7 +127,7 @@ def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
 def test_a_motion_five_times_as_long_as_the_least_is_planned_by_lengthening():
     """Number 313 of the random problems: solvers that begin elsewhere are lost, or pass where their mesh does not look."""
     case = random_case(1, 313)
-    plan = plan_motion(problem_from_tables("long", case.tables))
+    plan = plan_motion(Problem.from_tables("long", case.tables))
     assert plan.status == "optimal", plan.message
     assert plan.certificate.passed
     assert plan.trajectory.duration_s == pytest.approx(case.duration)
@@ -152,8 +151,8 @@ def test_switch_times_that_their_windows_hold_are_freed_on_the_way():
     """Number 46 of the random problems, a swing-up under weak efforts: its switch times move far from the least time's."""
     case = random_case(1, 46)
     tables = case.tables | {"motion": case.tables["motion"] | {"max_duration_s": 1.15 * case.shortest}}
-    problem = problem_from_tables("held", tables)
-    search = Search(problem=problem, start_pose=start_pose_of(problem))
+    problem = Problem.from_tables("held", tables)
+    search = Search(problem=problem, start_pose=problem.start_pose())
     quick = least_time_motion(search, PATIENT)
     reached = continued(problem, quick, 80, KnownMotions())
     assert reached is not None
@@ -173,7 +172,7 @@ def test_where_longer_motions_are_lost_the_last_one_on_the_way_is_returned_and_s
         return step(problem, at, allowed) if allowed < 1.5 * quick.duration_s else None
 
     monkeypatch.setattr(duration_continuation, "_step", losing)
-    search = Search(problem=problem, start_pose=start_pose_of(problem))
+    search = Search(problem=problem, start_pose=problem.start_pose())
     plan = from_continuation(search, PATIENT)
     assert plan.certificate.passed
     assert plan.status == "feasible"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.compare.compare import track
 
 # An arm of inertia 0.1 kg m2 on its axis, rubbed by 0.5 N.m, driven by 2: (2 - 0.5) / 0.1 and (2 + 0.5) / 0.1 rad/s2.
@@ -28,7 +28,7 @@ def planned(duration: float | str, minimize: str, ends: dict = ENDS, **mechanism
         "objective": {"minimize": minimize},
         "tracking": {"kp": 20.0, "kd": 2.0, "period_s": 1e-3},
     }
-    return plan_motion(problem_from_tables("rubbed arm", tables))
+    return plan_motion(Problem.from_tables("rubbed arm", tables))
 
 
 def test_the_least_time_is_that_of_full_effort_against_friction_and_of_braking_with_it():
@@ -68,7 +68,7 @@ def test_its_feedforward_is_followed_in_mujoco_with_the_models_own_friction():
 
 def test_a_motor_that_cannot_overcome_friction_is_told_so():
     plan = plan_motion(
-        problem_from_tables(
+        Problem.from_tables(
             "stuck",
             {
                 "mechanism": {"model": ARM.replace('ctrlrange="-2 2"', 'ctrlrange="-0.4 0.4"')},
@@ -96,7 +96,7 @@ def test_a_swing_up_turns_back_against_friction():
     def least_time(text: str) -> Plan:
         motion = {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": 180.0}, "duration_s": "free"}
         tables = {"mechanism": {"model": text}, "motion": motion, "objective": {"minimize": "time"}}
-        return plan_motion(problem_from_tables("swing", tables)).require()
+        return plan_motion(Problem.from_tables("swing", tables)).require()
 
     rubbed, smooth = least_time(model), least_time(model.replace(' frictionloss="0.1"', ""))
     assert rubbed.trajectory.velocity.min() < -1.0, "it swings back first"

@@ -7,8 +7,8 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar import G
 from tests.support.tolerances_planner import SAME_FIGURE
 
@@ -37,7 +37,7 @@ def arm(tmp_path):
 
 
 def test_an_unnamed_weight_hangs_where_its_spring_holds_it(arm):
-    problem = problem_from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))
+    problem = Problem.from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))
     for s, angle in ((problem.motion.start, -30.0), (problem.motion.goal, 20.0)):
         # Along the arm at this angle above the horizon gravity has -g sin.
         assert s == pytest.approx([np.radians(angle), -MASS * G * np.sin(np.radians(angle)) / STIFFNESS], abs=REST_M)
@@ -46,13 +46,13 @@ def test_an_unnamed_weight_hangs_where_its_spring_holds_it(arm):
 def test_a_value_that_is_named_is_kept(arm):
     named = tables(arm, {"arm": -30.0}, {"arm": 20.0})
     named["motion"]["start_m"] = {"spring": 0.0}
-    problem = problem_from_tables("arm", named)
+    problem = Problem.from_tables("arm", named)
     assert problem.motion.start[1] == 0.0
     assert problem.motion.goal[1] < -1e-3
 
 
 def test_from_rest_to_rest_a_plan_needs_no_effort_beyond_the_arm_s_at_its_ends(arm):
-    plan = plan_motion(problem_from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))).require()
+    plan = plan_motion(Problem.from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))).require()
     assert plan.certificate.passed
     ends = plan.trajectory.position_at(np.array([0.0, plan.trajectory.duration_s]))
     assert ends[:, 1] == pytest.approx(
@@ -64,14 +64,14 @@ def test_without_a_spring_the_value_is_asked_for(tmp_path):
     path = tmp_path / "loose.xml"
     path.write_text(HANGING.format(spring='damping="4"'), encoding="utf-8")
     with pytest.raises(ProblemError, match="names no value for joint spring, which is independent"):
-        problem_from_tables("loose", tables(path, {"arm": 0.0}, {"arm": 20.0}))
+        Problem.from_tables("loose", tables(path, {"arm": 0.0}, {"arm": 20.0}))
 
 
 def test_a_driven_joint_is_always_asked_for(arm):
     unnamed = tables(arm, {}, {})
     unnamed["motion"]["start_m"] = unnamed["motion"]["goal_m"] = {"spring": 0.0}
     with pytest.raises(ProblemError, match="names no value for joint arm"):
-        problem_from_tables("arm", unnamed)
+        Problem.from_tables("arm", unnamed)
 
 
 def test_a_rest_within_a_loop_is_where_no_effort_is_missing():

@@ -6,9 +6,9 @@ import pytest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.closed_chain import lifted
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.scales import Scales
 from tests.support.hexapod import hexapod
 from tests.support.tolerances_planner import ROWS, SAME_FIGURE
@@ -64,5 +64,5 @@ def test_a_platform_on_six_rods_is_raised_and_turned():
     goal = {f"s{k}": 0.03 + 0.02 * (-1) ** k for k in range(6)}
     motion = {"kind": "reach", "start_m": {f"s{k}": 0.0 for k in range(6)}, "goal_m": goal, "duration_s": 0.5}
     tables = {"mechanism": {"model": hexapod()}, "motion": motion, "objective": {"minimize": "effort"}}
-    plan = plan_motion(problem_from_tables("platform", tables))
+    plan = plan_motion(Problem.from_tables("platform", tables))
     assert plan.status == "optimal", plan.message

@@ -38,9 +38,9 @@ def plan(mechanism: Mechanism, minimize: str, **motion):
 
 def overrun(found) -> float:
     """Return how far MuJoCo's ctrl is beyond the servo's range anywhere along a plan."""
-    trajectory = found.answer.trajectory
+    trajectory = found.trajectory
     time = np.linspace(0.0, trajectory.duration_s, 400)
-    mechanism, position = found.answer.problem.mechanism, trajectory.position_at(time)
+    mechanism, position = found.problem.mechanism, trajectory.position_at(time)
     q = np.array([close_at(mechanism, s) for s in position])
     return float(control_excess(mechanism, q, trajectory.velocity_at(time), trajectory.effort_at(time)).max())
 

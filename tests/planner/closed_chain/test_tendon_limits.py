@@ -8,9 +8,9 @@ import linkplan
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.inspection import inspect
 from tests.support.mechanisms import replaced
 from tests.support.refusals import refusal
@@ -33,7 +33,7 @@ KEPT, NEAR = 1e-6, 1e-3
 
 def planned(model: str, **motion: object) -> Plan:
     return plan_motion(
-        problem_from_tables(
+        Problem.from_tables(
             "strap",
             {"mechanism": {"model": model}, "motion": MOTION | motion, "objective": {"minimize": "effort"}},
         )
@@ -66,7 +66,7 @@ def test_a_strap_is_not_overstretched_between_the_nodes():
 
 def test_a_plan_made_without_the_strap_fails_the_certificate_with_it():
     free = planned(strapped(2.0)).require()
-    asked = problem_from_tables("strap", {"mechanism": {"model": strapped(0.81)}, "motion": MOTION})
+    asked = Problem.from_tables("strap", {"mechanism": {"model": strapped(0.81)}, "motion": MOTION})
     (failure,) = certify(asked, free.trajectory).failures
     assert "the length of tendon strap comes to 0.8" in failure
     assert "beyond its limit of 0.81" in failure

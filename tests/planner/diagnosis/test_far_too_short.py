@@ -7,7 +7,6 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.diagnosis.far_too_short import path_effort
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support.bodies import HINGE, PENDULUM, body_problem
 from tests.support.data import KNEE_TABLE
 from tests.support.plans import GOAL, LIMIT, START, planned, problem_of
@@ -77,7 +76,7 @@ def test_a_weak_motor_that_swings_up_is_not_taken_for_hurried():
 def test_inertia_alone_asks_for_the_whole_effort_of_a_body_without_weight():
     motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = 0.01\n'
     problem = body_problem(HINGE, motion)
-    path = path_effort(problem, first_guess(problem, start_pose_of(problem)))
+    path = path_effort(problem, first_guess(problem, problem.start_pose()))
     assert path.factor > 1
     assert path.inertial_factor == pytest.approx(path.factor, rel=1e-9)
 
@@ -85,7 +84,7 @@ def test_inertia_alone_asks_for_the_whole_effort_of_a_body_without_weight():
 def test_weight_is_no_part_of_what_inertia_asks_for():
     motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = 0.01\n'
     light, heavy = (body_problem(PENDULUM.format(limit=limit), motion) for limit in (1.0, 2.0))
-    factors = [path_effort(one, first_guess(one, start_pose_of(one))).inertial_factor for one in (light, heavy)]
+    factors = [path_effort(one, first_guess(one, one.start_pose())).inertial_factor for one in (light, heavy)]
     inertia = 0.01 + 0.25  # about the hinge
     largest = np.radians(90.0) * 10 / np.sqrt(3) / 0.01**2  # of the fifth-order polynomial
     assert factors[0] == pytest.approx(inertia * largest / 1.0, rel=0.01)

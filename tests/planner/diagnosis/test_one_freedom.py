@@ -7,11 +7,10 @@ import pytest
 from scipy.optimize import brentq
 
 from linkplan.planner.diagnosis import reasons
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support.bodies import LIFT, body_problem
 from tests.support.fourbar import G
 from tests.support.slider_crank import CRANK, ROD
@@ -27,7 +26,7 @@ ACROSS = ("motion.start_deg.O=-60", "motion.goal_deg.O=70")
 
 
 def searching(problem) -> Search:
-    return Search(problem=problem, start_pose=start_pose_of(problem))
+    return Search(problem=problem, start_pose=problem.start_pose())
 
 
 @pytest.mark.parametrize(("short", "status"), [(1e-3, "infeasible"), (-1e-6, "optimal")])
@@ -60,7 +59,7 @@ def test_the_least_factor_in_a_duration_is_that_of_the_bang_bang_motion(duration
         return np.sqrt(2 * WAY * (1 / up + 1 / down)) - duration
 
     exact = brentq(over, MASS * G * (1 + 1e-9), 1e4) / WEAK
-    factor, motion = least_share(problem, start_pose_of(problem), duration)
+    factor, motion = least_share(problem, problem.start_pose(), duration)
     assert factor == pytest.approx(exact, rel=FACTOR)
     assert motion.duration_s <= duration
 

@@ -13,10 +13,11 @@ import pytest
 from linkplan.models.errors import CertificateError, PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.folders import MANIFEST, plain, write_json, write_whole
-from linkplan.planner.files.motion_table import motion_table
-from linkplan.planner.files.plan_folder import read_plan, record, write_plan
-from linkplan.planner.files.plan_record import PLAN_FORMAT
+from linkplan.planner.files.folders import plain, write_json, write_whole
+from linkplan.planner.files.manifest import MANIFEST
+from linkplan.planner.motion_table import motion_table
+from linkplan.planner.plan_folder import read_plan, record, write_plan
+from linkplan.planner.plan_record import PLAN_FORMAT
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
 from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING
@@ -133,7 +134,7 @@ def test_the_table_s_header_has_units(saved):
 @pytest.mark.slow
 def test_both_sides_of_a_jump_are_rows_where_they_are_asked_for():
     plan = optimal("knee-sprint")
-    single, both = motion_table(plan), motion_table(plan, jumps=True)
+    single, both = motion_table(plan.problem, plan.trajectory), motion_table(plan.problem, plan.trajectory, jumps=True)
     assert len(both.time_s) == len(single.time_s) + plan.intervals - 1
     step = np.abs(np.diff(both.effort["act_O"]))[np.diff(both.time_s) < 1e-9 * plan.trajectory.duration_s]
     assert step.max() > 100.0  # the sprint pushes in full one way and then the other

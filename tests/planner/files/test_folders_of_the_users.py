@@ -11,8 +11,8 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files import work_folders
-from linkplan.planner.files.folders import MANIFEST, RECORDS, check_target, complete, write_json, write_whole
-from linkplan.planner.files.manifest import files_in
+from linkplan.planner.files.folders import check_target, complete, write_json, write_whole
+from linkplan.planner.files.manifest import MANIFEST, RECORDS, files_in
 
 
 def result(text):

@@ -8,27 +8,26 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.planner.batch import plan_cases
 from linkplan.planner.files.batch_file import read_batch
-from linkplan.planner.files.plan_folder import record
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import record
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.studies.output.plan_blocks import plan_text
 
 # The knee's reach said of the rocker C, whose motor is at O.
 AT_C = {"kind": "reach", "start_deg": {"C": -20.0}, "goal_deg": {"C": 40.0}, "duration_s": 0.3}
 
 
-def problem(motion: dict, model: str = "optimus-knee", **tables: dict) -> PlanningProblem:
-    return problem_from_tables("mine", {"mechanism": {"model": model}, "motion": motion} | tables)
+def problem(motion: dict, model: str = "optimus-knee", **tables: dict) -> Problem:
+    return Problem.from_tables("mine", {"mechanism": {"model": model}, "motion": motion} | tables)
 
 
-def names(asked: PlanningProblem) -> list[str]:
+def names(asked: Problem) -> list[str]:
     return [joint.name for joint in asked.mechanism.independent_joints]
 
 
-def plan(asked: PlanningProblem) -> Plan:
+def plan(asked: Problem) -> Plan:
     return plan_motion(asked).require()
 
 
@@ -89,7 +88,7 @@ def test_a_batch_whose_cases_name_different_joints_plans_each_in_its_own(tmp_pat
     )
     (tmp_path / "batch.toml").write_text(f'problem = "reach.toml"\n{cases}', encoding="utf-8")
     batch = read_batch(tmp_path / "batch.toml")
-    plans = [found for _, found in plan_cases(batch, batch.cases)]
+    plans = [found for _, found in plan_cases(batch, batch.case)]
     assert [found.status for found in plans] == ["optimal", "optimal"]
     assert [names(found.problem) for found in plans] == [["C"], ["O"]]
 
@@ -128,5 +127,5 @@ def test_work_with_a_limit_on_the_effort_rate_needs_no_word_on_the_mesh():
 def test_tables_are_not_changed_by_what_is_chosen():
     name, tables, _ = read_tables("knee-reach")
     tables["motion"] |= {"start_deg": {"C": -20.0}, "goal_deg": {"C": 40.0}}
-    problem_from_tables(name, tables)
+    Problem.from_tables(name, tables)
     assert "independent" not in tables["mechanism"]

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.payload import SHANK
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN, built_in_text
 from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.keys.reading import KEYS
-from linkplan.planner.problem.planning_problem import Limits, Motion, PlanningProblem
+from linkplan.planner.problem.limits import Limits
+from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.transcription.schemes import NAMES
 from tests.support.tolerances_planner import ROUNDING
 
@@ -223,7 +224,7 @@ def test_no_text_whatever_gets_past_the_reader_as_another_error(key, text):
         answer = load_problem(REACH, [f"{key}={text}"])
     except LinkplanError as error:
         answer = str(error)
-    assert isinstance(answer, PlanningProblem) or len(answer.splitlines()) == 1
+    assert isinstance(answer, Problem) or len(answer.splitlines()) == 1
 
 
 # What overrides do.
@@ -317,7 +318,7 @@ def test_a_built_in_problem_is_a_file_like_any_other(name, tmp_path):
 def test_a_problem_s_source_means_the_problem(name):
     motor = load_problem(name).mechanism.actuators[0].name
     problem = load_problem(name, [f"limits.effort.{motor}=[-0.03, 0.02]"])
-    again = problem_from_tables(problem.name, problem.source)
+    again = Problem.from_tables(problem.name, problem.source)
     np.testing.assert_array_equal(again.limits.effort[0], [-0.03, 0.02])
     assert again.source == problem.source
 
@@ -350,7 +351,7 @@ def test_a_start_that_names_a_dependent_joint_where_it_is_may_do_so():
 def test_a_problem_built_by_hand_is_checked_like_a_file():
     whole = load_problem(REACH)
     with pytest.raises(ProblemError, match=r"limits\.effort needs 1 rows, got 2"):
-        PlanningProblem(
+        Problem(
             name="by hand",
             mechanism=whole.mechanism,
             motion=whole.motion,
@@ -362,7 +363,7 @@ def test_a_problem_built_by_hand_is_checked_like_a_file():
 def test_a_motion_built_by_hand_has_one_value_for_each_independent_joint():
     whole = load_problem(REACH)
     with pytest.raises(ProblemError, match=r"motion.start has one finite value for each of 1 independent joints"):
-        PlanningProblem(
+        Problem(
             name="by hand",
             mechanism=whole.mechanism,
             motion=Motion(kind="reach", start=np.zeros(3), goal=np.ones(1), duration_s=1.0),

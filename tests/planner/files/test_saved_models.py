@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.errors import PlanFileError, ProblemError
-from linkplan.planner.files.plan_folder import read_plan
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli.main import main
 
 ARM = """<mujoco model="arm">

@@ -3,7 +3,7 @@
 import pytest
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.problem.problem import Problem
 
 AIRY = """<mujoco><option density="1.2"/><worldbody><body name="arm"><joint name="J" axis="0 1 0"/>
   <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
@@ -16,11 +16,11 @@ TABLES = {
 
 def test_a_refusal_names_the_key_that_plans_without_what_is_not_honoured():
     with pytest.raises(ProblemError, match=r"limits\.unhonoured"):
-        problem_from_tables("airy", TABLES)
+        Problem.from_tables("airy", TABLES)
 
 
 def test_what_is_not_honoured_is_left_out_on_request_and_said_in_the_plan():
-    problem = problem_from_tables("airy", TABLES | {"limits": {"unhonoured": "note"}})
+    problem = Problem.from_tables("airy", TABLES | {"limits": {"unhonoured": "note"}})
     (said,) = problem.not_honoured
     assert "false" in said
     assert "fluid forces" in said

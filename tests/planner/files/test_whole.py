@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.folders import MANIFEST, RECORDS, check_target, write_json, write_whole
-from linkplan.planner.files.plan_folder import read_plan, write_plan
+from linkplan.planner.files.folders import check_target, write_json, write_whole
+from linkplan.planner.files.manifest import MANIFEST, RECORDS
+from linkplan.planner.plan_folder import read_plan, write_plan
 from tests.support.plans import optimal, planned
 
 

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.whole_file import MADE_BY, check_file_target, write_file_whole
+from linkplan.planner.files.single_file import MADE_BY, check_file_target, write_file_whole
 
 KINDS = (".mp4", ".png")
 OURS = b"\x89 " + MADE_BY.encode() + b" rest"

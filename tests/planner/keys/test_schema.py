@@ -13,7 +13,6 @@ import msgspec
 import pytest
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN, apply_override, built_in_text
 from linkplan.planner.keys.json_schema import FILES, json_schema
 from linkplan.planner.keys.key_table import key_table
@@ -22,6 +21,7 @@ from linkplan.planner.keys.motion_section import MotionSection
 from linkplan.planner.keys.reading import KEYS, kind_of
 from linkplan.planner.keys.sections import ProblemFile
 from linkplan.planner.problem.objective import TERMS
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.main import main
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "problem-files.md"
@@ -89,7 +89,7 @@ GOOD = [
 def test_what_the_reader_takes_is_taken(override):
     asked = tables(override)
     validator().validate(asked)
-    assert problem_from_tables("asked", asked).name == "asked"
+    assert Problem.from_tables("asked", asked).name == "asked"
 
 
 def test_a_push_is_taken():
@@ -97,7 +97,7 @@ def test_a_push_is_taken():
         "imperfections.push_body=crank", "imperfections.push_force_x_n=[-1, 1]", "imperfections.push_duration_s=1"
     )
     validator().validate(asked)
-    assert problem_from_tables("asked", asked).name == "asked"
+    assert Problem.from_tables("asked", asked).name == "asked"
 
 
 # Faults of form, each refused by the reader too.
@@ -240,7 +240,7 @@ def test_a_fault_of_form_is_refused_without_a_mechanism(override):
 def test_the_faults_of_form_are_the_reader_s_too():
     for override in FAULTS:
         with pytest.raises(LinkplanError):
-            problem_from_tables("asked", tables(override))
+            Problem.from_tables("asked", tables(override))
 
 
 @pytest.mark.slow
@@ -248,7 +248,7 @@ def test_what_is_beyond_a_schema_is_left_to_the_reader():
     for override in BEYOND:
         assert validator().is_valid(tables(override)), override
         with pytest.raises(LinkplanError):
-            problem_from_tables("asked", tables(override))
+            Problem.from_tables("asked", tables(override))
 
 
 def test_its_keys_are_the_reader_s():
@@ -316,7 +316,7 @@ def test_the_objective_s_terms_are_those_that_have_words():
 )
 def test_a_synonym_is_answered_with_the_key_that_it_means(override, meant):
     with pytest.raises(LinkplanError, match=f"did you mean '{meant}'"):
-        problem_from_tables("asked", tables(override))
+        Problem.from_tables("asked", tables(override))
 
 
 def test_reading_changes_no_table():

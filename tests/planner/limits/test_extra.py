@@ -105,8 +105,8 @@ def test_an_extra_limit_on_a_sites_place_is_certified_as_what_it_comes_to():
 
 
 def test_the_certificate_of_a_motion_says_how_far_it_is_beyond_an_extra_limit_between_the_nodes(knee, free):
-    problem = Problem.reach(knee, **REACH, extra_limits=[speed_limit(SPEED)]).planning
-    certificate = certify(problem, free.answer.trajectory)
+    problem = Problem.reach(knee, **REACH, extra_limits=[speed_limit(SPEED)])
+    certificate = certify(problem, free.trajectory)
     (margin,) = certificate.margins
     time = np.linspace(0.0, 0.2, 20001)
     peak = float(np.radians(free.sample(time).speed["O"]).max())

@@ -3,19 +3,18 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.phase_plane import detours
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess, parts_of
 from linkplan.planner.phase_plane.detours import quicker_may_exist
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.fourbar_problems import kind_of, random_case
 
 NUMBERS = [k for k in range(60) if kind_of(1, k) in ("least time", "weak", "range")]
 
 
 def look(problem, duration):
-    pose = start_pose_of(problem)
+    pose = problem.start_pose()
     return quicker_may_exist(problem, pose, duration), least_time_guess(problem, pose)
 
 
@@ -33,7 +32,7 @@ def test_a_motion_that_takes_its_time_asks_for_one():
 def test_bounds_of_legs_are_below_their_times_and_near_them(effort):
     problem = load_problem("knee-sprint")
     (part,) = parts_of(problem.motion)
-    grid = grid_of(problem, part.places, start_pose_of(problem), 400, graded=False)
+    grid = grid_of(problem, part.places, problem.start_pose(), 400, graded=False)
     plane = plane_of(problem, *grid, effort * problem.limits.effort)
     places = np.linspace(0, len(plane.s) - 1, 30).round().astype(int)
     legs = np.full((30, 30), np.inf)
@@ -52,7 +51,7 @@ def test_what_is_ruled_out_is_not_there(number):
     case = random_case(1, number)
     if not case.feasible or case.tables["objective"].get("minimize") != "time":
         pytest.skip("no least time")
-    problem = problem_from_tables("detour", case.tables)
+    problem = Problem.from_tables("detour", case.tables)
     may, quickest = look(problem, case.duration)
     if not may:
         assert quickest.duration_s > 0.998 * case.duration

@@ -8,13 +8,12 @@ import pytest
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import starts
 from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support.least_time import least_time
 
 # What is left of limits for what polynomials do between their nodes, of the least time; and of the power along its limit.
@@ -29,7 +28,7 @@ def within(watts: float):
 
 def test_its_certificate_passes_and_it_takes_the_least_time():
     problem = within(100.0)
-    motion = legs_motion(problem, start_pose_of(problem))
+    motion = legs_motion(problem, problem.start_pose())
     certificate = certify(problem, motion)
     assert certificate.passed, certificate.failures
     assert certificate.dynamics_residual < SAME_LAW * np.abs(motion.effort).max()
@@ -38,7 +37,7 @@ def test_its_certificate_passes_and_it_takes_the_least_time():
 
 def test_power_is_at_its_limit_all_along_but_for_bangs():
     problem = within(10.0)
-    motion = legs_motion(problem, start_pose_of(problem))
+    motion = legs_motion(problem, problem.start_pose())
     time = motion.dense_times(20)
     effort, power = motion.effort_at(time), motion.effort_at(time) * motion.velocity_at(time)
     spent = np.isclose(np.abs(power), 10.0, rtol=ROOM)
@@ -49,7 +48,7 @@ def test_power_is_at_its_limit_all_along_but_for_bangs():
 def test_a_waypoint_on_the_way_is_passed_at_a_break():
     problem = within(100.0)
     passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
-    certificate = certify(passing, legs_motion(passing, start_pose_of(passing)))
+    certificate = certify(passing, legs_motion(passing, passing.start_pose()))
     assert certificate.passed, certificate.failures
 
 
@@ -68,16 +67,16 @@ def test_a_limit_that_the_legs_do_not_know_forbids_them(monkeypatch):
     monkeypatch.setattr(starts, "solve_from", lambda *_, **__: None)
     for share, passes in ((1.01, True), (0.99, False)):
         problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", f"limits.speed_deg_s.A={share * peak_speed()}"])
-        search = Search(problem=problem, start_pose=start_pose_of(problem))
+        search = Search(problem=problem, start_pose=problem.start_pose())
         assert (starts.along_power(search, RUNGS[0].budget) is not None) == passes
 
 
 def peak_speed() -> float:
     """Return the largest speed of a joint that follows [deg/s]."""
     problem = within(100.0)
-    motion = legs_motion(problem, start_pose_of(problem))
+    motion = legs_motion(problem, problem.start_pose())
     time = motion.dense_times(8)
     s, v = motion.position_at(time), motion.velocity_at(time)
     joint = [one.name for one in problem.mechanism.joints].index("A")
-    ratio = sampled(problem.mechanism.dynamics.velocity_map, follow(problem.mechanism, s, start_pose_of(problem)))
+    ratio = sampled(problem.mechanism.dynamics.velocity_map, follow(problem.mechanism, s, problem.start_pose()))
     return float(np.degrees(np.abs(ratio[:, joint, 0] * v[:, 0]).max()))

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.motion import Waypoint
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE
 
@@ -46,7 +45,7 @@ def spring(tmp_path):
 def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring, half_swings):
     """Each half swing about +-1 m takes pi and brings the end 2 m nearer."""
     problem = spring(2.0 * half_swings)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.duration_s >= np.pi * half_swings * (1 - GRID)
     plan = plan_motion(problem)
@@ -60,7 +59,7 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
 def test_a_leg_without_dampers_is_the_one_that_steps_from_cell_to_cell(way, backwards, share):
     """The work alone gives its energy; where speeds are limited to a share of the largest the least energy is kept on."""
     problem = load_problem("knee-sprint")
-    pose = start_pose_of(problem)
+    pose = problem.start_pose()
     plane = plane_of(problem, *grid_of(problem, np.array([problem.motion.start[0]]), pose, 200), problem.limits.effort)
     assert plane.undamped
     free = plane.leg(100, 0.0, way, way, backwards=backwards)
@@ -81,7 +80,7 @@ def test_a_leg_without_dampers_is_the_one_that_steps_from_cell_to_cell(way, back
 @pytest.mark.parametrize("name", ["knee-sprint", "knee-sprint-bare"])
 def test_a_straight_least_time_is_met_to_the_grid(name):
     problem = load_problem(name)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.duration_s == pytest.approx(plan_motion(problem).objective, rel=GRID)
 
@@ -90,8 +89,8 @@ def test_a_straight_least_time_is_met_to_the_grid(name):
 @pytest.mark.parametrize("number", [247, 474, 758])
 def test_a_least_time_next_to_a_singular_pose_or_a_rest_that_torque_barely_leaves_is_met_to_the_grid(number):
     case = random_case(1, number)
-    problem = problem_from_tables("next to a singular pose", case.tables)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    problem = Problem.from_tables("next to a singular pose", case.tables)
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.duration_s == pytest.approx(case.shortest, rel=FINE_GRID)
 
@@ -101,8 +100,8 @@ def test_a_least_time_next_to_a_singular_pose_or_a_rest_that_torque_barely_leave
 def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_parts(number):
     """Left to a smooth path through the waypoint, a solver answers with one that is 5 % (13) or 46 % (672) slower."""
     case = random_case(1, number)
-    problem = problem_from_tables("by way of a turn", case.tables)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    problem = Problem.from_tables("by way of a turn", case.tables)
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
     assert guess.position(guess.boundaries_s)[:, 0] == pytest.approx(
@@ -117,8 +116,8 @@ def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_
 def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
     problem = spring(1.9)
     way = replace(problem.motion, waypoints=tuple(Waypoint(position=[x]) for x in (1.5, 0.3)))
-    guess = least_time_guess(problem, start_pose_of(problem))
-    passed = least_time_guess(replace(problem, motion=way), start_pose_of(problem))
+    guess = least_time_guess(problem, problem.start_pose())
+    passed = least_time_guess(replace(problem, motion=way), problem.start_pose())
     assert guess is not None
     assert passed is not None
     assert passed.duration_s == pytest.approx(guess.duration_s, rel=GRID)
@@ -129,7 +128,7 @@ def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
 def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
     problem = spring(2.0)
     asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
-    guess = least_time_guess(replace(problem, motion=asked), start_pose_of(problem))
+    guess = least_time_guess(replace(problem, motion=asked), problem.start_pose())
     assert guess is not None
     assert guess.velocity(guess.boundaries_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=SAME_FIGURE)
 
@@ -137,8 +136,8 @@ def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
 @pytest.mark.slow
 def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
     case = random_case(1, 598)
-    problem = problem_from_tables("too fast to stop", case.tables)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    problem = Problem.from_tables("too fast to stop", case.tables)
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.swings == 2
     assert guess.duration_s == pytest.approx(case.duration, rel=TURNS)
@@ -148,8 +147,8 @@ def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
 @pytest.mark.parametrize("number", [65, 94, 136, 217])
 def test_a_speed_limit_is_kept_by_braking_in_time_and_left_no_faster_than_full_effort_does(number):
     case = random_case(1, number)
-    problem = problem_from_tables("limited", case.tables)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    problem = Problem.from_tables("limited", case.tables)
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.switch_times_s is None  # its efforts along the limit are none of the two
     assert guess.duration_s == pytest.approx(case.duration, rel=GRID)

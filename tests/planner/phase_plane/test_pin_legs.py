@@ -6,12 +6,11 @@ import pytest
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import held_arcs_of
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_guess
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.sliders import drawn_with_a_pin
 
 # Against the exact least time, relative; of the legs' own integration.
@@ -24,14 +23,14 @@ LATE = (3, 7)
 
 def rated(newton: float):
     problem = load_problem("knee-sprint", [f"limits.closure_force.B={newton}"])
-    return problem, start_pose_of(problem)
+    return problem, problem.start_pose()
 
 
 @pytest.mark.parametrize("number", LATE)
 def test_legs_take_the_least_time(number):
     case = drawn_with_a_pin(1, number)
-    problem = problem_from_tables("slider", case.tables)
-    guess = power_guess(problem, start_pose_of(problem))
+    problem = Problem.from_tables("slider", case.tables)
+    guess = power_guess(problem, problem.start_pose())
     assert guess.duration_s == pytest.approx(case.best, rel=INTEGRATED)
     assert guess.force_arcs.any()
 
@@ -40,7 +39,7 @@ def test_legs_take_the_least_time(number):
 @pytest.mark.parametrize("number", LATE)
 def test_a_least_time_along_a_pins_rating_is_exact(number):
     case = drawn_with_a_pin(1, number)
-    plan = plan_motion(problem_from_tables("slider", case.tables))
+    plan = plan_motion(Problem.from_tables("slider", case.tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(case.best, rel=EXACT)
 
@@ -75,5 +74,5 @@ def test_where_no_pin_is_at_its_rating_there_are_no_such_legs():
 def test_a_rating_below_what_rest_asks_has_no_such_legs():
     case = drawn_with_a_pin(1, 3)
     tables = case.tables | {"limits": case.tables["limits"] | {"closure_force": {"P": 1e-3}}}
-    problem = problem_from_tables("slider", tables)
-    assert power_guess(problem, start_pose_of(problem)) is None
+    problem = Problem.from_tables("slider", tables)
+    assert power_guess(problem, problem.start_pose()) is None

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.case import held_arcs_of
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.phase_plane.power_legs import power_guess
 from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.first_mesh import mesh_along_power
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support.least_time import least_time
 
 # The legs' integration, of the least time.
@@ -23,7 +22,7 @@ FROM_REST = 0.05
 
 def knee(*settings: str):
     problem = load_problem("knee-sprint", settings)
-    return problem, power_guess(problem, start_pose_of(problem))
+    return problem, power_guess(problem, problem.start_pose())
 
 
 @pytest.mark.parametrize("power", ["10", "[-50,400]", "[-1e9,400]"])
@@ -47,7 +46,7 @@ def test_arcs_are_a_bang_the_power_that_is_given_the_one_that_is_taken_back_and_
 def test_a_waypoint_on_the_way_is_passed_in_turn_and_changes_nothing():
     problem, straight = knee("limits.power_w.act_O=400")
     passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
-    guess = power_guess(passing, start_pose_of(passing))
+    guess = power_guess(passing, passing.start_pose())
     assert guess.duration_s == straight.duration_s
     assert guess.position(guess.boundaries_s).ravel() == pytest.approx(
         [problem.motion.start[0], 0.0, problem.motion.goal[0]], abs=INTEGRATED

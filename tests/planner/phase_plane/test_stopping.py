@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.phase_plane.stopping import no_way_to_stop
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import Problem
 
 # A mass of 2 kg on a rail, pushed by at most 6 N: it stops from 0.3 m/s within 0.015 m.
 CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="{low} {high}"/>
@@ -19,7 +18,7 @@ STOP = SPEED**2 / (2 * ACCELERATION)
 
 def reach(start: float, goal: float, *, low: float = -2.0, high: float = 2.0, minimize: str = "time", **motion):
     ends = {"start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": "free"}
-    return problem_from_tables(
+    return Problem.from_tables(
         "cart",
         {
             "mechanism": {"model": CART.format(low=low, high=high)},
@@ -32,7 +31,7 @@ def reach(start: float, goal: float, *, low: float = -2.0, high: float = 2.0, mi
 def test_a_start_away_from_the_goal_turns_where_full_effort_stops_it():
     problem = reach(0.0, -1.0, start_speed_m_s={"x": SPEED})
     least = SPEED / ACCELERATION + 2 * np.sqrt((1.0 + STOP) / ACCELERATION)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.duration_s == pytest.approx(least, rel=1e-3)
     plan = plan_motion(problem)
@@ -42,7 +41,7 @@ def test_a_start_away_from_the_goal_turns_where_full_effort_stops_it():
 def test_a_goal_passed_away_from_the_start_is_met_after_a_run_up():
     problem = reach(0.0, -1.0, goal_speed_m_s={"x": SPEED})
     least = SPEED / ACCELERATION + 2 * np.sqrt((1.0 + STOP) / ACCELERATION)
-    guess = least_time_guess(problem, start_pose_of(problem))
+    guess = least_time_guess(problem, problem.start_pose())
     assert guess is not None
     assert guess.duration_s == pytest.approx(least, rel=2e-3)
     assert plan_motion(problem).objective == pytest.approx(least, rel=1e-6)

@@ -9,7 +9,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.replan import Planner
+from linkplan.planner.replan import Replanner
 from tests.support.arms import LOWER, UPPER, angles_at, foot_of
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of, site_problem
@@ -90,7 +90,7 @@ def test_an_open_pose_of_a_loop_needs_a_node_at_the_end():
 
 
 def test_an_open_goal_is_a_number_of_a_built_program():
-    planner, mechanism = Planner(), arm_of(*THREE)
+    planner, mechanism = Replanner(), arm_of(*THREE)
     assert not planner.plan(site_problem(mechanism, OPEN)).solved_again
     again = planner.plan(site_problem(mechanism, OPEN | {"goal_at": {"foot": [0.22, 0.0, -0.28]}}))
     assert again.solved_again

@@ -14,15 +14,14 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.files.plan_folder import read_plan, write_plan
-from linkplan.planner.files.problem_file import problem_from_tables
-from linkplan.planner.files.sites_file import site_limits_of
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.instant import free_instant
-from linkplan.planner.problem.sites import SiteLimit
-from linkplan.planner.replan import Planner, structure
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.sites import SiteLimit, site_limits_of
+from linkplan.planner.replan import Replanner, structure
 from linkplan.planner.search.starts import other_limits
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.refusals import assert_names, refusal
@@ -191,7 +190,7 @@ def test_a_program_is_built_anew_where_another_quantity_is_limited():
 @pytest.mark.slow
 def test_a_motion_along_a_wall_is_solved_again_and_tightened_again():
     """From one goal to the next the wall is overrun between other nodes: 4e-9 m, of which a certificate takes note."""
-    planner = Planner()
+    planner = Replanner()
     motion = {"start_at": {"foot": ABOVE}, "duration_s": "free"}
 
     def to(z: float):
@@ -274,9 +273,9 @@ def test_a_problem_with_sites_goes_to_toml_and_back(tmp_path):
     again = linkplan.Problem.from_file(tmp_path / "arm.toml")
     assert again.to_dict() == built.to_dict()
     assert again.to_dict()["limits"]["site"]["foot"][0]["z"][1] == np.inf
-    assert [limit.key for limit in again.planning.limits.site] == [limit.key for limit in built.planning.limits.site]
-    assert len(again.planning.limits.site) == 4
-    assert np.array_equal(again.planning.motion.goal, built.planning.motion.goal)
+    assert [limit.key for limit in again.limits.site] == [limit.key for limit in built.limits.site]
+    assert len(again.limits.site) == 4
+    assert np.array_equal(again.motion.goal, built.motion.goal)
 
 
 def test_builders_vary_places():
@@ -284,9 +283,9 @@ def test_builders_vary_places():
         arm(UPPER, LOWER), start_at={"foot": ABOVE}, goal_at={"foot": np.array(BELOW)}, duration_s=0.6
     )
     moved = built.with_settings({"motion.goal_at.foot": [0.35, 0.0, -0.3]})
-    assert foot_of(moved.planning.motion.goal)[0] == pytest.approx([0.35, 0, -0.3], abs=OUT_OF_REACH_M)
+    assert foot_of(moved.motion.goal)[0] == pytest.approx([0.35, 0, -0.3], abs=OUT_OF_REACH_M)
     by_joints = built.replace(goal_at=None, goal_deg={"J1": -30, "J2": 20})
-    assert not by_joints.planning.motion.goal_at
+    assert not by_joints.motion.goal_at
     with pytest.raises(ProblemError, match="keep one"):
         built.replace(goal_deg={"J1": -30, "J2": 20})
 
@@ -300,11 +299,11 @@ def example() -> dict:
 
 @pytest.mark.slow
 def test_the_example_of_the_documents_is_planned_along_its_wall():
-    plan = plan_motion(problem_from_tables("example", example()))
+    plan = plan_motion(Problem.from_tables("example", example()))
     assert plan.status == "optimal", plan.message
     assert len(plan.certificate.margins) == 4
     assert 0.25 - 1e-9 < places_along(plan)[:, 0].min() < 0.25 + SITE_BINDS_M
-    free = problem_from_tables("example", {key: table for key, table in example().items() if key != "limits"})
+    free = Problem.from_tables("example", {key: table for key, table in example().items() if key != "limits"})
     assert places_along(plan_motion(free))[:, 0].min() < 0.2
 
 

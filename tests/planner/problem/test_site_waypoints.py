@@ -13,7 +13,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.replan import Planner, structure
+from linkplan.planner.replan import Replanner, structure
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, plan_of, site_problem
@@ -109,7 +109,7 @@ def test_places_on_the_way_are_numbers_of_a_built_program():
     def asked(at: object) -> dict:
         return PAST | {"waypoints": [{"at": {"foot": at}, "time_s": 0.3}]}
 
-    planner, mechanism = Planner(), arm_of(UPPER, LOWER)
+    planner, mechanism = Replanner(), arm_of(UPPER, LOWER)
     planner.plan(site_problem(mechanism, asked({"x": 0.4})))
     again = planner.plan(site_problem(mechanism, asked({"x": 0.38})))
     assert again.solved_again
@@ -159,7 +159,7 @@ def test_a_problem_is_written_and_read_with_its_places(tmp_path):
     (tmp_path / "arm.toml").write_text(problem.to_toml(), encoding="utf-8")
     again = linkplan.Problem.from_file(tmp_path / "arm.toml")
     assert again.to_dict() == problem.to_dict()
-    assert again.planning.motion.waypoints[0].at_rows == (0,)
+    assert again.motion.waypoints[0].at_rows == (0,)
 
 
 def test_a_motion_tells_where_the_sites_are_that_its_problem_names(tmp_path):

@@ -84,7 +84,7 @@ def test_a_crank_without_friction_turns_freely_at_the_energy_of_its_period():
 
     E = scipy.optimize.brentq(late, V.max() * 1.0001, 100.0, xtol=1e-14)
     time = np.linspace(0.0, PERIOD_S, 50)
-    trajectory = plan.answer.trajectory
+    trajectory = plan.trajectory
     s, v = trajectory.position_at(time)[:, 0], trajectory.velocity_at(time)[:, 0]
     expected = np.array([np.sqrt(2 * (E - potential(np.array([x]))) / inertia(np.array([x]))[0, 0]) for x in s])
     assert np.abs(v / expected - 1).max() < FREE_SPEED
@@ -92,13 +92,13 @@ def test_a_crank_without_friction_turns_freely_at_the_energy_of_its_period():
 
 
 def test_a_motion_turns_the_other_way_where_the_turns_are_negative():
-    trajectory = turning(-1).answer.trajectory
+    trajectory = turning(-1).trajectory
     assert trajectory.position[-1, -1, 0] - trajectory.position[0, 0, 0] == pytest.approx(-2 * np.pi)
     assert trajectory.velocity_at(np.linspace(0, 1, 50)).max() < 0
 
 
 def test_states_return_and_positions_go_on_from_turn_to_turn():
-    trajectory = turning().answer.trajectory
+    trajectory = turning().trajectory
     time = np.linspace(0.0, PERIOD_S, 37)
     assert np.abs(trajectory.position_at(time + 2 * PERIOD_S) - trajectory.position_at(time) - 4 * np.pi).max() < 1e-9
     assert np.abs(trajectory.velocity_at(time + PERIOD_S) - trajectory.velocity_at(time)).max() < 1e-6
@@ -110,7 +110,7 @@ def test_states_return_and_positions_go_on_from_turn_to_turn():
 
 def test_dependent_joints_go_on_with_the_crank_and_the_loops_stay_closed_between_turns():
     plan = turning()
-    mechanism = plan.answer.problem.mechanism
+    mechanism = plan.problem.mechanism
     table = plan.sample(np.array([0.1, 0.1 + PERIOD_S, 0.1 - PERIOD_S]))
     for name, turns in (("O", 1), ("A", -1), ("B", 0)):
         values = table.position[name]
@@ -133,7 +133,7 @@ def test_a_saved_plan_of_turns_is_read_back_and_certified_again(tmp_path):
     plan = turning()
     again = linkplan.read_plan(plan.save(tmp_path / "plan"))
     assert again.certificate.passed
-    assert again.answer.problem.motion.turns.tolist() == [1.0]
+    assert again.problem.motion.turns.tolist() == [1.0]
     assert again.sample(1.7).position["O"] == pytest.approx(plan.sample(1.7).position["O"])
     text = (tmp_path / "plan" / "plan.json").read_text(encoding="utf-8")
     (tmp_path / "plan" / "plan.json").write_text(replaced(text, '"O": 1\n', '"O": 2\n'), encoding="utf-8")
@@ -142,7 +142,7 @@ def test_a_saved_plan_of_turns_is_read_back_and_certified_again(tmp_path):
 
 
 def test_a_certificate_refuses_a_motion_that_falls_short_of_its_turn():
-    plan = turning().answer
+    plan = turning()
     t = plan.trajectory
     short = Trajectory(
         breaks_s=t.breaks_s,
@@ -161,7 +161,7 @@ def test_a_problem_of_turns_is_the_same_written_down(tmp_path):
     (tmp_path / "p.toml").write_text(problem.to_toml(), encoding="utf-8")
     again = linkplan.Problem.from_file(tmp_path / "p.toml")
     assert again.to_dict() == problem.to_dict()
-    assert again.planning.motion.turns.tolist() == [-1.0]
+    assert again.motion.turns.tolist() == [-1.0]
 
 
 GEARED = """<mujoco model="geared"><compiler angle="radian"/><worldbody>
@@ -208,7 +208,7 @@ def test_turns_that_cannot_be_are_refused_in_a_line(model, turns, words):
 
 
 def test_a_joint_that_is_back_after_two_turns_turns_twice():
-    assert linkplan.Problem.periodic(geared(0.5), turns={"O": 2}, duration_s=1.0).planning.motion.turns.tolist() == [2.0]
+    assert linkplan.Problem.periodic(geared(0.5), turns={"O": 2}, duration_s=1.0).motion.turns.tolist() == [2.0]
 
 
 def test_turns_belong_to_periodic_motions_without_a_reference():

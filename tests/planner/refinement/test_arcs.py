@@ -5,8 +5,8 @@ import pytest
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.constrained_arcs import (
     FixedArcs,
@@ -19,7 +19,6 @@ from linkplan.planner.refinement.constrained_arcs import (
 from linkplan.planner.refinement.switch_search import settle_switch_times
 from linkplan.planner.refinement.switches import find_switch_times
 from linkplan.planner.search.first_mesh import first_mesh
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import NAMES, scheme
 from tests.support.fourbar_problems import random_case
@@ -36,7 +35,7 @@ def test_a_speed_limit_on_a_dependent_joint_is_followed_in_the_least_time(number
     case = random_case(1, number)
     assert case.kind == "speed limit"
     assert case.notes["limited"] != "O"
-    plan = plan_motion(problem_from_tables("limited", case.tables))
+    plan = plan_motion(Problem.from_tables("limited", case.tables))
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
 
@@ -47,15 +46,15 @@ def test_a_speed_limit_on_the_driven_joint_is_entered_and_left_in_the_least_time
     """Two of them touch the limit where effort and its own limit let them: in an instant, not at a corner."""
     case = random_case(1, number)
     assert case.notes["limited"] == "O"
-    plan = plan_motion(problem_from_tables("limited", case.tables))
+    plan = plan_motion(Problem.from_tables("limited", case.tables))
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
 
 
 @pytest.mark.slow
 def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
-    problem = problem_from_tables("limited", random_case(1, 365).tables)
-    guess = first_guess(problem, start_pose_of(problem))
+    problem = Problem.from_tables("limited", random_case(1, 365).tables)
+    guess = first_guess(problem, problem.start_pose())
     mesh, durations = first_mesh(problem, guess)
     case = case_of(problem)
     first = attempt(case, guess, mesh, durations, "first solve")

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 
 # A five-bar of ten tonnes with two motors, whose pin is not to rise above the higher of its ends by more than 23 mm. Drawn
 # at random; rounded, its limit is touched at a node and nothing is tightened.
@@ -25,7 +25,7 @@ def plan() -> Plan:
     tables = json.loads(CRANE.read_text(encoding="utf-8"))
     height = tables["limits"]["site"]["tip"]["z"]
     height[0] = -np.inf
-    return plan_motion(problem_from_tables("crane", tables)).require()
+    return plan_motion(Problem.from_tables("crane", tables)).require()
 
 
 @pytest.mark.slow

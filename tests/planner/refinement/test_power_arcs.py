@@ -5,13 +5,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.planning import RUNGS, plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.held_arcs import held_throughout
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import along_power
 from tests.support.least_time import Curves, curves_of, least_time, least_time_within
 from tests.support.mechanisms import FLAT_PARALLELOGRAM
@@ -90,14 +88,14 @@ def test_arcs_along_a_power_limit_are_read_from_a_solution_too():
     assert plan.trajectory.duration_s == pytest.approx(least_time(problem), rel=EXACT)
 
 
-def pin_force_range(problem: PlanningProblem, curves: Curves):
+def pin_force_range(problem: Problem, curves: Curves):
     """Return the function (place, speed) -> efforts at which the knee's pin carries no more than its limit.
 
     The force is affine in effort and in the speed's square and itself: its own square is quadratic in the effort.
     """
     (closure,) = problem.limits.limited_closures
     place = np.linspace(problem.motion.start[0], problem.motion.goal[0], 2001)
-    q = follow(problem.mechanism, place[:, None], start_pose_of(problem))
+    q = follow(problem.mechanism, place[:, None], problem.start_pose())
     terms = [(i, j) for i in range(3) for j in range(5) if 2 * i + j <= 4]
     at = [(u, v) for u in (-100.0, 0.0, 100.0) for v in (-60.0, -30.0, 0.0, 30.0, 60.0)]
 

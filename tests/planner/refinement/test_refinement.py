@@ -7,10 +7,9 @@ import pytest
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.data import KNEE_TABLE
@@ -47,7 +46,7 @@ def test_a_tolerance_that_is_out_of_reach_is_said():
 def test_what_failed_is_not_solved_again_as_it_was(monkeypatch):
     problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
     problem = replace(problem, solver=replace(problem.solver, max_iterations=2))
-    guess, solved = first_guess(problem, start_pose_of(problem)), []
+    guess, solved = first_guess(problem, problem.start_pose()), []
 
     def counted(*given, **how):
         solved.append(solve(*given, **how))
@@ -68,7 +67,7 @@ def test_what_failed_is_not_solved_again_as_it_was(monkeypatch):
 
 def test_what_was_solved_is_not_solved_again_as_it_was(monkeypatch):
     problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
-    guess, solved = first_guess(problem, start_pose_of(problem)), []
+    guess, solved = first_guess(problem, problem.start_pose()), []
 
     def counted(*given, **how):
         solved.append(solve(*given, **how))

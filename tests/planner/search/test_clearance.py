@@ -5,12 +5,10 @@ from dataclasses import replace
 import pytest
 
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import plan_from
 from linkplan.planner.search.ladder import PATIENT, Search
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.singular_poses import nears_singular
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import PHASE_PLANE_TIME
@@ -22,25 +20,25 @@ TO_A_DEAD_CENTRE = 360
 THROUGH_THE_MESH = 474
 
 
-def problem_of(number: int) -> PlanningProblem:
-    return problem_from_tables("next to a singular pose", random_case(SEED, number).tables)
+def problem_of(number: int) -> Problem:
+    return Problem.from_tables("next to a singular pose", random_case(SEED, number).tables)
 
 
-def search_for(problem: PlanningProblem) -> Search:
+def search_for(problem: Problem) -> Search:
     begun = replace(problem, solver=problem.solver.begun())
-    return Search(problem=begun, start_pose=start_pose_of(problem))
+    return Search(problem=begun, start_pose=problem.start_pose())
 
 
 def test_a_straight_motion_in_the_open_nears_no_singular_pose():
     problem = problem_of(TO_A_DEAD_CENTRE)
-    assert not nears_singular(problem, first_guess(problem, start_pose_of(problem)))
+    assert not nears_singular(problem, first_guess(problem, problem.start_pose()))
 
 
 @pytest.mark.slow
 def test_known_switches_are_planned_next_to_a_singular_pose():
     """From a smooth path, solvers fly through the mesh: 24 % faster than the least time, and no motion."""
     case, problem = random_case(SEED, THROUGH_THE_MESH), problem_of(THROUGH_THE_MESH)
-    quickest = least_time_guess(problem, start_pose_of(problem))
+    quickest = least_time_guess(problem, problem.start_pose())
     assert quickest is not None
     plan = plan_from(search_for(problem), PATIENT, "the phase plane", quickest)
     assert plan is not None

@@ -9,12 +9,12 @@ import pytest
 
 from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.replan import Planner
+from linkplan.planner.replan import Replanner
 from linkplan.planner.search import ladder
 from linkplan.planner.solvers.outcome import OF_TIME
 
@@ -110,7 +110,7 @@ def test_a_differential_equations_plan_has_an_answer_wherever_its_time_ends(look
 
 
 def test_a_planner_gives_a_warm_solve_and_a_plan_from_the_beginning_one_budget():
-    planner, problem = Planner(), load_problem("knee-reach")
+    planner, problem = Replanner(), load_problem("knee-reach")
     planner.plan(problem).require()
     late, clock = timed(problem, 1)
     late = replace(late, motion=replace(late.motion, goal=np.radians([40.0])))

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem, load_problem
 from tests.bench.contradictions import rotary_answer, weak_case
 
 # A weak four-bar: the smoothest path leads to a local optimum of 0.879 s, swings to the least time. It begins at a stable
@@ -28,7 +28,7 @@ WEAK = """<mujoco model="weak"><compiler angle="degree" autolimits="true"/><opti
 def planned(minimize: str, duration: float | str) -> Plan:
     motion = {"kind": "reach", "start_deg": {"J1": 0.0}, "goal_deg": {"J1": -169.452587}, "duration_s": duration}
     tables = {"mechanism": {"model": WEAK}, "motion": motion, "objective": {"minimize": minimize}}
-    return plan_motion(problem_from_tables("weak", tables))
+    return plan_motion(Problem.from_tables("weak", tables))
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def quickest_turn_s() -> float:
 def test_the_quickest_turn_is_that_of_full_torque_also_where_a_slower_turn_is_a_local_optimum():
     motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free"}
     tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(problem_from_tables("rotor", tables))
+    plan = plan_motion(Problem.from_tables("rotor", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(quickest_turn_s(), rel=1e-6)
 
@@ -72,7 +72,7 @@ def test_the_quickest_turn_is_that_of_full_torque_also_where_a_slower_turn_is_a_
 def test_a_turn_that_could_be_quicker_takes_the_least_duration_that_is_allowed():
     motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free", "min_duration_s": 0.1}
     tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(problem_from_tables("rotor", tables))
+    plan = plan_motion(Problem.from_tables("rotor", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(0.1, rel=1e-8)
 
@@ -83,7 +83,7 @@ def test_a_direct_reach_that_the_phase_plane_knows_is_found_where_the_smooth_pat
     ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
     motion = {"kind": "reach", **ends, "duration_s": "free"}
     tables = {"mechanism": {"model": fourbar.mjcf(start, limit=limit)}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(problem_from_tables("weak", tables))
+    plan = plan_motion(Problem.from_tables("weak", tables))
     assert plan.objective == pytest.approx(fourbar.minimum_time(start, goal, -limit, limit), rel=1e-6)
 
 
@@ -98,7 +98,7 @@ def test_guesses_along_which_the_loops_open_lead_to_an_answer_and_not_to_an_exce
     motion = {"kind": "reach", **ends, "duration_s": 1.0}
     solver = {"max_time_s": 20.0}
     tables = {"mechanism": {"model": "five-bar"}, "motion": motion, "objective": {"minimize": "effort"}, "solver": solver}
-    assert plan_motion(problem_from_tables("far", tables)).status in ("infeasible", "failed")
+    assert plan_motion(Problem.from_tables("far", tables)).status in ("infeasible", "failed")
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pytest
 from linkplan.models.deadline import Deadline, processor_time_s
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.refinement.refine import refine
@@ -18,7 +18,6 @@ from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Rung, Search, climb
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import from_first_starts, no_time
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -30,7 +29,7 @@ TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 def search_for(problem, seconds: float = 600.0, clock=processor_time_s) -> Search:
     deadline = Deadline(clock=clock).within(seconds)
     timed = replace(problem, solver=replace(problem.solver, deadline=deadline))
-    return Search(problem=timed, start_pose=start_pose_of(problem))
+    return Search(problem=timed, start_pose=problem.start_pose())
 
 
 def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:

@@ -2,12 +2,11 @@
 
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support.plans import problem_of
 
 
 def test_without_effort_limits_there_is_no_shortest_motion():
     """It was asked for, and a least effort of servos without a forcerange was refused for its objective 'time'."""
     problem = problem_of("knee-reach", "limits.effort.act_O=[-inf, inf]")
-    search = Search(problem=problem, start_pose=start_pose_of(problem))
+    search = Search(problem=problem, start_pose=problem.start_pose())
     assert shortest_motion(search) is None

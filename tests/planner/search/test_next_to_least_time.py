@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from linkplan.planner.diagnosis import reasons
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support import fourbar_problems
 from tests.support.tolerances_planner import MINIMUM_TIME
 
@@ -37,7 +36,7 @@ def test_a_weak_swing_up_with_a_little_more_than_the_least_time_is_planned(numbe
     tables = dict(tables)
     tables["motion"] = tables["motion"] | {"duration_s": ratio * least}
     tables["objective"] = {"minimize": "effort"}
-    plan = plan_motion(problem_from_tables("weak", tables))
+    plan = plan_motion(Problem.from_tables("weak", tables))
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(ratio * least, rel=1e-9)
 
@@ -47,7 +46,7 @@ def test_a_weak_least_time_whose_switches_lay_inside_intervals_is_exact():
     """Number 4's first meshes fly past a singular pose, 0.6 % too quick; a finer one smears its switches, 4e-5 late."""
     tables, least = weak_swing_up(4)
     tables = tables | {"motion": tables["motion"] | {"duration_s": "free"}, "objective": {"minimize": "time"}}
-    plan = plan_motion(problem_from_tables("weak", tables))
+    plan = plan_motion(Problem.from_tables("weak", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(least, rel=MINIMUM_TIME)
 
@@ -56,7 +55,7 @@ def test_a_weak_least_time_whose_switches_lay_inside_intervals_is_exact():
 def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkeypatch, known, status):
     problem = load_problem("knee-reach")
     asked = problem.motion.duration_s
-    search = Search(problem=problem, start_pose=start_pose_of(problem))
+    search = Search(problem=problem, start_pose=problem.start_pose())
 
     def named(search, _details):
         search.known.add(SimpleNamespace(duration_s=known * asked))

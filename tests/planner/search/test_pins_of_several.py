@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.limits.closure_force import ClosureForceLimit
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.tightening import Tightening, evened
 from tests.support.five_bar_reach import five_bar_reach
 
@@ -24,7 +24,7 @@ def five_bar(newton: float) -> dict:
 
 @pytest.mark.slow
 def test_a_pin_of_a_five_bar_is_kept_within_its_rating_at_every_instant_in_the_least_time():
-    plan = plan_motion(problem_from_tables("five-bar", five_bar(13.0)))
+    plan = plan_motion(Problem.from_tables("five-bar", five_bar(13.0)))
     assert plan.passed, plan.message
     assert plan.objective == pytest.approx(LEAST_S, rel=CLOSE)
     motion, mechanism = plan.trajectory, plan.problem.mechanism
@@ -36,7 +36,7 @@ def test_a_pin_of_a_five_bar_is_kept_within_its_rating_at_every_instant_in_the_l
 
 
 def test_a_pin_s_force_takes_an_unknown_for_each_of_its_rows():
-    problem = problem_from_tables("five-bar", five_bar(13.0))
+    problem = Problem.from_tables("five-bar", five_bar(13.0))
     (limit,), (at_nodes,) = (ClosureForceLimit.of(problem, enclosed=enclosed) for enclosed in (True, False))
     size = problem.mechanism.closure_slice(limit.item)
     assert (limit.n_unknowns, limit.at_nodes) == (size.stop - size.start, False)

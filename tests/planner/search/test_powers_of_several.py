@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.limits.power import PowerLimit
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from tests.support.digger import DIGGER, POWERS
 from tests.support.five_bar_reach import five_bar_reach
 
@@ -51,7 +51,7 @@ def largest_powers(plan) -> np.ndarray:
 
 @pytest.mark.slow
 def test_motors_of_a_five_bar_jump_inside_intervals_and_keep_their_power():
-    plan = plan_motion(problem_from_tables("five-bar", five_bar(3.0)))
+    plan = plan_motion(Problem.from_tables("five-bar", five_bar(3.0)))
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(FIVE_BAR, rel=SAID)
     assert np.all(largest_powers(plan) <= 3.0 * (1 + ROUNDING))
@@ -59,21 +59,21 @@ def test_motors_of_a_five_bar_jump_inside_intervals_and_keep_their_power():
 
 @pytest.mark.slow
 def test_motors_that_are_weaker_still_are_answered():
-    plan = plan_motion(problem_from_tables("five-bar", five_bar(1.5)))
+    plan = plan_motion(Problem.from_tables("five-bar", five_bar(1.5)))
     assert plan.status == "optimal"
     assert np.all(largest_powers(plan) <= 1.5 * (1 + ROUNDING))
 
 
 @pytest.mark.slow
 def test_least_effort_along_a_power_is_no_dearer_than_what_finer_meshes_find():
-    plan = plan_motion(problem_from_tables("five-bar", five_bar(3.0, duration_s=0.4)))
+    plan = plan_motion(Problem.from_tables("five-bar", five_bar(3.0, duration_s=0.4)))
     assert plan.status == "optimal"
     assert plan.objective <= 0.88107 * (1 + SAID)
 
 
 @pytest.mark.slow
 def test_cylinders_keep_their_power_through_levers_that_change():
-    problem = problem_from_tables("digger", digger())
+    problem = Problem.from_tables("digger", digger())
     assert [limit.item for limit in PowerLimit.of(problem, enclosed=True) if limit.levers] == [0, 1]
     plan = plan_motion(problem)
     assert plan.status == "optimal"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from tests.bench.random_fourbars import judge
 from tests.support.fourbar import random_swing, rate_of
 from tests.support.fourbar_problems import KINDS, Case, random_case
@@ -108,7 +108,7 @@ def test_the_sample_has_every_kind_and_problems_of_both_answers():
 @pytest.mark.parametrize("number", SAMPLE)
 def test_a_random_problem_is_answered_as_the_phase_plane_says(number):
     case = case_of(number)
-    plan = plan_motion(problem_from_tables(f"{case.kind} {number}", case.tables))
+    plan = plan_motion(Problem.from_tables(f"{case.kind} {number}", case.tables))
     assert judge(case, plan) == "right", f"{case.kind}, {case.notes}: {plan.message}"
 
 
@@ -116,7 +116,7 @@ def test_a_random_problem_is_answered_as_the_phase_plane_says(number):
 def test_an_unstable_motion_is_not_sought_on_ever_finer_meshes():
     """Number 6 of seed 0: each mesh showed another motion, up to 3,128 intervals of degree 9, before the one that passes."""
     case = random_case(0, 6)
-    plan = plan_motion(problem_from_tables(case.kind, case.tables))
+    plan = plan_motion(Problem.from_tables(case.kind, case.tables))
     assert judge(case, plan) == "right", plan.message
     assert max(step.intervals for step in plan.history) <= FINEST
 
@@ -126,7 +126,7 @@ def test_an_unstable_motion_is_not_sought_on_ever_finer_meshes():
 def test_what_was_answered_a_little_late_is_answered_as_the_phase_plane_says(number):
     """Of seed 7: a least time begun from a coarse mesh's; a shortest duration with efforts as least work has them."""
     case = random_case(7, number)
-    plan = plan_motion(problem_from_tables(case.kind, case.tables))
+    plan = plan_motion(Problem.from_tables(case.kind, case.tables))
     assert judge(case, plan) == "right", plan.message
 
 
@@ -135,6 +135,6 @@ def test_refinement_goes_on_where_each_round_closes_in_on_a_limit():
     """Number 54 of seed 7 in least time: it failed with its speed limit overrun by a twenty-millionth after all rounds."""
     case = random_case(7, 54)
     tables = case.tables | {"motion": case.tables["motion"] | {"duration_s": "free"}, "objective": {"minimize": "time"}}
-    plan = plan_motion(problem_from_tables(case.kind, tables))
+    plan = plan_motion(Problem.from_tables(case.kind, tables))
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(case.shortest, rel=1e-6)

@@ -8,10 +8,10 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.plan_folder import write_plan
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import (

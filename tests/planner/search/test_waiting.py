@@ -8,12 +8,11 @@ from scipy.integrate import quad
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.planning import REPAIRS, plan_motion
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.presolve import start_pose_of
 from tests.support.bodies import PENDULUM, body_problem
 
 DURATION_S = 0.8
@@ -26,7 +25,7 @@ QUADRATURE = 1e-7
 @pytest.fixture(scope="module")
 def search() -> Search:
     problem = load_problem("five-bar-reach", [f"motion.duration_s={DURATION_S}", "objective.minimize=effort"])
-    return Search(problem=problem, start_pose=start_pose_of(problem), repairs=REPAIRS)
+    return Search(problem=problem, start_pose=problem.start_pose(), repairs=REPAIRS)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +79,7 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     limit = share * 9.81 * 0.5 * np.sin(np.radians(30.0))
     motion = 'kind = "reach"\nstart_deg = { J = 30.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 4.0\n'
     problem = body_problem(PENDULUM.format(limit=repr(float(limit))), motion)
-    assert waiting.may_wait(Search(problem=problem, start_pose=start_pose_of(problem))) is can_wait
+    assert waiting.may_wait(Search(problem=problem, start_pose=problem.start_pose())) is can_wait
 
 
 def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
@@ -91,11 +90,11 @@ def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
     def problem(minimize: str, duration: float | str):
         motion = {"kind": "reach", "start_m": {"x": 0.0}, "goal_m": {"x": 1.0}, "duration_s": duration}
         tables = {"mechanism": {"model": model}, "motion": motion, "objective": {"minimize": minimize}}
-        return problem_from_tables("cart", tables)
+        return Problem.from_tables("cart", tables)
 
     quick, slow = plan_motion(problem("time", "free")), plan_motion(problem("effort", 1.5))
     asked = problem("effort", 2.5)
-    search = Search(problem=asked, start_pose=start_pose_of(asked))
+    search = Search(problem=asked, start_pose=asked.start_pose())
     for plan in (quick, slow):
         search.known.add(plan.trajectory)
     joined = waiting._rest_and_motion(search, PATIENT, quick)

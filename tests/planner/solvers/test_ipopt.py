@@ -11,20 +11,18 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import Transcribed, transcribe
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, solve
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.plans import problem_of
 
 
-def transcribed(problem: PlanningProblem) -> Transcribed:
+def transcribed(problem: Problem) -> Transcribed:
     """Return the program of a problem on a small mesh."""
-    guess = first_guess(problem, start_pose_of(problem))
+    guess = first_guess(problem, problem.start_pose())
     return transcribe(problem, guess, uniform(20), np.array([guess.duration_s]))
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
-from linkplan.planner.files.problem_file import load_problem
-from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.solvers import solve as module
 from linkplan.planner.solvers.outcome import OUT_OF_ITERATIONS
 from linkplan.planner.solvers.solve import solve
@@ -21,7 +20,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has
 def programmed(*settings: str):
     """Return the settings and the program of a reach on few intervals."""
     problem = load_problem("knee-reach", [*settings, "mesh.intervals=8"])
-    guess = first_guess(problem, start_pose_of(problem))
+    guess = first_guess(problem, problem.start_pose())
     return problem.solver, transcribe(problem, guess, uniform(8), np.array([guess.duration_s]))
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.limits.power import PowerLimit
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.transcription import compiled as module
 from linkplan.planner.transcription.cache import cache_folder
 from linkplan.planner.transcription.compiled import cached, chain_key, compiled, compiler, node_key

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.plan_folder import write_plan
+from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, unpacked
@@ -59,7 +59,7 @@ def test_what_is_planned_is_not_planned_again_and_another_batch_is_refused(tmp_p
     assert not unfinished(tmp_path / "x").exists()
 
 
-CASES = swept(3).cases[:1]
+CASES = swept(3).case[:1]
 
 
 @pytest.fixture

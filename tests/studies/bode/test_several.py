@@ -9,7 +9,7 @@ from linkplan.controllers.sampling import sampling
 from linkplan.controllers.trackers.lqr import linearise
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import bode_text

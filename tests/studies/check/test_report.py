@@ -12,7 +12,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
 from linkplan.planner.files.folders import plain
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.check.check_report import path_blocks, quantities
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import (

@@ -7,8 +7,8 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.planner.batch import check_batch, plan_cases
 from linkplan.planner.files.batch_file import read_batch
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli.main import main
 from tests.support.tolerances_planner import SAME_FIGURE
 
@@ -42,17 +42,17 @@ def batch_file(tmp_path):
 
 def test_a_sweep_has_every_combination_in_order(batch_file):
     batch = read_batch(batch_file(SWEEP))
-    assert [case.name for case in batch.cases] == ["1", "2", "3", "4"]
-    assert batch.cases[1].settings == ("motion.goal_deg.O=45", "mechanism.payload.mass_kg=5.0")
-    assert batch.common == ("motion.duration_s=0.2",)
+    assert [case.name for case in batch.case] == ["1", "2", "3", "4"]
+    assert batch.case[1].set == ["motion.goal_deg.O=45", "mechanism.payload.mass_kg=5.0"]
+    assert batch.set == ["motion.duration_s=0.2"]
 
 
 @pytest.mark.slow
 def test_every_case_has_the_answer_that_it_has_alone_and_only_the_first_is_built(batch_file):
     batch = read_batch(batch_file(SWEEP))
-    results = list(plan_cases(batch, batch.cases))
+    results = list(plan_cases(batch, batch.case))
     for number, (case, plan) in enumerate(results):
-        alone = plan_motion(load_problem("knee-reach", ["motion.duration_s=0.2", *case.settings]))
+        alone = plan_motion(load_problem("knee-reach", ["motion.duration_s=0.2", *case.set]))
         assert plan.objective == pytest.approx(alone.objective, rel=SAME_FIGURE)
         assert plan.solved_again == (number > 0)
 

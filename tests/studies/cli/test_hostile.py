@@ -13,8 +13,8 @@ from linkplan.models.errors import CertificateError, LinkplanError, ModelError, 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.saved import objective_value
 from linkplan.planner.files import tables
-from linkplan.planner.files.plan_folder import read_plan
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.transcription import compiled
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.drawing import page

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.interrupts import ended_by
-from linkplan.planner.files.plan_folder import read_plan
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli import plan_commands
 from tests.support.plans import optimal
 
@@ -25,7 +25,7 @@ CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 
 @pytest.mark.parametrize("number", CODES)
 def test_a_signal_while_planning_ends_the_command_and_writes_nothing(number, ask, tmp_path, monkeypatch):
-    def ended(problem: PlanningProblem, _: object) -> Plan:
+    def ended(problem: Problem, _: object) -> Plan:
         os.kill(os.getpid(), number)
         return optimal(problem.name)
 

@@ -8,7 +8,7 @@ import matplotlib
 import pytest
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli import faults
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.drawing import page

@@ -7,8 +7,8 @@ from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.rigid_plant import RigidPlant
 from linkplan.controllers.simulate import simulate
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import Comparison, _plant, rollout_record, track, tracking_reference
 from linkplan.studies.compare.comparison_blocks import comparison_figure
@@ -42,7 +42,7 @@ GAINS = [1e9, 1e100, 1e200, 1e308]
 
 @pytest.fixture(scope="module")
 def plan():
-    return plan_motion(problem_from_tables("arm", MOTION, mechanism=load_mechanism(ARM)))
+    return plan_motion(Problem.from_tables("arm", MOTION, mechanism=load_mechanism(ARM)))
 
 
 def runaway(gain: float):

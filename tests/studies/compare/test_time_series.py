@@ -12,9 +12,9 @@ from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
-from linkplan.planner.files.plan_folder import certificate_record
-from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.plan_folder import certificate_record
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
 from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, track
@@ -35,7 +35,7 @@ def compared(model: str, **mechanism: str) -> Comparison:
         "reference": {"amplitude_deg": dict.fromkeys(joints, 3.0), "bias_deg": joints, "frequency_hz": 2.0},
         "tracking": {"kp": 50.0, "kd": 1.0, "period_s": 1e-3, "duration_s": 0.5},
     }
-    plan = plan_motion(problem_from_tables("sine", tables))
+    plan = plan_motion(Problem.from_tables("sine", tables))
     run = track(plan, "pd")
     return Comparison(plan=plan, nominal={"pd": run}, mismatch=None, mismatched={})
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import silent
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.experiment import block as blocks
 from linkplan.studies.experiment import conduct as conducting
 from linkplan.studies.experiment.experiment import Settings, experiment_of, fall_note

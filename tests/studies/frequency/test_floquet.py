@@ -8,8 +8,8 @@ import pytest
 from linkplan.controllers.reference import sample
 from linkplan.controllers.sampling import sampling
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.bode.along_motion import along_motion
 from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.frequency.floquet import floquet, frozen_radii

@@ -7,17 +7,17 @@ import pytest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.first_motion import first_motion
 from linkplan.studies.new.hanging import at_gravity_equilibrium, hanging_columns, hanging_pose, is_equilibrium
 from tests.support.drawn_by_others import arm, ring
 
 
-def tried_of(text: str, monkeypatch, tmp_path) -> list[PlanningProblem]:
+def tried_of(text: str, monkeypatch, tmp_path) -> list[Problem]:
     """Return the problems that are tried of a mechanism none of whose motions is ever found."""
     tried = []
 
-    def nothing(problem: PlanningProblem, *_) -> Plan:
+    def nothing(problem: Problem, *_) -> Plan:
         tried.append(problem)
         return Plan(problem=problem, status="failed", message="failed: as told")
 

@@ -11,14 +11,12 @@ import pytest
 
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.files.examples import EXAMPLES
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import set_key
 from linkplan.planner.keys.key_table import key_table
 from linkplan.planner.keys.reading import KEYS as READER
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.studies.new.first_motion import FirstMotion, first_motion, moves_of
 from linkplan.studies.new.problem_text import problem_text
@@ -78,9 +76,8 @@ def test_the_text_is_read_as_the_tables_that_it_was_made_of():
 def test_there_is_an_example_of_every_key_without_a_single_default_and_of_no_other():
     rows = [row for row in key_table() if row.section in READER]
     assert {(row.section, row.name) for row in rows} == {(section, key) for section, keys in READER.items() for key in keys}
-    examples = dict(EXAMPLES)
-    motor = examples.pop("motors.{actuator}").text
-    assert set(examples) == {f"{row.section}.{row.name}" for row in rows if row.default is None}
+    assert not [row for row in rows if (row.default is None) != bool(row.example)]
+    (motor,) = (row.example for row in key_table() if not row.section and row.name == "motors")
     of_motors = [row.name for row in key_table() if row.section == "motors.NAME"]
     assert [name for name in of_motors if f"{name} =" not in motor] == ["no_load_speed_deg_s", "no_load_speed_m_s"]
     assert "{no_load}" in motor  # one of the two
@@ -129,7 +126,7 @@ def test_every_option_in_a_comment_can_be_taken_as_it_stands(model):
                 tables, f"{'mechanism' if other == 'payload' else section}.{other}", tomllib.loads(f"x = {example}")["x"]
             )
         set_key(tables, f"{section}.{option[1]}", tomllib.loads(f"x = {option[2]}")["x"])
-        problem_from_tables("begun", tables)
+        Problem.from_tables("begun", tables)
         taken += 1
     assert taken > 50
 
@@ -140,7 +137,7 @@ def test_its_reference_can_be_taken_as_a_whole():
     whole = text[:begin] + re.sub(r"(?m)^#(\w+ =)", r"\1", text[begin:end]) + text[end:]
     for set_now, instead in (('"reach"', '"track"'), ("goal_deg", "#goal_deg"), ('minimize = "effort"', "")):
         whole = whole.replace(set_now, instead)
-    problem = problem_from_tables("begun", tomllib.loads(whole))
+    problem = Problem.from_tables("begun", tomllib.loads(whole))
     assert problem.reference.frequency_hz == 1.0
 
 
@@ -148,7 +145,7 @@ def tried_of(model: str, monkeypatch) -> list[dict]:
     """Return the motions that are tried of a mechanism none of whose motions is ever found."""
     tried = []
 
-    def nothing(problem: PlanningProblem, *_) -> Plan:
+    def nothing(problem: Problem, *_) -> Plan:
         tried.append(problem)
         return Plan(problem=problem, status="failed", message="failed: as told")
 
@@ -193,7 +190,7 @@ def test_a_sprung_leg_has_a_first_motion(monkeypatch):
     """The third one that is tried, where two larger ones are passed over: how long those are tried hangs on the machine."""
     tried = []
 
-    def third(problem: PlanningProblem, *rest) -> Plan:
+    def third(problem: Problem, *rest) -> Plan:
         tried.append(problem)
         if len(tried) < 3:
             return Plan(problem=problem, status="failed", message="failed: passed over")

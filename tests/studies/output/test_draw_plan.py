@@ -6,7 +6,8 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.limits import Limits, free_bounds
-from linkplan.planner.problem.planning_problem import Motion, PlanningProblem
+from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.output.draw_plan import plan_figure
 from tests.support.arms import LOWER, UPPER
@@ -27,7 +28,7 @@ def many() -> Plan:
     motors = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-9 9"/>' for k in range(len(KINDS)))
     mechanism = load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
     n, unlimited = len(KINDS), free_bounds(len(KINDS))
-    problem = PlanningProblem(
+    problem = Problem(
         name="many",
         mechanism=mechanism,
         motion=Motion(kind="reach", start=np.zeros(n), goal=np.ones(n), duration_s=1.0),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from linkplan.planner.files.whole_file import MADE_BY
+from linkplan.planner.files.single_file import MADE_BY
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
 
 WIDTH, HEIGHT, MANY = 96, 64, 30

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.files.batch_file import Batch, Case
+from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
 from linkplan.studies.tasks import cluster as dask_cluster
@@ -157,7 +157,7 @@ def test_an_interrupt_while_workers_are_waited_for_reaches_the_command(tmp_path,
     def interrupted(*_):
         raise KeyboardInterrupt("first")
 
-    lost, batch = [], Batch(problem="x", common=(), cases=(Case(name="a", settings=()),))
+    lost, batch = [], BatchFile(problem="x", case=[CaseSection(name="a")])
     monkeypatch.setattr(sys, "unraisablehook", lost.append)
     monkeypatch.setattr(study, "replace_file", interrupted)
     monkeypatch.setattr(study, "_work", lambda *_: [])

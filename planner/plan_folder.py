@@ -20,15 +20,14 @@ from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.folders import complete, plain_record, write_json
-from linkplan.planner.files.motion_table import motion_table
-from linkplan.planner.files.plan_record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record
-from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
 from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.motion_table import motion_table
 from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.plan_record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
 
@@ -42,6 +41,10 @@ def record(plan: Plan) -> dict:
     problem, mechanism = plan.problem, plan.problem.mechanism
     names = [actuator.name for actuator in mechanism.actuators]
     certificate = plan.certificate
+
+    def peaks(of: str, names: Sequence[str]) -> dict | None:
+        return None if certificate is None else dict(zip(names, getattr(certificate, of), strict=True))
+
     return plain_record(
         {
             "format": PLAN_FORMAT,
@@ -50,14 +53,10 @@ def record(plan: Plan) -> dict:
             "message": plan.message,
             "objective": plan.objective,
             "objective_kind": problem.objective.name,
-            "duration_s": None if plan.trajectory is None else plan.trajectory.duration_s,
-            "peak_effort": None if certificate is None else dict(zip(names, certificate.peak_effort, strict=True)),
-            "peak_power_w": None if certificate is None else dict(zip(names, certificate.peak_power, strict=True)),
-            "peak_closure_force_n": (
-                None
-                if certificate is None
-                else dict(zip(mechanism.closure_names, certificate.peak_closure_force, strict=True))
-            ),
+            "duration_s": plan.duration_s,
+            "peak_effort": peaks("peak_effort", names),
+            "peak_power_w": peaks("peak_power", names),
+            "peak_closure_force_n": peaks("peak_closure_force", mechanism.closure_names),
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
             "certificate": None if certificate is None else certificate_record(problem, certificate),
@@ -78,7 +77,7 @@ def record(plan: Plan) -> dict:
     )
 
 
-def certificate_record(problem: PlanningProblem, certificate: Certificate) -> dict:
+def certificate_record(problem: Problem, certificate: Certificate) -> dict:
     """Return a certificate's values by name, with units in the names."""
     joints = problem.mechanism.joints
     margins = list(zip(joints, certificate.position_margin, certificate.speed_margin, strict=True))
@@ -140,7 +139,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     write_json(folder / "plan.json", record(plan) | {"model_from_here": _from(place or folder, plan.problem)})
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
-    table = motion_table(plan, jumps=jumps)
+    table = motion_table(plan.problem, plan.trajectory, jumps=jumps)
     if table.site:  # in addition to the motion: samples at the times of trajectory.csv
         arrays |= {"time_s": table.time_s} | {f"site_{name}_m": places for name, places in table.site.items()}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
@@ -153,7 +152,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
         raise CertificateError(f"the plan is not saved, since its files could not be used: {again.message}")
 
 
-def _from(place: Path, problem: PlanningProblem) -> str | None:
+def _from(place: Path, problem: Problem) -> str | None:
     """Return the path of a problem's model file relative to a plan's folder; None for a built-in model."""
     model = problem.source.get("mechanism", {}).get("model")
     if not isinstance(model, str) or not is_file(Path(model)):
@@ -194,7 +193,7 @@ def read_plan(
     trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:
         apply_override(saved.problem, override)
-    build = functools.partial(problem_from_tables, extra_costs=extra_costs, extra_limits=extra_limits)
+    build = functools.partial(Problem.from_tables, extra_costs=extra_costs, extra_limits=extra_limits)
     problem = _rebuilt_problem(saved, folder, build, overrides)
     if problem.extras and extra_records(problem.extras) != saved.extras:
         had = extras_text(saved.extras) if saved.extras else "no extra limit or cost"
@@ -208,7 +207,7 @@ def read_plan(
     return plan
 
 
-def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem: PlanningProblem) -> Plan:
+def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem: Problem) -> Plan:
     """Return the plan in a folder's files with a new certificate; its status is "failed" if it does not pass.
 
     Raises:
@@ -250,8 +249,8 @@ def _lost(saved: PlanRecord) -> str:
 
 
 def _rebuilt_problem(
-    saved: PlanRecord, folder: Path, build: Callable[..., PlanningProblem], overrides: Sequence[str] = ()
-) -> PlanningProblem:
+    saved: PlanRecord, folder: Path, build: Callable[..., Problem], overrides: Sequence[str] = ()
+) -> Problem:
     """Return a saved plan's problem, with its model found relative to the plan or at its old path; refuse a changed model.
 
     `build` makes a problem from a name and tables.
@@ -308,7 +307,7 @@ def _unbounded(value: object) -> object:
     return [_unbounded(item) for item in value] if isinstance(value, list) else value
 
 
-def _changed(saved: PlanRecord, problem: PlanningProblem) -> list[str]:
+def _changed(saved: PlanRecord, problem: Problem) -> list[str]:
     """Return the parts of a model that have changed since it was planned; empty if this is unknown."""
     kept = saved.fingerprint
     if kept is None or saved.versions.get("mujoco") != mujoco_version():

@@ -1,15 +1,17 @@
-"""A plan's motion at any times, in the units of files: positions and speeds of all joints, efforts, sites."""
+"""A motion at any times, in the units of files: positions and speeds of all joints, efforts, sites."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.turning import whole_turns
-from linkplan.planner.plan import Plan
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import AXES
+from linkplan.planner.trajectory import Trajectory
 
 # Samples of a written motion per interval; loops are followed from sample to sample.
 SAMPLES_PER_INTERVAL = 10
@@ -63,8 +65,27 @@ class MotionTable:
         return found
 
 
-def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
-    """Return a plan's motion at times (n,) [s], in any order; by default at ten times per interval.
+def sample_motion(problem: Problem, trajectory: Trajectory, time_s: object = None, *, jumps: bool = False) -> MotionTable:
+    """Return a motion at times (n,) [s], or at a single time as numbers; otherwise as `motion_table`.
+
+    Raises:
+        ProblemError: for times that are not finite numbers.
+        AssemblyError: when the loops do not close along the motion.
+    """
+    try:
+        time = None if time_s is None else np.asarray(time_s, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        time = np.full((), np.nan)
+    if time is not None and (time.ndim > 1 or not np.all(np.isfinite(time))):
+        raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
+    table = motion_table(problem, trajectory, None if time is None else np.atleast_1d(time), jumps=jumps)
+    return table.single() if time is not None and time.ndim == 0 else table
+
+
+def motion_table(
+    problem: Problem, trajectory: Trajectory, time_s: np.ndarray | None = None, *, jumps: bool = False
+) -> MotionTable:
+    """Return a motion at times (n,) [s], in any order; by default at ten times per interval.
 
     The default times increase strictly, and a break between intervals has the later interval's values. With `jumps` it
     appears twice, just before and at the break, to show jumps of efforts.
@@ -75,7 +96,7 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = 
     Raises:
         AssemblyError: when the loops do not close along the motion.
     """
-    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    mechanism = problem.mechanism
     dense = trajectory.dense_times(SAMPLES_PER_INTERVAL)
     begin, end = trajectory.breaks_s[0], trajectory.breaks_s[-1]
     time = (dense if jumps else _single_valued(dense)) if time_s is None else np.asarray(time_s, dtype=float)
@@ -99,7 +120,7 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = 
         effort={actuator.name: u for actuator, u in zip(mechanism.actuators, efforts.T, strict=True)},
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
-        site={name: places_of(mechanism, index, q) for name, index in plan.problem.sites.items()},
+        site={name: places_of(mechanism, index, q) for name, index in problem.sites.items()},
     )
 
 

@@ -1,1 +1,0 @@
-../studies/package/next_motion.py

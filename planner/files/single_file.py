@@ -1,0 +1,130 @@
+"""Single files, written whole or not at all; files of the user are never replaced.
+
+`write_new` makes a new file, `write_over` replaces an earlier one, and `write_file_whole` replaces only files that carry
+linkplan's mark.
+"""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from linkplan.models.errors import PlanFileError
+from linkplan.planner.files.work_folders import replace_file, sweep, work_folder
+
+# The mark of pictures and films, where each format allows it: a PNG's text, a GIF's comment, an MP4's metadata.
+MADE_BY = "made by linkplan render"
+
+
+def check_new(path: Path) -> None:
+    """Refuse a path where no file can be made, before long work begins.
+
+    Raises:
+        PlanFileError: if the path exists, or its folder is missing or cannot be written.
+    """
+    try:
+        if os.path.lexists(path):
+            raise PlanFileError(f"'{path}' is there already, and no file is overwritten; name another, or remove it")
+        if not path.name:
+            raise PlanFileError(f"'{path}' is no path for a file")
+        _check_folder(path, path.parent)
+    except (OSError, ValueError) as error:
+        raise PlanFileError(f"'{path}' is no path for a file: {error}") from error
+
+
+def write_new(path: Path, content: bytes) -> None:
+    """Write a new file: first next to its place, then moved in one step.
+
+    Raises:
+        PlanFileError: if the path exists, or the disk refuses.
+    """
+    check_new(path)
+    try:
+        with work_folder(path.parent) as work:
+            part = work / path.name
+            with part.open("xb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            try:
+                os.link(part, path)  # unlike renaming, this fails if the path exists by now
+            except FileExistsError:
+                check_new(path)
+                raise
+            except OSError:  # a file system without hard links
+                with path.open("xb") as file:
+                    file.write(content)
+    except OSError as error:
+        raise PlanFileError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def write_over(path: Path, content: bytes) -> None:
+    """Replace an earlier file by a new one in one step, once the new one is on the disk.
+
+    Raises:
+        PlanFileError: when the disk refuses; the earlier file is then unchanged.
+    """
+    try:
+        place = path.resolve()  # a link stays a link
+        replace_file(place, lambda work: work.write_bytes(content))
+    except (OSError, RuntimeError) as error:
+        raise PlanFileError(f"cannot write '{path}': {getattr(error, 'strerror', None) or error}") from error
+
+
+def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
+    """Refuse a file that could not be written later, before long work begins.
+
+    Raises:
+        PlanFileError: for another suffix, a folder, a file that linkplan did not write, or a place that cannot be written.
+    """
+    suffix = target.suffix.lower()
+    if suffix not in suffixes:
+        raise PlanFileError(f"'{target}' ends in {', '.join(suffixes[:-1])} or {suffixes[-1]}, got '{target.suffix}'")
+    try:
+        place = target.resolve()
+        sweep(place.parent)
+        if place.is_dir():
+            raise PlanFileError(f"'{target}' is a folder; the result is a file")
+        _check_folder(target, place.parent)
+        if os.path.lexists(place) and not _is_ours(place):
+            raise PlanFileError(f"'{target}' is there and not linkplan's; move it or name another file")
+    except (OSError, RuntimeError, ValueError) as error:
+        raise PlanFileError(f"'{target}' cannot be written: {getattr(error, 'strerror', None) or error}") from error
+
+
+def write_file_whole(target: Path, suffixes: tuple[str, ...], write: Callable[[Path], None]) -> None:
+    """Write a file by `write(path)` next to its place, then move it there; on any failure nothing changes.
+
+    Raises:
+        PlanFileError: when the disk refuses, or the place holds a file that is not linkplan's.
+    """
+    check_file_target(target, suffixes)
+
+    def write_and_check(path: Path) -> None:
+        write(path)
+        check_file_target(target, suffixes)  # again: the work may have taken long
+
+    try:
+        replace_file(target.resolve(), write_and_check)
+    except OSError as error:
+        raise PlanFileError(f"cannot write '{target}': {error.strerror or error}") from error
+
+
+def _check_folder(path: Path, folder: Path) -> None:
+    """Refuse a folder that is missing or cannot be written."""
+    if not folder.is_dir():
+        raise PlanFileError(f"'{path}' cannot be written: there is no folder '{path.parent}'")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PlanFileError(f"'{path}' cannot be written: no permission to write into '{path.parent}'")
+
+
+def _is_ours(path: Path) -> bool:
+    """Check that a file carries linkplan's mark, or is empty, so that nothing is lost."""
+    if not path.is_file():
+        return False
+    mark, kept = MADE_BY.encode(), b""
+    with path.open("rb") as file:
+        while chunk := file.read(1 << 20):
+            if mark in kept + chunk:
+                return True
+            kept = chunk[-len(mark) :]
+    return path.stat().st_size == 0

@@ -1,0 +1,181 @@
+"""From the tables of a problem file to the arguments of a `Problem`, with every key and value checked.
+
+Builders, files and saved plans all make tables. The sections of `planner.keys` are their specification, and each section
+becomes the value of one field here. Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`;
+all else is SI.
+"""
+
+import copy
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from linkplan.models.audit import audit
+from linkplan.models.catalogue import MODELS, is_file
+from linkplan.models.errors import ModelError, ProblemError
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.tree.sites import site_index
+from linkplan.planner.files.tables import Tables, path_beside
+from linkplan.planner.keys.reading import read, refuse_unknown_keys
+from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile
+from linkplan.planner.problem.extra import ExtraCost
+from linkplan.planner.problem.guess import guess_of, guess_place
+from linkplan.planner.problem.imperfections import imperfections_of
+from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of, robust_of
+from linkplan.planner.problem.motion import motion_of
+from linkplan.planner.problem.named_coordinates import coordinates_note, other_coordinates
+from linkplan.planner.problem.objective import Objective, objective_from
+from linkplan.planner.problem.reference import Sine, sine_of
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.values import plain
+
+
+def problem_arguments(
+    tables: Tables, folder: Path | None, mechanism: Mechanism | None, extra_costs: Sequence[ExtraCost]
+) -> dict[str, Any]:
+    """Return the arguments of `Problem` that tables determine; the arguments are those of its `from_tables`."""
+    tables = plain(tables)
+    if mechanism is not None:
+        tables["mechanism"] = copy.deepcopy(dict(mechanism.source))
+    refuse_unknown_keys(tables)
+    if mechanism is None:
+        mechanism = _mechanism(tables.setdefault("mechanism", {}), folder)
+    if mechanism.n_u == 0:
+        raise ProblemError(
+            f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
+            + "".join(f"; {item.text}" for item in audit(mechanism.model))
+        )
+    asked = _sections(tables, mechanism)
+    notes = []
+    others = other_coordinates(tables, mechanism)
+    if others is not None:
+        notes.append(coordinates_note(mechanism, others))
+        mechanism = _in_coordinates(tables, mechanism, others, folder)
+    reference = None if asked.reference is None else sine_of(asked.reference, mechanism)
+    follows = asked.motion.kind == "track" or (asked.motion.kind == "periodic" and reference is not None)
+    minimize = tables.get("objective", {}).get("minimize", "tracking" if follows else "effort")
+    objective = objective_from(minimize, extra_costs)
+    limits = limits_of(asked.limits, mechanism)
+    place = guess_place(asked.guess, folder)
+    if place is not None:
+        tables["guess"]["plan"] = str(place.resolve())
+    return {
+        "mechanism": mechanism,
+        "motion": motion_of(asked.motion, mechanism, reference, limits),
+        "objective": objective,
+        "limits": limits,
+        "robust": robust_of(asked.robust, mechanism),
+        "motors": motors_of(asked.motors, mechanism),
+        "reference": reference,
+        "guess": guess_of(asked.guess, mechanism, place),
+        "contacts": asked.limits.contacts,
+        "unhonoured": asked.limits.unhonoured,
+        "mesh": MeshSettings(**_mesh(tables.get("mesh", {}), objective, rated="effort_rate" in tables.get("limits", {}))),
+        "solver": SolverSettings(**tables.get("solver", {})),
+        "tracking": _tracking(tables.get("tracking", {}), mechanism),
+        "source": tables,
+        "notes": (*notes, *_duration_notes(asked.motion, objective, reference)),
+    }
+
+
+def mechanism_from_tables(tables: Mapping[str, dict], folder: Path | None = None) -> Mechanism:
+    """Return the mechanism of a file's [mechanism] table; the other tables are only checked for unknown keys."""
+    tables = plain(tables)
+    refuse_unknown_keys(tables)
+    return _mechanism(tables.get("mechanism", {}), folder)
+
+
+def tracking_from_tables(tables: Mapping[str, dict], mechanism: Mechanism | None = None) -> Tracking:
+    """Return the tracking settings of a file's [tracking] table; with a mechanism, gains by joint are checked."""
+    tables = plain(tables)
+    refuse_unknown_keys(tables)
+    return _tracking(tables.get("tracking", {}), mechanism)
+
+
+def _sections(tables: Tables, mechanism: Mechanism) -> ProblemFile:
+    """Return all sections of a file, without [imperfections], which has its own reader and which planning does not use."""
+    imperfections_of(tables.get("imperfections", {}), mechanism)
+    # An empty reference is none. An empty objective is legal with extra costs only, and `Objective` checks it.
+    left_out = {"reference": {}, "objective": {"minimize": {}}, "imperfections": tables.get("imperfections")}
+    given = {name: table for name, table in tables.items() if name not in left_out or table != left_out[name]}
+    return read(ProblemFile, given, "", functools.partial(_refuse_unknown_name, mechanism))
+
+
+def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str) -> None:
+    """Refuse a name of a joint, actuator, closure or site that the mechanism does not have."""
+    if noun == "joint":
+        mechanism.joint_index(name, ProblemError)
+    elif noun == "site":
+        if name not in [joint.name for joint in mechanism.joints]:  # a joint's name gets its own message elsewhere
+            site_index(mechanism.model, name, where, ProblemError)
+    elif noun == "closure":
+        closure_index(mechanism, name)
+    else:
+        actuator_index(mechanism, name, where)
+
+
+def _mechanism(section: dict, folder: Path | None) -> Mechanism:
+    # Errors in the model's place and pose are problem errors; all others are model errors.
+    read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
+    asked = read(MechanismSection, section, "mechanism", error=ModelError)
+    place = path_beside(asked.model, folder)
+    if asked.model not in MODELS and is_file(place):
+        section["model"] = str(place.resolve())
+    mechanism = load_mechanism(
+        section["model"],
+        payload=section.get("payload"),
+        home={name: np.radians(angle) for name, angle in asked.home_deg.items()} | asked.home_m,
+        independent=asked.independent,
+        solref=asked.solref,
+        closure_tolerance_m=asked.closure_tolerance_m,
+        friction_transition=None if asked.friction_transition_deg_s is None else np.radians(asked.friction_transition_deg_s),
+    )
+    joint_values(asked, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
+    return replace(mechanism, source=copy.deepcopy(section))
+
+
+def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], folder: Path | None) -> Mechanism:
+    """Return a mechanism with other independent coordinates, and set them in the tables."""
+    tables["mechanism"]["independent"] = named
+    try:
+        return _mechanism(tables["mechanism"], folder)
+    except ModelError as error:
+        had = ", ".join(joint.name for joint in mechanism.independent_joints)
+        raise ProblemError(
+            f"the motion names {', '.join(named)}, in which it cannot be planned; by default it is named in {had}: {error}"
+        ) from error
+
+
+def _duration_notes(motion: MotionSection, objective: Objective, reference: Sine | None) -> list[str]:
+    """Return a note if the duration is free by default."""
+    is_given = any(value is not None for value in (motion.duration_s, motion.min_duration_s, motion.max_duration_s))
+    if is_given or reference is not None or objective.has("time"):
+        return []
+    return ['motion.duration_s is not given: the duration is free (give it, or write motion.duration_s = "free")']
+
+
+def _mesh(section: dict, objective: Objective, *, rated: bool) -> dict:
+    """Return the mesh settings, with defaults that depend on the rest of the problem."""
+    # Least work has full effort, coasting and full braking. A polynomial smears this, and its cost is evaluated at nodes
+    # only. Efforts with limited rates cannot jump, so they are piecewise linear.
+    smeared = objective.has("work") and {*objective.weights} <= {"work", "time"}
+    values: dict = {"effort": "linear" if rated else "constant"} if smeared else {}
+    if "scheme" in section:
+        values["refine"] = "intervals"  # keeps the named transcription, unless its refinement is given too
+    if "breaks" in section:
+        if "intervals" in section:
+            raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
+        values["intervals"] = len(section["breaks"]) - 1
+    return values | section
+
+
+def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
+    found = Tracking(**section)
+    if mechanism is not None:
+        found.gains(mechanism.independent_joints)  # refuses joints without a gain, and gains of unknown joints
+    return found

@@ -1,0 +1,196 @@
+"""Refusals of parts of a problem that contradict each other."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.keys.kinds import MAX_INTERVALS
+from linkplan.planner.problem.corner_efforts import corner_out_of_reach
+from linkplan.planner.problem.guess import GuessedPath
+from linkplan.planner.problem.limits import Limits, Motor
+from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.objective import Objective
+from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.robust import Robust
+from linkplan.planner.problem.settings import MeshSettings
+from linkplan.planner.trajectory import Trajectory
+
+
+def check_motion(motion: Motion, objective: Objective, reference: Sine | None) -> None:
+    """Refuse a motion whose kind does not fit its ends, its reference or its objective."""
+    if motion.kind == "periodic":
+        _check_periodic(motion, objective, reference)
+    if motion.kind == "reach" and (motion.start is None or motion.goal is None):
+        raise ProblemError(
+            "motion.kind 'reach' needs motion.start_deg and motion.goal_deg, or motion.start_at and motion.goal_at"
+        )
+    if motion.kind == "track" and reference is None:
+        raise ProblemError("motion.kind 'track' needs a [reference]")
+    if motion.kind == "track" and list(objective.weights) != ["tracking"]:
+        raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{objective.name}'")
+    if motion.turns is not None and reference is not None:
+        raise ProblemError(
+            "motion.turns and [reference] exclude each other, because a reference returns to its start: keep one of them"
+        )
+
+
+def _check_periodic(motion: Motion, objective: Objective, reference: Sine | None) -> None:
+    """Refuse a periodic motion without a cause to move, or with unsuitable ends."""
+    if motion.waypoints and motion.goal is not None:
+        raise ProblemError("motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg")
+    turns = motion.turns is not None
+    one_end = (motion.start is None) != (motion.goal is None) and not (turns and motion.goal is None)
+    if not motion.waypoints and one_end:
+        raise ProblemError("motion.kind 'periodic' takes motion.start_deg and motion.goal_deg together, or neither")
+    moves = motion.goal is not None or bool(motion.waypoints) or turns
+    if reference is None and not moves:
+        raise ProblemError(
+            "motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg, or motion.waypoints"
+            " or motion.turns"
+        )
+    if not objective.has("tracking") and not moves:
+        raise ProblemError(
+            f"motion.kind 'periodic' with minimize '{objective.name}' needs motion.start_deg and motion.goal_deg to move"
+            " between, or motion.waypoints: without them the optimum is to stand still"
+        )
+
+
+def check_node_at_end(motion: Motion, mechanism: Mechanism, mesh: MeshSettings) -> None:
+    """Refuse a scheme without a node at an interval's end if the pose there is free."""
+    needs_node = ["motion.goal_at that leaves a loop's pose open"]
+    needs_node = needs_node if motion.goal_is_free and len(mechanism.dependent) else []
+    opened = [f"motion.waypoints[{k}].at" for k, waypoint in enumerate(motion.waypoints) if waypoint.at_rows]
+    needs_node += [f"{where} that leaves a pose open" for where in opened]
+    if needs_node and mesh.scheme.startswith("gauss"):
+        raise ProblemError(
+            f"{needs_node[0]} needs a mesh.scheme with a node at the end (radau, trapezoid, hermite-simpson), got"
+            f" {mesh.scheme}"
+        )
+
+
+def _check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) -> None:
+    """Refuse turns of a joint whose range is limited."""
+    turns = np.zeros(mechanism.dof) if motion.turns is None else motion.turns
+    for joint, index, n in zip(mechanism.independent_joints, mechanism.independent, turns, strict=True):
+        if n and np.any(np.isfinite(limits.position[index])):
+            low, high = (joint.said(x, 6) for x in limits.position[index])
+            raise ProblemError(
+                f"motion.turns of joint {joint.name}: a joint that turns endlessly has no range; its range is {low} to"
+                f" {high} deg"
+            )
+
+
+def check_periods(motion: Motion, reference: Sine | None, mesh: MeshSettings) -> None:
+    """Refuse a motion over more periods of its reference than the finest mesh can resolve."""
+    if reference is None or motion.duration_s is None:
+        return
+    periods = motion.duration_s * reference.frequency_hz
+    if periods * mesh.intervals > MAX_INTERVALS:
+        raise ProblemError(
+            f"motion.duration_s = {motion.duration_s:g} s is {periods:.6g} periods of the reference; with"
+            f" mesh.intervals = {mesh.intervals} each, at most {MAX_INTERVALS / mesh.intervals:.6g} are legal"
+        )
+
+
+def check_robust(robust: Robust, mechanism: Mechanism) -> None:
+    """Refuse ranges that do not apply to this mechanism."""
+    driven = int(np.linalg.matrix_rank(np.array(mechanism.dynamics.effort_map(mechanism.home)))) if robust.corners else 0
+    if robust.payload_factor != (1.0, 1.0) and mechanism.payload is None:
+        raise ProblemError("robust.payload_factor needs a mechanism.payload; there is none")
+    if robust.corners and driven < mechanism.dof:
+        _check_robust_of_driven(robust, mechanism, driven)
+
+
+def _check_robust_of_driven(robust: Robust, mechanism: Mechanism, driven: int) -> None:
+    """Refuse ranges that actuators cannot compensate, for actuators that move only some degrees of freedom."""
+    moved = f"the actuators of '{mechanism.name}' move {driven} of {mechanism.dof} degrees of freedom"
+    if driven < mechanism.n_u:
+        raise ProblemError(f"[robust] takes actuators that move every degree of freedom, or each its own; {moved}")
+    lost = corner_out_of_reach(mechanism, robust.corners)
+    if lost is not None:
+        corner = lost.description(tuple(joint.name for joint in mechanism.joints))
+        raise ProblemError(
+            f"[robust] keeps one motion for every machine in its ranges; {moved}, and the others move differently at the"
+            f" corner: {corner}; legal are ranges that actuators"
+            " compensate: the torque constant, friction at driven joints"
+        )
+
+
+def lacking_parts(
+    motion: Motion,
+    mechanism: Mechanism,
+    motors: Sequence[Motor | None],
+    reference: Sine | None,
+    mesh: MeshSettings,
+) -> dict[str, str | None]:
+    """Return, for each need of an objective's terms (`Term.needs`), a phrase on what a problem lacks, or None."""
+    given = motion.duration_s
+    unknown = [
+        actuator.name
+        for actuator, motor in zip(mechanism.actuators, motors, strict=False)
+        if motor is None or motor.torque_constant is None
+    ]
+    motors_lack = f"motors.NAME.torque_constant and resistance_ohm of every actuator; missing for {', '.join(unknown)}"
+    return {
+        "reference": "a [reference]" if reference is None else None,
+        "free duration": None if given is None else f'motion.duration_s = "free", got {given:g}',
+        "fixed duration": "a fixed motion.duration_s, got 'free'" if given is None else None,
+        "motors": motors_lack if unknown else None,
+        "closures": None if mechanism.closure_names else f"a closure; '{mechanism.name}' has none",
+        "changing efforts": "mesh.effort linear or polynomial, got constant" if mesh.effort == "constant" else None,
+    }
+
+
+def check_objective(
+    objective: Objective, motion: Motion, mechanism: Mechanism, limits: Limits, lacking: Mapping[str, str | None]
+) -> None:
+    """Refuse an objective that does not fit the motion or the actuators; `lacking` is that of `lacking_parts`."""
+    if list(objective.weights) == ["time"] and not np.all(np.isfinite(limits.effort)):
+        unlimited = [
+            actuator.name
+            for actuator, ends in zip(mechanism.actuators, limits.effort, strict=False)
+            if not np.all(np.isfinite(ends))
+        ]
+        raise ProblemError(
+            "objective.minimize 'time' needs finite limits.effort: without them there is no least time; they are missing"
+            f" (a motor's ctrlrange, a servo's forcerange) for {', '.join(unlimited)}"
+        )
+    if list(objective.weights) == ["time"] and motion.stays:
+        raise ProblemError("motion.start_deg is motion.goal_deg: a motion of least time between them takes no time")
+    for name, term in objective.terms.items():
+        for need in term.needs:
+            if lacking[need] is not None:
+                raise ProblemError(f"objective.minimize '{name}' needs {lacking[need]}")
+    if np.any(np.isfinite(limits.effort_rate)) and lacking["changing efforts"] is not None:
+        raise ProblemError(f"limits.effort_rate needs {lacking['changing efforts']}")
+
+
+def check_shapes(
+    mechanism: Mechanism,
+    motion: Motion,
+    limits: Limits,
+    motors: Sequence[Motor | None],
+    guess: GuessedPath | Trajectory | None,
+) -> None:
+    """Refuse values whose number does not fit the mechanism."""
+    n_s = mechanism.dof
+    for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
+        value = getattr(motion, name)
+        if value is not None and (value.shape != (n_s,) or not np.all(np.isfinite(value))):
+            raise ProblemError(f"motion.{name} has one finite value for each of {n_s} independent joints, got {value}")
+    _check_turning_joints(motion, mechanism, limits)
+    for k, waypoint in enumerate(motion.waypoints):
+        if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
+            raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")
+    rows = {"effort": mechanism.n_u, "position": mechanism.n_q, "speed": mechanism.n_q}
+    rows |= {"effort_rate": mechanism.n_u, "power": mechanism.n_u, "closure_force": len(mechanism.closure_names)}
+    for name, n_rows in rows.items():
+        if len(getattr(limits, name)) != n_rows:
+            raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(limits, name))}")
+    guessed = guess.path.shape[1] if isinstance(guess, GuessedPath) else getattr(guess, "n_s", n_s)
+    if guessed != n_s:
+        raise ProblemError(f"the guess moves {guessed} joints, '{mechanism.name}' has {n_s} independent ones")
+    if len(motors) != mechanism.n_u:
+        raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(motors)}")

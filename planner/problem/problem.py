@@ -1,0 +1,393 @@
+"""The planning problem: a mechanism, a motion, an objective and limits, checked as a whole when it is built."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.audit import audit
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.tables import Tables, apply_override, read_tables
+from linkplan.planner.files.toml_text import toml_text
+from linkplan.planner.problem import arguments, consistency
+from linkplan.planner.problem.build import problem_arguments
+from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, extras_text, uses
+from linkplan.planner.problem.guess import GuessedPath
+from linkplan.planner.problem.limits import Limits, Motor
+from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.objective import Objective, objective_from
+from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.robust import Robust
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.start_pose import start_pose
+from linkplan.planner.trajectory import Trajectory
+
+ByName = Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class Problem:
+    """A planning problem, checked as a whole: it is consistent, and the mechanism reaches its poses.
+
+    Made by `Problem.reach`, `.periodic`, `.track` or `.from_file`; varied by `replace` and `with_settings`. All builders
+    take the same arguments, in the form of a problem file's tables:
+
+    Args:
+        mechanism: from `load_mechanism`, or an argument for it: a built-in name, a path, MJCF text.
+        start_deg, goal_deg: angles [deg] of the independent hinges by joint name; dependent hinges may be named, too, and
+            are checked against the closed loop. `start_m`, `goal_m`: slides' positions [m].
+        start_at, goal_at: instead of joints, positions [m] of the model's sites in the world frame, by name:
+            {"foot": [x, y, z]}, or some coordinates, {"foot": {"z": 0.2}}. Inverse kinematics finds the nearest pose to the
+            start. The position at the end of a reach may leave the pose open.
+        start_speed_deg_s, goal_speed_deg_s: independent speeds [deg/s]; `..._m_s` [m/s] on slides. At rest by default.
+        duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s`, if they are given.
+        waypoints: tables in order, with any of `at_deg`, `at_m`, `at` (positions of sites), `speed_deg_s`, `speed_m_s`,
+            `time_s`.
+        turns: whole turns by joint that a periodic motion makes in a period, {"O": 1}; their sign is the direction.
+        minimize: effort, time, tracking, work, copper_loss, effort_rate or closure_force, or a table of weights.
+        reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.
+        limits: `effort`, `range_deg`, `speed_deg_s`, `effort_rate`, `power_w`, `closure_force`, each by name, and
+            `singular_margin`, `contacts`; `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes
+            {"along": points, "radius_m": r}, one or a list by site. By default the model's own.
+        motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
+        guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
+        mesh: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`.
+        solver: `starts`, `compile`, `max_time_s`.
+        tracking: `kp`, `kd`, `period_s`, `delay_periods`, `duration_s` and the weights of LQR.
+        extra_costs: a list of `ExtraCost`, running costs in addition to `minimize`, or the whole objective if that is {}.
+        extra_limits: a list of `ExtraLimit`, limits at every instant.
+        name: of the problem in messages, tables and files; by default the mechanism's name with the kind of motion.
+
+    Raises:
+        LinkplanError: with one sentence, if a problem file with these tables would be refused, or if start, goal, waypoints
+            or reference are out of reach.
+
+    `from_tables`, and `dataclasses.replace`, by which the planner varies a problem, check consistency only. `source` is the
+    problem as a file's tables with every value that was set, as `plan.json` keeps it.
+    """
+
+    name: str
+    """The name in messages, tables and files."""
+    mechanism: Mechanism
+    """The mechanism."""
+    motion: Motion
+    objective: Objective  # or a term's name, or a mapping of weights
+    limits: Limits
+    extra_limits: Sequence[ExtraLimit] = ()
+    robust: Robust = field(default_factory=Robust)
+    motors: tuple[Motor | None, ...] = ()
+    reference: Sine | None = None
+    guess: GuessedPath | Trajectory | None = None
+    unhonoured: str = "refuse"  # a model with forces that plans neglect, or "note" these forces
+    contacts: str = "refuse"  # a plan along which geoms collide, or "note" the contacts and neglect their forces
+    mesh: MeshSettings = field(default_factory=MeshSettings)
+    solver: SolverSettings = field(default_factory=SolverSettings)
+    tracking: Tracking = field(default_factory=Tracking)
+    source: dict = field(default_factory=dict)
+    notes: tuple[str, ...] = ()  # sentences on choices that the problem leaves open
+
+    @classmethod
+    def reach(
+        cls,
+        mechanism: Mechanism | str | Path,
+        *,
+        start_deg: ByName | None = None,
+        goal_deg: ByName | None = None,
+        duration_s: float | str | None = None,
+        minimize: str | ByName | None = None,
+        limits: Mapping | None = None,
+        waypoints: Sequence[Mapping] | None = None,
+        start_m: ByName | None = None,
+        goal_m: ByName | None = None,
+        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
+        goal_at: Mapping[str, Sequence[float] | ByName] | None = None,
+        start_speed_deg_s: ByName | None = None,
+        goal_speed_deg_s: ByName | None = None,
+        start_speed_m_s: ByName | None = None,
+        goal_speed_m_s: ByName | None = None,
+        min_duration_s: float | None = None,
+        max_duration_s: float | None = None,
+        reference: Mapping | None = None,
+        motors: Mapping[str, Mapping] | None = None,
+        guess: Mapping | None = None,
+        mesh: Mapping | None = None,
+        solver: Mapping | None = None,
+        tracking: Mapping | None = None,
+        extra_costs: Sequence[ExtraCost] | None = None,
+        extra_limits: Sequence[ExtraLimit] | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """Return the problem of a motion from a start to a goal; the arguments are those of `Problem`.
+
+        Without `duration_s` the duration is free. The default objective is the integral of squared efforts.
+        """
+        return cls._built("reach", locals())
+
+    @classmethod
+    def periodic(
+        cls,
+        mechanism: Mechanism | str | Path,
+        *,
+        reference: Mapping | None = None,
+        start_deg: ByName | None = None,
+        goal_deg: ByName | None = None,
+        duration_s: float | str | None = None,
+        minimize: str | ByName | None = None,
+        limits: Mapping | None = None,
+        waypoints: Sequence[Mapping] | None = None,
+        start_m: ByName | None = None,
+        goal_m: ByName | None = None,
+        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
+        goal_at: Mapping[str, Sequence[float] | ByName] | None = None,
+        min_duration_s: float | None = None,
+        max_duration_s: float | None = None,
+        turns: Mapping[str, int] | None = None,
+        motors: Mapping[str, Mapping] | None = None,
+        guess: Mapping | None = None,
+        mesh: Mapping | None = None,
+        solver: Mapping | None = None,
+        tracking: Mapping | None = None,
+        extra_costs: Sequence[ExtraCost] | None = None,
+        extra_limits: Sequence[ExtraLimit] | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """Return the problem of a motion that returns to its first state; the arguments are those of `Problem`.
+
+        The motion goes from `start_deg` to `goal_deg` in half the period and back, or through `waypoints`, or it follows the
+        `reference`. With a reference, the duration is that of its period and the default objective is the tracking error.
+        With `turns`, hinges turn by whole turns in every period.
+        """
+        return cls._built("periodic", locals())
+
+    @classmethod
+    def track(
+        cls,
+        mechanism: Mechanism | str | Path,
+        *,
+        reference: Mapping | None = None,
+        duration_s: float | None = None,
+        limits: Mapping | None = None,
+        motors: Mapping[str, Mapping] | None = None,
+        mesh: Mapping | None = None,
+        solver: Mapping | None = None,
+        tracking: Mapping | None = None,
+        extra_limits: Sequence[ExtraLimit] | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """Return the problem of following a reference exactly; the arguments are those of `Problem`."""
+        return cls._built("track", locals())
+
+    @classmethod
+    def from_file(cls, path_or_name: str | Path, settings: Mapping[str, object] | None = None) -> Problem:
+        """Return the problem of a built-in name or a TOML file.
+
+        Args:
+            path_or_name: a built-in name (listed by `linkplan list`) or a path. Paths in a file are relative to its folder,
+                else to the working folder.
+            settings: values that replace those of the file, by dotted key: {"motion.duration_s": 0.2}.
+
+        Raises:
+            LinkplanError: if the file or the settings are invalid.
+        """
+        name, tables, folder = read_tables(path_or_name)
+        if settings is not None:
+            arguments.apply_settings(tables, settings)
+        return cls.from_tables(name, tables, folder)._in_reach()
+
+    @classmethod
+    def from_tables(
+        cls,
+        name: str,
+        tables: Mapping[str, dict],
+        folder: Path | None = None,
+        mechanism: Mechanism | None = None,
+        *,
+        extra_costs: Sequence[ExtraCost] = (),
+        extra_limits: Sequence[ExtraLimit] = (),
+    ) -> Problem:
+        """Return the problem of a file's tables; it is consistent, but its poses may be out of reach.
+
+        Args:
+            name: the problem's name.
+            tables: as `tomllib` reads them; they are not changed.
+            folder: the file's folder, in which paths are looked up before the working folder.
+            mechanism: a loaded mechanism that replaces [mechanism].
+            extra_costs: running costs as expressions, which tables cannot hold.
+            extra_limits: path limits as expressions.
+
+        Raises:
+            ProblemError: for anything in the tables that cannot be used.
+            ModelError: when their mechanism cannot be built.
+        """
+        return cls(name=name, extra_limits=extra_limits, **problem_arguments(tables, folder, mechanism, extra_costs))
+
+    @classmethod
+    def _built(cls, kind: str, said: Mapping[str, object]) -> Problem:
+        """Return the problem of a builder's arguments, which are among the builder's local variables `said`."""
+        given = {key: value for key, value in said.items() if value is not None}
+        mechanism, tables = arguments.asked_mechanism(given), {"mechanism": {}, "motion": {"kind": kind}}
+        name = given.get("name", f"{mechanism.name}-{kind}")
+        return cls._varied(name, tables, mechanism, given, {})
+
+    @classmethod
+    def _varied(
+        cls, name: object, tables: Tables, mechanism: Mechanism, said: Mapping[str, object], extras: dict
+    ) -> Problem:
+        """Return the problem of tables and extra costs and limits, with a builder's arguments in place of their values."""
+        arguments.fill(tables, said)
+        extras = extras | arguments.given_extras(said)
+        return cls.from_tables(arguments.checked_name(name), tables, None, mechanism, **extras)._in_reach()
+
+    def start_pose(self) -> np.ndarray:
+        """Return the closed pose (n_q,) at the start.
+
+        Raises:
+            ProblemError: when start, goal, waypoints or reference lie outside what the mechanism reaches; for turns that the
+                mechanism does not make.
+        """
+        return start_pose(self.mechanism, self.motion, self.limits, self.reference, self.solver.deadline)
+
+    def _in_reach(self) -> Problem:
+        """Return this problem if the mechanism reaches its poses."""
+        self.start_pose()
+        return self
+
+    @property
+    def adrift(self) -> np.ndarray:
+        """A mask (n_s,) of coordinates with a free final value: passive degrees of freedom that the goal does not name."""
+        passive = np.isin(self.mechanism.independent, self.mechanism.passive_dofs)
+        passive[list(self.motion.goal_named)] = False
+        return passive
+
+    @property
+    def free_spins(self) -> np.ndarray:
+        """A mask (n_s,) of free coordinates that need not return in a periodic motion: spins that affect nothing else."""
+        return self.adrift & self.mechanism.cyclic
+
+    @property
+    def extras(self) -> tuple[Extra, ...]:
+        """The users' own limits and costs."""
+        return (*self.extra_limits, *self.objective.extra)
+
+    @property
+    def sites(self) -> dict[str, int]:
+        """The indices in the model of all sites that the problem names, by name: start, waypoints, goal, limits."""
+        motion = self.motion
+        points = [*motion.start_at, *(point for waypoint in motion.waypoints for point in waypoint.at), *motion.goal_at]
+        return {one.site: one.index for one in (*points, *self.limits.site)}
+
+    @property
+    def not_honoured(self) -> tuple[str, ...]:
+        """Phrases on what plans neglect of the model; they say so if it makes plans wrong."""
+        found = audit(self.mechanism.model)
+        return tuple(
+            f"left out of the plan, which makes it false: {one.text}" if one.falsifies else one.text for one in found
+        )
+
+    def to_dict(self) -> dict:
+        """Return a copy of the problem as the tables of a problem file, without extra costs and limits."""
+        return copy.deepcopy(self.source)
+
+    def to_toml(self) -> str:
+        """Return the problem as the text of a problem file, from which `from_file` returns the same problem.
+
+        The text does not contain extra costs and limits, which are Python code; a comment in its first line names them.
+        """
+        return file_text(self)
+
+    def replace(self, **changes: object) -> Problem:
+        """Return the problem with new values of some of the builders' arguments; None removes an argument.
+
+        A table, such as `limits`, is replaced as a whole; `with_settings` changes single values in a table. Further
+        arguments are `payload`, `home_deg`, `home_m` and `independent`, of the mechanism.
+
+        Raises:
+            LinkplanError: for an unknown argument, or as for the builders.
+        """
+        arguments.refuse_unknown_arguments(changes)
+        mechanism = arguments.asked_mechanism(changes, self.mechanism)
+        name = self.name if changes.get("name") is None else changes["name"]
+        return self._varied(name, self.to_dict(), mechanism, changes, self._extras())
+
+    def with_settings(self, settings: Mapping[str, object]) -> Problem:
+        """Return the problem with new single values in its tables, by dotted key: {"limits.effort.act_O": [-80, 80]}.
+
+        Raises:
+            LinkplanError: for an invalid key or value.
+        """
+        tables = self.to_dict()
+        before = copy.deepcopy(tables["mechanism"])
+        arguments.apply_settings(tables, settings)
+        mechanism = self.mechanism if tables["mechanism"] == before else None
+        return self.from_tables(self.name, tables, None, mechanism, **self._extras())._in_reach()
+
+    def _extras(self) -> dict:
+        return {"extra_costs": self.objective.extra, "extra_limits": self.extra_limits}
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "objective", objective_from(self.objective))
+        object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
+        object.__setattr__(self, "tracking", self.tracking.tracked())
+        falsifying = _falsifying(self.mechanism)
+        if falsifying and self.unhonoured == "refuse":
+            raise ProblemError(
+                f"mechanism '{self.mechanism.name}' cannot be planned, its model has forces that the planner does not"
+                " honour:"
+                f' {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
+            )
+        if self.mechanism.n_u == 0:
+            raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
+        object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
+        for extra in self.extras:
+            uses(extra, self.mechanism)  # refuses what does not fit the mechanism
+        lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh)
+        consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
+        consistency.check_motion(self.motion, self.objective, self.reference)
+        if len(self.limits.closure_force) == 0:
+            limits = replace(self.limits, closure_force=np.full(len(self.mechanism.closure_names), np.inf))
+            object.__setattr__(self, "limits", limits)
+        consistency.check_shapes(self.mechanism, self.motion, self.limits, self.motors, self.guess)
+        consistency.check_periods(self.motion, self.reference, self.mesh)
+        consistency.check_robust(self.robust, self.mechanism)
+        consistency.check_node_at_end(self.motion, self.mechanism, self.mesh)
+
+    def __repr__(self) -> str:
+        motion = self.motion
+        duration = "free" if motion.duration_s is None else f"{motion.duration_s:g} s"
+        objective = self.objective.name
+        return f"Problem({self.name!r}: {motion.kind} of {self.mechanism.name!r}, {objective}, {duration})"
+
+
+def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> Problem:
+    """Return the problem of a built-in name or a TOML file, with `key=value` overrides applied.
+
+    Raises:
+        ProblemError: for anything in the file or an override that cannot be used.
+        ModelError: when its mechanism cannot be built.
+    """
+    name, tables, folder = read_tables(source)
+    for override in overrides:
+        apply_override(tables, override)
+    return Problem.from_tables(name, tables, folder)
+
+
+def file_text(problem: Problem, tables: Tables | None = None) -> str:
+    """Return a problem, or other tables, as a file's text; a comment names extra limits and costs, which files cannot hold.
+
+    Raises:
+        ProblemError: for a value that TOML cannot express.
+    """
+    text = toml_text(problem.source if tables is None else tables)
+    return f"# Without {extras_text(problem.extras)}: a problem file holds no Python.\n{text}" if problem.extras else text
+
+
+@functools.lru_cache(maxsize=16)
+def _falsifying(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return phrases on the model's forces that make plans wrong, memoised because a model is planned many times."""
+    return tuple(item.text for item in audit(mechanism.model) if item.falsifies)
