@@ -28,7 +28,7 @@ ROOMS = {
     ),
     "planner": (
         "transcription", "trajectory", "keys", "problem", "limits", "certificate", "solvers", "refinement", "plan",
-        "closed_chain", "ode", "phase_plane", "search", "diagnosis", "planning", "robustness", "files", "motion_step",
+        "closed_chain", "phase_plane", "search", "ode", "diagnosis", "planning", "robustness", "files", "motion_step",
         "replan", "batch",
     ),
     "controllers": (

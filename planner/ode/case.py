@@ -16,7 +16,7 @@ from linkplan.planner.ode.certificate import (
 from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
+from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget
 from linkplan.planner.refinement.tightening import Tightening, tightened_share
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
@@ -136,3 +136,16 @@ class OdeCase:
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class FirstSolution:
+    """A first solution, before it is refined; the case that it solves, and the number of its start.
+
+    `unbounded` has the words on a duration that has no best, where there is none.
+    """
+
+    case: OdeCase
+    found: Iterate[OdeTrajectory]
+    number: int = 0
+    unbounded: str | None = None
