@@ -24,6 +24,9 @@ from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
 
+# The largest relative change of the objective from mesh to mesh where the user gives none and that is cheap.
+DEFAULT_OBJECTIVE_TOLERANCE = 1e-6
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdeCase:
@@ -48,7 +51,8 @@ class OdeCase:
             continuous_efforts=False,  # nothing is known of its costs
             strictness=INTEGRATION_SHARE / asked.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
-            objective_tolerance=asked.objective_tolerance,
+            objective_tolerance=asked.objective_tolerance or DEFAULT_OBJECTIVE_TOLERANCE,
+            objective_tolerance_given=asked.objective_tolerance is not None,
         )
         object.__setattr__(self, "target", target)
 

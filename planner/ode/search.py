@@ -54,11 +54,6 @@ class OdeSearch:
         return replace(self.problem, solver=budget.of(self.problem.solver))
 
     @property
-    def efforts_limited(self) -> bool:
-        """Whether every effort has two limits."""
-        return bool(np.all(np.isfinite(self.problem.effort_limit)))
-
-    @property
     def ended(self) -> bool:
         """Whether no further rung is tried: there is a plan, time is up, or every start gave numbers that are not finite."""
         steps = recorded()

@@ -5,45 +5,180 @@ problem = OdeProblem(name="double integrator", rate=lambda x, u, p, t: [x[1], u[
 plan = plan_ode(problem).require()        # plan.objective is 2, with one switch at T / 2
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from linkplan.planner.ode import rungs
+import numpy as np
+
+from linkplan.planner.ode.case import FirstSolution, OdeCase
+from linkplan.planner.ode.costates import is_affine
+from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion
-from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.search import OdeSearch
-from linkplan.planner.refinement.history import Say, recorded, recording, silent
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Rung, try_in_turn
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.search import OdeSearch, best_plan, first_mesh, first_solutions
+from linkplan.planner.ode.starts import (
+    integrated,
+    is_open,
+    of_least_time,
+    of_other_durations,
+    perturbed,
+    sampled_guess,
+    stretched,
+    with_smallest_efforts,
+)
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import Say, progress, record, recorded, recording, silent, step_of
+from linkplan.planner.search.continuation import Steps, followed
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, try_in_turn
 from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
+from linkplan.planner.solvers.solve import solve
+from linkplan.planner.transcription.mesh import broken
 
 __all__ = ["RUNGS", "OdePlan", "plan_ode"]
+
+# Perturbed guesses that are tried where the duration is open, or where no other start leads to a solution.
+N_PERTURBED_GUESSES = 4
+# Continuation begins with the whole way. The smallest step is a quarter of it in the logarithm.
+# It begins at most at this share of the parameter's end.
+LEAST_STEP_POWER, MAX_STEPS, MAX_FIRST_SHARE = 0.25, 6, 0.999
+
+
+def from_several_starts(search: OdeSearch, budget: Budget) -> OdePlan | None:
+    """Return the best plan of as many starts as the problem asks for (multistart)."""
+    problem = search.within(budget)
+    return best_plan(problem, first_solutions(problem, perturbed(problem, search.guesses, problem.solver.starts)))
+
+
+def from_guesses(search: OdeSearch, budget: Budget) -> OdePlan | None:
+    """Return the plan that the first guess with a solution leads to; the best of several starts if the duration is open."""
+    problem = search.within(budget)
+    starts = [*search.guesses, with_smallest_efforts(problem, search.guesses[-1])]
+    found = first_solutions(problem, starts, enough=1)
+    if is_open(problem) and not search.ended:
+        found += first_solutions(search.within(HURRIED), _further_guesses(search), number=len(starts))
+    return best_plan(problem, found)
+
+
+def from_constant_efforts(search: OdeSearch, budget: Budget) -> OdePlan | None:
+    """Return the plan that motions under constant efforts lead to, which exist where the end is free."""
+    problem = search.within(budget)
+    if is_affine(problem):  # efforts that are free to swing along singular arcs lead far away from there
+        problem = replace(problem, mesh=replace(problem.mesh, effort="linear"))
+    found = first_solutions(problem, integrated(problem), enough=1, number=len(search.guesses))
+    return best_plan(search.within(budget), found)
+
+
+def from_further_guesses(search: OdeSearch, budget: Budget) -> OdePlan | None:
+    """Return the plan that the straight line at another duration leads to, or else a perturbed guess."""
+    problem = search.within(budget)
+    found = first_solutions(problem, _further_guesses(search), enough=1, number=len(search.guesses) + 1)
+    return best_plan(problem, found)
+
+
+def _further_guesses(search: OdeSearch) -> list[StateGuess]:
+    """Return the first guess at other durations, then guesses perturbed at random, but the same in every run."""
+    n, guesses = len(search.guesses), search.guesses
+    others = itertools.islice(perturbed(search.problem, guesses, n + N_PERTURBED_GUESSES), n, None)
+    return [*of_other_durations(search.problem, guesses[0]), *others]
+
+
+def from_least_limits(search: OdeSearch, budget: Budget) -> OdePlan | None:
+    """Return the plan that the motion of the least effort limits leads to, or the reason why there is none.
+
+    The limits are multiplied by the least factor that admits a motion. From a factor below 1 they grow to those asked for.
+    If it is above 1 no motion is known within the limits, but a shorter one may be.
+    """
+    progress("no solution found; looking for the least effort that admits one")
+    problem, guess = search.within(budget), search.guesses[0]
+    case, durations = OdeCase(problem, problem, units_of(problem, guess)), np.array([guess.duration_s])
+    transcribed = case.transcribe(start_of(guess, case.units), first_mesh(problem), durations, least_limit=True)
+    solution = solve(transcribed, problem.solver)
+    record(step_of("least effort limit", transcribed, solution))
+    if not solution.converged:
+        return None
+    factor = float(solution.x[transcribed.program.layout.extra()][0])
+    if factor > 1:
+        return _beyond_the_limits(search, budget, factor)
+
+    def limited(share: float) -> OdeProblem:
+        return problem if share == 1.0 else replace(problem, effort_limit=share * problem.effort_limit)
+
+    return _continued(case.motion(solution), limited, factor, 1.0, "start from the least limits")
+
+
+def _beyond_the_limits(search: OdeSearch, budget: Budget, factor: float) -> OdePlan:
+    """Return the plan begun from a shorter motion, or the answer on efforts that only a factor above 1 admits."""
+    problem, asked_s = search.within(budget), search.problem.duration[1]
+    found = f"efforts of {factor:.4g} times their limits are the least with which a motion was found"
+    if problem.duration[0] < asked_s:
+        # A motion may build up energy by swings that no start has tried: the factor proves nothing.
+        return plan_without_motion(problem, "failed", f"no solution was found; {found}, which is no proof")
+    progress("looking for the shortest feasible duration")
+    shortest = from_guesses(OdeSearch(problem=of_least_time(search.problem)), budget)
+    least_s = np.inf if shortest is None or shortest.status == "failed" else shortest.trajectory.duration_s
+    if least_s > asked_s:
+        return plan_without_motion(problem, "infeasible", found)
+
+    def lasting(duration: float) -> OdeProblem:
+        return replace(problem, duration_s=duration)
+
+    # A motion that is not found is not called infeasible.
+    known = f"no start led to a solution of {asked_s:.8g} s; a motion of {least_s:.8g} s is known, the shortest found"
+    longer = _continued(shortest.trajectory, lasting, least_s, asked_s, "start from the least time")
+    return longer or plan_without_motion(problem, "failed", known)
+
+
+def _continued(
+    motion: OdeTrajectory, problem_at: Callable[[float], OdeProblem], begin: float, end: float, what: str
+) -> OdePlan | None:
+    """Return the plan at the end of a continuation from a motion, on its mesh; None if the path is lost.
+
+    Args:
+        motion: the motion at the beginning.
+        problem_at: the problem for a value of the parameter.
+        begin: the parameter's first value.
+        end: its last value, where the problem is the one that was asked.
+        what: the words on the solves.
+    """
+
+    def solve_at(before: FirstSolution | None, value: float) -> FirstSolution | None:
+        problem, start = problem_at(value), motion if before is None else before.found.motion
+        start = stretched(start, float(np.clip(start.duration_s, *problem.duration)))
+        case, breaks = OdeCase(problem, problem, units_of(problem, sampled_guess(start))), start.breaks_s - start.breaks_s[0]
+        mesh, durations = broken(breaks / breaks[-1]), breaks[-1:]
+        found = attempt(case, case.start_from(start), mesh, durations, what)
+        return None if found is None else FirstSolution(case=case, found=found)
+
+    way = end / min(begin, MAX_FIRST_SHARE * end)
+    steps = Steps(begin=end / way, end=end, factor=way, least=way**LEAST_STEP_POWER, most=MAX_STEPS)
+    path = followed(None, steps, solve_at)
+    return best_plan(problem_at(end), path.stages[-1:]) if path.arrived else None
+
 
 # The first rung that finds a motion ends the search, whether its certificate passes or not.
 RUNGS: tuple[Rung[OdeSearch], ...] = (
     Rung(
         name="several starts, the best of them (multistart)",
         tried=lambda search: search.problem.solver.starts > 1,
-        climb=rungs.from_several_starts,
+        climb=from_several_starts,
         budget=PATIENT,
     ),
     Rung(
-        name="the guesses given, then the straight line",
+        name="the guesses given, then the straight line, with efforts in the middle of their limits and with small ones",
         tried=lambda search: search.problem.solver.starts == 1,
-        climb=rungs.from_guesses,
+        climb=from_guesses,
         budget=PATIENT,
     ),
-    Rung(name="motions under constant efforts", climb=rungs.from_constant_efforts, budget=PATIENT),
+    Rung(name="motions under constant efforts", climb=from_constant_efforts, budget=PATIENT),
     Rung(
         name="continuation in the effort limits, or in the duration",
-        tried=lambda search: search.efforts_limited,
-        climb=rungs.from_least_limits,
+        tried=lambda search: bool(np.all(np.isfinite(search.problem.effort_limit))),
+        climb=from_least_limits,
         budget=PATIENT,
     ),
-    Rung(
-        name="the straight line at other durations and with other efforts, and perturbed guesses",
-        climb=rungs.from_further_guesses,
-        budget=HURRIED,
-    ),
+    Rung(name="other durations, and perturbed guesses", climb=from_further_guesses, budget=HURRIED),
 )
 
 

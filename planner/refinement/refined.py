@@ -20,7 +20,8 @@ class Refined(Generic[MotionT, CertificateT]):
     """A motion with its solution and certificate, which may not pass.
 
     `settled` is True if the objective keeps still from mesh to mesh, where that is required. `moved` is its relative change
-    between the last two meshes on which the motion passed, 0 if there is only one.
+    between the last two meshes on which the motion passed, 0 if there is only one. `objective_error` is the objective's
+    relative error as those meshes show it, infinite if there is only one.
     """
 
     motion: MotionT
@@ -28,6 +29,7 @@ class Refined(Generic[MotionT, CertificateT]):
     certificate: CertificateT
     settled: bool
     moved: float = 0.0
+    objective_error: float = np.inf
 
     @property
     def against(self) -> np.ndarray:
