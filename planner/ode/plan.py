@@ -14,6 +14,8 @@ from linkplan.planner.solvers.outcome import OF_TIME, SOLVER_TOLERANCE
 
 # Digits of an objective: at most so many are printed, and so few if its error is not known.
 MAX_DIGITS, FEW_DIGITS = 10, 3
+# The error is at most this multiple of the largest of the last changes if each mesh leaves at most half of the error before.
+ERROR_OF_CHANGE = 2.0
 # A digit is printed if its unit is at least this multiple of the error: it may then be wrong by one.
 UNITS_OF_ERROR = 2.0
 
@@ -70,7 +72,9 @@ def plan_of(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate]
     """Return the plan of a refined motion; `unbounded` are the words on a duration that has no best, where there is none."""
     certificate, objective = refined.certificate, refined.solution.objective
     status, reason = _verdict(problem, refined, unbounded)
-    error = abs(objective) * max(refined.objective_error, SOLVER_TOLERANCE)
+    # The solver leaves about its tolerance at every limit that binds.
+    left = SOLVER_TOLERANCE * (len(refined.motion.breaks_s) - 1)
+    error = abs(objective) * max(ERROR_OF_CHANGE * refined.objective_error, left)
     error += abs(objective - certificate.integrated_objective)
     value, known, late = _value(problem, refined, error), _error_words(error), _out_of_time(problem)
     message = {
