@@ -16,13 +16,16 @@ from linkplan.planner.ode.certificate import (
 from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
+from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget
 from linkplan.planner.refinement.tightening import Tightening, tightened_share
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
 from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
+
+# The largest relative change of the objective from mesh to mesh where the user gives none and that is cheap.
+DEFAULT_OBJECTIVE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,7 +51,8 @@ class OdeCase:
             continuous_efforts=False,  # nothing is known of its costs
             strictness=INTEGRATION_SHARE / asked.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
-            objective_tolerance=asked.objective_tolerance,
+            objective_tolerance=asked.objective_tolerance or DEFAULT_OBJECTIVE_TOLERANCE,
+            objective_tolerance_given=asked.objective_tolerance is not None,
         )
         object.__setattr__(self, "target", target)
 
@@ -136,3 +140,16 @@ class OdeCase:
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class FirstSolution:
+    """A first solution, before it is refined; the case that it solves, and the number of its start.
+
+    `unbounded` has the words on a duration that has no best, where there is none.
+    """
+
+    case: OdeCase
+    found: Iterate[OdeTrajectory]
+    number: int = 0
+    unbounded: str | None = None

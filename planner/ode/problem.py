@@ -51,9 +51,9 @@ class OdeProblem:
     high] rows. `duration_s` is a number, or (low, high) where it is free. `effort_limit` (n_u, 2), `state_limit` (n_x, 2),
     `path_limit` and
     `ends_limit` have [low, high] rows, infinite where there is none. `returns` are states that end as they began. `guesses`
-    are motions to start from. Without a guess the start is a straight line between the given values of start and goal.
-    `tolerance` is on the state after integration, relative to each state's size; `objective_tolerance`, where given, on the
-    objective's change from one mesh to the next, relative. Mesh and solver settings mean what they do for mechanisms,
+    are motions to start from; then comes a straight line between the given values of start and goal. `tolerance` is on the
+    state after integration, relative to each state's size; `objective_tolerance` on the objective's change from one mesh to
+    the next, relative: None asks for 1e-6 where that is cheap. Mesh and solver settings mean what they do for mechanisms,
     tolerance_deg and breaks apart.
     """
 

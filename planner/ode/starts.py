@@ -8,14 +8,10 @@ import numpy as np
 
 from linkplan.planner.certificate.flow import flow
 from linkplan.planner.ode.case import OdeCase
-from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.formulation import completed, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import Iterate
-from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
 from linkplan.planner.refinement.perturbation import perturbation
-from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.transcription.formulation import Start
 
 # Factors on the first duration if the problem does not bound the duration: a motion may be quick or slow.
@@ -88,28 +84,9 @@ def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
             yield replace(given, state=state, effort=np.tile(effort, (_GUESS_ROWS, 1)))
 
 
-def of_least_effort(problem: OdeProblem) -> OdeProblem:
-    """Return the problem with the least squared effort as its objective.
-
-    Its motion is in the middle of the limits and serves as a start for the given objective.
-    """
-    limit = problem.effort_limit
-    finite = np.all(np.isfinite(limit), axis=1)
-    both = np.where(finite[:, None], limit, 0.0)
-    middle, half = both.mean(axis=1), np.where(finite, 0.5 * np.diff(both, axis=1).ravel(), 1.0)
-    half = np.where(half > 0, half, 1.0)
-    longest = problem.duration[1]
-
-    def running_cost(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
-        del x, p, t
-        return ca.sumsqr((u - ca.DM(middle)) / ca.DM(half))
-
-    def final_cost(x0: ca.SX, xT: ca.SX, T: ca.SX, p: ca.SX) -> ca.SX:
-        del x0, xT, p
-        return T  # without it the longest motion would be the best
-
-    free = problem.duration[0] < longest
-    return replace(problem, running_cost=running_cost, final_cost=final_cost if free else None, objective_tolerance=None)
+def with_smallest_efforts(problem: OdeProblem, guess: StateGuess) -> StateGuess:
+    """Return a guess with efforts as near to zero as their limits allow."""
+    return replace(guess, effort=np.tile(np.clip(np.zeros(problem.n_u), *problem.effort_limit.T), (2, 1)))
 
 
 def of_least_time(problem: OdeProblem) -> OdeProblem:
@@ -126,24 +103,6 @@ def of_least_time(problem: OdeProblem) -> OdeProblem:
 def stretched(motion: OdeTrajectory, duration_s: float) -> OdeTrajectory:
     """Return a motion's states and efforts over another duration [s]."""
     return replace(motion, breaks_s=motion.breaks_s * (duration_s / motion.duration_s), running=None)
-
-
-def unbounded_duration(
-    problem: OdeProblem, found: Iterate[OdeTrajectory] | Refined[OdeTrajectory, OdeCertificate]
-) -> str | None:
-    """Return the words on a duration that ended at a bound which is not the user's but that of its guess; None elsewhere."""
-    held, T = bounded_by_guess(found.solution, *problem.duration), found.motion.duration_s
-    if held == LONGER:
-        return (
-            f"the objective is unbounded in the duration, the longer the motion the better, still at {T:.4g} s: bound"
-            " duration_s from above"
-        )
-    if held == SHORTER:
-        return (
-            f"the duration has no least value, the shorter the motion the better, still at {T:.4g} s: bound"
-            " duration_s from below"
-        )
-    return None
 
 
 def sampled_guess(motion: OdeTrajectory) -> StateGuess:

@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.case import FirstSolution, OdeCase
 from linkplan.planner.ode.costates import Switching, is_affine, last_costates, switching_of
-from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches

@@ -58,6 +58,7 @@ class RefinementTarget:
         strictness: the certificate's tolerance of the integrated state, divided by the tolerance of the refinement.
         tolerance_given: the user asked for that tolerance.
         objective_tolerance: the largest relative change of the objective from mesh to mesh; None if it is not checked.
+        objective_tolerance_given: the user asked for that, too; if not, it is kept where that is cheap.
         kinks_at_limits: the motion is smooth where no limit binds, so the integration error alone measures the mesh.
         enclosed: limits on power and pin force hold at every instant, by rows on Bernstein coefficients.
         layers: the motion has thin layers; the error falls only once the mesh resolves them.
@@ -70,6 +71,7 @@ class RefinementTarget:
     strictness: float
     tolerance_given: bool
     objective_tolerance: float | None
+    objective_tolerance_given: bool = True
     kinks_at_limits: bool = False
     enclosed: bool = False
     layers: bool = False

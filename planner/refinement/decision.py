@@ -46,6 +46,9 @@ MAX_GROWTH = 120
 # If the user gave no tolerance, a mesh of so many intervals is fine enough. If efforts jump inside intervals, the larger
 # number holds while the objective changes by more than this share.
 ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
+# A mesh grows by this factor at most for digits of the objective that the user did not ask for: a solve on such a mesh takes
+# about as many times as long as the first. A second mesh, which tells the error, is always solved.
+CHEAP_GROWTH = 3
 # Switches are read again at most so often, and wrongly held arcs released.
 MAX_READINGS, MAX_RELEASES = 3, 3
 # Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
@@ -178,8 +181,11 @@ def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray
 
 def _comfortable(state: RefinementState) -> int:
     """Return the number of intervals that is enough for a motion that passes."""
-    if state.target.tolerance_given:
-        return MAX_GROWTH * state.asked.problem.mesh.intervals
+    target, report = state.target, state.at.report
+    if target.tolerance_given:
+        exact = report is not None and report.exact and np.isfinite(state.change)
+        growth = CHEAP_GROWTH if exact and not target.objective_tolerance_given else MAX_GROWTH
+        return growth * state.asked.problem.mesh.intervals
     rough = state.target.enclosed and state.change > CHANGE_WORTH_INTERVALS
     return ENOUGH_ROUGH_INTERVALS if rough else ENOUGH_INTERVALS
 

@@ -8,6 +8,7 @@ import numpy as np
 from linkplan.planner.refinement.case import CertificateT, MotionT, RefinementTarget
 from linkplan.planner.refinement.certified_iterate import CertifiedIterateT, error_of
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.solvers.outcome import SOLVER_TOLERANCE
 from linkplan.planner.solvers.solve import Solution
 
 # The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the
@@ -20,7 +21,8 @@ class Refined(Generic[MotionT, CertificateT]):
     """A motion with its solution and certificate, which may not pass.
 
     `settled` is True if the objective keeps still from mesh to mesh, where that is required. `moved` is its relative change
-    between the last two meshes on which the motion passed, 0 if there is only one.
+    between the last two meshes on which the motion passed, 0 if there is only one. `objective_error` is the objective's
+    relative error as those meshes show it, infinite if there is only one.
     """
 
     motion: MotionT
@@ -28,6 +30,7 @@ class Refined(Generic[MotionT, CertificateT]):
     certificate: CertificateT
     settled: bool
     moved: float = 0.0
+    objective_error: float = np.inf
 
     @property
     def against(self) -> np.ndarray:
@@ -36,10 +39,16 @@ class Refined(Generic[MotionT, CertificateT]):
 
 
 def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: RefinementTarget) -> CertifiedIterateT:
-    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had."""
+    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had.
+
+    If the user gave no tolerance for the objective, one that changes by no more than the solver's error stays as it was.
+    """
     if before is None or (target.tolerance_given and now.report.exact and not before.report.exact):
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
+    solver_error = SOLVER_TOLERANCE * now.n_intervals * abs(objective)
+    if not target.objective_tolerance_given and before.report.exact and abs(then - objective) <= solver_error:
+        return before
     truer = not before.report.exact and (now.report.exact or error_of(now) < error_of(before))
     share = LOST_GAIN_INEXACT if truer else LOST_GAIN
     return before if then < objective - share * abs(objective) else now

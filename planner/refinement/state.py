@@ -26,14 +26,14 @@ class RefinementState(Generic[MotionT, CertificateT]):
     """The iterates of a refinement and the record of its actions.
 
     `asked` has the limits as they are asked: every certificate is against them. `case` has the scheme and the tightened
-    limits by now. `at` is the last iterate, `best` the best that passed. `warm` says that finer meshes are solved from next
-    to the coarser one's answer. `position_rows` says that ranges are imposed at every instant, `rows_lost` that this led to
-    no solution. `rounds` counts actions, `readings` those that read switches, `read_in` is the round of the last reading.
-    `before` is the objective of the iterate that passed before, `change` its relative change since, `calm` the number of
-    meshes without change. `falls` says that the last finer mesh erred by less than the one before. `releases` counts
-    releases of arcs. `loose` is the last iterate with the limits as asked after one had passed within tightened limits,
-    `tightenings` counts those since then, `idle` the loosenings since the best one improved. `ended` says that the last
-    action led nowhere.
+    limits by now. `at` is the last iterate, `best` the best that passed. `warm` says that finer meshes are solved from
+    next to the coarser one's answer. `position_rows` says that ranges are imposed at every instant, `rows_lost` that
+    this led to no solution. `rounds` counts actions, `readings` those that read switches, `read_in` is the round of the
+    last reading. `before` is the objective of the iterate that passed before, `change` its relative change since,
+    `change_before` the one before that, `calm` the number of meshes without change. `falls` says that the last finer
+    mesh erred by less than the one before. `releases` counts releases of arcs. `loose` is the last iterate with the
+    limits as asked after one had passed within tightened limits, `tightenings` counts those since then, `idle` the
+    loosenings since the best one improved. `ended` says that the last action led nowhere.
     """
 
     asked: Case[MotionT, CertificateT]
@@ -48,6 +48,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     readings: int = 0
     before: float = np.inf
     change: float = np.inf
+    change_before: float = np.inf
     calm: int = 0
     falls: bool = True
     releases: int = 0
@@ -70,8 +71,12 @@ class RefinementState(Generic[MotionT, CertificateT]):
     @property
     def settled(self) -> bool:
         """True if the objective keeps still from mesh to mesh, or need not."""
-        enough = MESHES_WITHOUT_CHANGE if self.at.found.fixed is None and not self.target.enclosed else 1
-        return self.objective_tolerance is None or self.calm >= enough
+        return self.objective_tolerance is None or self.calm >= self.meshes_to_settle
+
+    @property
+    def meshes_to_settle(self) -> int:
+        """The number of meshes in a row on which the objective must keep still."""
+        return MESHES_WITHOUT_CHANGE if self.at.found.fixed is None and not self.target.enclosed else 1
 
     @property
     def finished(self) -> bool:
@@ -98,7 +103,8 @@ class RefinementState(Generic[MotionT, CertificateT]):
     def result(self) -> Refined[MotionT, CertificateT] | None:
         """The best motion, or the last one if none passed; None without a certificate."""
         at, best = self.at, self.best
-        if not (at.passed and self.settled and self.objective_tolerance is not None and self.loose is None):
+        asked = self.objective_tolerance is not None and self.target.objective_tolerance_given
+        if not (at.passed and self.settled and asked and self.loose is None):
             at = best or at
         if at.certificate is None:
             return None
@@ -108,6 +114,15 @@ class RefinementState(Generic[MotionT, CertificateT]):
             certificate=at.certificate,
             settled=self.settled,
             moved=self.moved,
+            objective_error=self.objective_error,
+        )
+
+    @property
+    def objective_error(self) -> float:
+        """The relative error of the objective by its largest change on the meshes on which it must keep still."""
+        changes = (self.change, self.change_before)[: self.meshes_to_settle]
+        return (
+            max([self.moved, *(change for change in changes if np.isfinite(change))]) if np.isfinite(changes[0]) else np.inf
         )
 
     @property
@@ -142,5 +157,6 @@ def observed(
         best=better_of(state.best, at, state.target),
         calm=calm,
         change=change / size if size and np.isfinite(change) else state.change,
+        change_before=state.change,
         before=objective if solution.status == SUCCEEDED or tolerance is None else state.before,
     )

@@ -1,43 +1,27 @@
-"""The ladder of a search: the state that its rungs share, and the loop that tries them in order.
+"""The search for a mechanism's motion: the state that its rungs share, its repairs, and the answer of its rungs.
 
-A rung is one way to search for a motion: a start, or a continuation. Each rung has a condition, a budget and one function;
-`planner.planning` lists them. A rung returns a plan, whether its certificate passes or not, or None if it found no motion.
+`planner.planning` lists the rungs and the repairs.
 """
 
-import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from linkplan.models.deadline import Deadline, OutOfTimeError
-from linkplan.models.interrupts import check
+from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.search.known_motions import KnownMotions
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, try_in_turn
 from linkplan.planner.search.solving import Iterate
 from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
 
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Budget:
-    """The budget of a rung: iterations of each solve (None: as many as hard problems take) and a share of the time left."""
-
-    iterations: int | None = None
-    share_of_time: float = 1.0
-
-    def of(self, settings: SolverSettings) -> SolverSettings:
-        """Return the settings of a solver within this budget."""
-        fewer = settings.max_iterations
-        if self.iterations is not None:
-            fewer = min(self.iterations, fewer or self.iterations)
-        return replace(settings, max_iterations=fewer, deadline=settings.deadline.within_share(self.share_of_time))
+__all__ = ["HURRIED", "PATIENT", "Budget", "Repair", "Rung", "Search", "climb"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,6 +111,11 @@ class Search:
         return not self.solved and len(self.plans) < 2
 
     @property
+    def ended(self) -> bool:
+        """Whether no further rung is tried."""
+        return bool(self.verdicts) or self.stopped is not None
+
+    @property
     def stopped(self) -> str | None:
         """Why the search stops early: time is up, or a number is not finite; None if it goes on."""
         # The search stops if less than this time is left [s]: a solver stops a little before or after its limit.
@@ -136,16 +125,6 @@ class Search:
         if not self.plans and steps and steps[-1].solver_status == INVALID:
             return INVALID
         return None
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Rung:
-    """One way to search for a motion: its condition, its function and its budget."""
-
-    name: str
-    climb: Callable[[Search, Budget], Plan | None]
-    budget: Budget
-    tried: Callable[[Search], bool] = lambda _: True
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -162,21 +141,9 @@ class Repair:
     always: bool = True  # or only if every repair is to be tried
 
 
-# Budgets: of a first start, and of what is tried after it. Feasible motions need tens of iterations: no random problem of
-# the tests that led to a plan took more than 150.
-PATIENT, HURRIED = Budget(), Budget(iterations=200)
-
-
 def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
     """Return the best plan of the rungs, tried in order; None if no rung found a motion."""
-    for rung in rungs:
-        check()
-        if search.verdicts or search.stopped:
-            break
-        with contextlib.suppress(OutOfTimeError):
-            plan = rung.climb(search, rung.budget) if rung.tried(search) else None
-            if plan is not None:
-                search.plans.append(plan)
+    try_in_turn(search, rungs)
     best = search.best
     if best is None:
         return None

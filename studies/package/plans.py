@@ -74,8 +74,9 @@ def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
         progress: called with lines on the progress.
 
     Returns:
-        A plan with `status`, `message`, `objective`, `certificate`, `require()` and `trajectory`. The methods `state_at(t)`
-        and `effort_at(t)` of the trajectory return states (n, n_x) and efforts (n, n_u) at times (n,).
+        A plan with `status`, `message`, `objective`, `objective_error` (its estimated error), `duration_s` [s],
+        `certificate`, `require()` and `trajectory`. The methods `state_at(t)` and `effort_at(t)` of the trajectory return
+        states (n, n_x) and efforts (n, n_u) at times (n,).
 
     Raises:
         LinkplanError: if `problem` is not an `OdeProblem`.

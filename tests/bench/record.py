@@ -82,7 +82,7 @@ def ode_set() -> dict[str, Callable]:
     """Return the ODE set: what plans each problem, by name."""
     from linkplan.planner.ode.solve_ocp import plan_ode
     from tests.planner.ode import test_arcs, test_arm, test_hard, test_promises, test_switches, test_textbook, test_unstable
-    from tests.support.ode import INF, bryson_denham
+    from tests.support.ode import INF, bryson_denham, robbins
 
     textbook = test_textbook
     return {
@@ -101,7 +101,7 @@ def ode_set() -> dict[str, Callable]:
         "cart": test_arcs.quickest_cart,
         "arm": test_arm.quickest_arm,
         "bioreactor": lambda: plan_ode(test_hard.bioreactor()),
-        "Robbins": lambda: plan_ode(test_promises.robbins(1e-6)),
+        "Robbins": lambda: plan_ode(robbins(1e-6)),
         "swing-up": lambda: plan_ode(test_promises.swing_up()),
         "weak swing-up": lambda: plan_ode(test_promises.swing_up(0.3)),
         "settled oscillator": lambda: test_switches.settled_oscillator(3.0),

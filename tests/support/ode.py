@@ -42,7 +42,7 @@ def oscillator(x, u, p, t):  # noqa: ARG001
     return [x[1], -x[0] + u[0]]
 
 
-def bryson_denham(limit: float, tolerance: float) -> OdeProblem:
+def bryson_denham(limit: float, tolerance: float | None) -> OdeProblem:
     """Return Bryson and Denham's problem, whose optimum is 4 / (9 l) for a limit l below 1/6."""
     return OdeProblem(
         name="Bryson-Denham",
@@ -53,5 +53,20 @@ def bryson_denham(limit: float, tolerance: float) -> OdeProblem:
         state_limit=[[-INF, limit], FREE_STATE],
         duration_s=1.0,
         running_cost=lambda x, u, p, t: u[0] ** 2 / 2,  # noqa: ARG005
+        objective_tolerance=tolerance,
+    )
+
+
+def robbins(tolerance: float | None) -> OdeProblem:
+    """Return Robbins' problem (Betts 2010): y''' = u, y >= 0, int 3 y + u^2 / 2, with ever smaller bumps between touches."""
+    return OdeProblem(
+        name="Robbins",
+        rate=lambda x, u, p, t: [x[1], x[2], u[0]],  # noqa: ARG005
+        running_cost=lambda x, u, p, t: 3 * x[0] + u[0] ** 2 / 2,  # noqa: ARG005
+        start=[1, -2, 0],
+        goal=[0, 0, 0],
+        effort_limit=FREE_EFFORT,
+        state_limit=[[0, INF], FREE_STATE, FREE_STATE],
+        duration_s=10,
         objective_tolerance=tolerance,
     )

@@ -12,26 +12,11 @@ from linkplan.models.errors import InfeasibleError
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.problem.settings import SolverSettings
-from tests.support.ode import FREE_EFFORT, FREE_STATE, INF, bryson_denham, duration, solved, squared_effort
+from tests.support.ode import bryson_denham, duration, robbins, solved, squared_effort
 
 # Robbins' problem by a quadratic program with efforts linear over 2,000 intervals, integrated exactly, the limit kept at
 # their ends and middles; it moves by 6e-6 of itself from 1,000 intervals.
 ROBBINS = 19.43175
-
-
-def robbins(tolerance: float) -> OdeProblem:
-    """Return Robbins' problem (Betts 2010): y''' = u, y >= 0, int 3 y + u^2 / 2, with ever smaller bumps between touches."""
-    return OdeProblem(
-        name="Robbins",
-        rate=lambda x, u, p, t: [x[1], x[2], u[0]],  # noqa: ARG005
-        running_cost=lambda x, u, p, t: 3 * x[0] + u[0] ** 2 / 2,  # noqa: ARG005
-        start=[1, -2, 0],
-        goal=[0, 0, 0],
-        effort_limit=FREE_EFFORT,
-        state_limit=[[0, INF], FREE_STATE, FREE_STATE],
-        duration_s=10,
-        objective_tolerance=tolerance,
-    )
 
 
 @pytest.mark.slow

@@ -257,4 +257,4 @@ def test_a_duration_that_is_given_is_begun_from_once():
             running_cost=squared_effort,
         )
     )
-    assert len(plan.history) == 1
+    assert [step.what for step in plan.history if step.what.startswith(("first", "start"))] == ["first solve"]

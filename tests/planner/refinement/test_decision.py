@@ -214,3 +214,22 @@ def test_limits_are_loosened_on_at_most_240_intervals(n, loosens):
 @pytest.mark.parametrize(("idle", "loosens"), [(1, True), (2, False)])
 def test_two_loosenings_that_gain_nothing_are_the_end(idle, loosens):
     assert (next_action(tightened(1e-3, idle=idle)) == Loosen()) == loosens
+
+
+@pytest.mark.parametrize(("n", "change", "finer"), [(14, 1e-3, True), (16, 1e-3, False), (16, np.inf, True)])
+def test_digits_of_the_objective_that_nobody_asked_for_are_worth_three_times_the_first_mesh(n, change, finer):
+    """Every mesh has twice the intervals of the one before, and a second one is always solved."""
+    target = replace(AIMS, tolerance_given=True, objective_tolerance=1e-6, objective_tolerance_given=False)
+    asked = replace(target, objective_tolerance_given=True)
+    at = iterate(n=n)
+    assert (next_action(state(at, target=target, scheme="trapezoid", change=change)) is not None) == finer
+    assert next_action(state(at, target=asked, scheme="trapezoid", change=change)) is not None
+
+
+def test_the_error_of_the_objective_is_its_largest_change_on_the_meshes_on_which_it_settles():
+    target = replace(AIMS, objective_tolerance=1e-6)
+    now = state(iterate(), target=target)
+    assert now.objective_error == np.inf  # a single mesh tells nothing
+    for objective, error in ((1.1, 0.1 / 1.1), (1.1 * (1 + 1e-7), 0.1 / 1.1), (1.1, 1e-7)):
+        now = observed(now, iterate(objective=objective))
+        assert now.objective_error == pytest.approx(error, rel=1e-5)

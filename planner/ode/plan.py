@@ -1,0 +1,152 @@
+"""The answer to a user's optimal-control problem: a solution with its certificate, or the reason for none."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import InfeasibleError
+from linkplan.planner.ode.certificate import OdeCertificate
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.refinement.history import Step, recorded
+from linkplan.planner.refinement.refined import Refined
+from linkplan.planner.solvers.outcome import OF_TIME, SOLVER_TOLERANCE
+
+# Digits of an objective: at most so many are printed, and so few if its error is not known.
+MAX_DIGITS, FEW_DIGITS = 10, 3
+# The error is at most this multiple of the largest of the last changes if each mesh leaves at most half of the error before.
+ERROR_OF_CHANGE = 2.0
+# A digit is printed if its unit is at least this multiple of the error: it may then be wrong by one.
+UNITS_OF_ERROR = 2.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class OdePlan:
+    """A solution with its certificate, or none and the reason.
+
+    `status` is "optimal", "feasible" (certified, but less exact than was asked, or with an objective that still moves by
+    more: `message` says by how much), "infeasible" or "failed". `objective_error` estimates the error of the objective, in
+    its units: by its change from mesh to mesh, and by its distance from the objective of the integrated motion. A plan that
+    failed has no objective; its trajectory and certificate, if any, show what does not hold.
+    """
+
+    problem: OdeProblem
+    status: str
+    message: str
+    objective: float | None = None
+    objective_error: float | None = None
+    trajectory: OdeTrajectory | None = None
+    certificate: OdeCertificate | None = None
+    history: tuple[Step, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether it has a motion that passes its certificate, optimal or not."""
+        return self.status in ("optimal", "feasible")
+
+    @property
+    def duration_s(self) -> float | None:
+        """The duration of the motion [s]; None without a motion that passes."""
+        return self.trajectory.duration_s if self.passed else None
+
+    def require(self) -> "OdePlan":
+        """Return this plan if it is optimal.
+
+        Raises:
+            InfeasibleError: carrying the plan, if it is not.
+        """
+        if self.status != "optimal":
+            raise InfeasibleError(self.message, self)
+        return self
+
+    def __str__(self) -> str:
+        return self.message
+
+
+def plan_without_motion(problem: OdeProblem, status: str, reason: str) -> OdePlan:
+    """Return the plan of a problem without a motion, "infeasible" or "failed", with the reason and the time that ran out."""
+    return OdePlan(problem=problem, status=status, message=f"{status}: {reason}{_out_of_time(problem)}", history=recorded())
+
+
+def plan_of(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate], unbounded: str | None = None) -> OdePlan:
+    """Return the plan of a refined motion; `unbounded` are the words on a duration that has no best, where there is none."""
+    certificate, objective = refined.certificate, refined.solution.objective
+    status, reason = _verdict(problem, refined, unbounded)
+    # The solver leaves about its tolerance at every limit that binds.
+    left = SOLVER_TOLERANCE * (len(refined.motion.breaks_s) - 1)
+    error = abs(objective) * max(ERROR_OF_CHANGE * refined.objective_error, left)
+    error += abs(objective - certificate.integrated_objective)
+    value, known, late = _value(problem, refined, error), _error_words(error), _out_of_time(problem)
+    message = {
+        "optimal": f"optimum {value}; {known}{reason}",
+        "feasible": f"feasible: the best certified motion, {value}, keeps every limit, but {reason}; {known}{late}",
+        "failed": f"failed: {reason}{late}",
+    }[status]
+    passed = status != "failed"
+    return OdePlan(
+        problem=problem,
+        status=status,
+        message=message,
+        objective=objective if passed else None,
+        objective_error=float(error) if passed and np.isfinite(error) else None,
+        trajectory=refined.motion,
+        certificate=certificate,
+        history=recorded(),
+    )
+
+
+def _verdict(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate], unbounded: str | None) -> tuple[str, str]:
+    """Return the status of a refined motion and the reason for it; if it is optimal, what else there is to say."""
+    certificate = refined.certificate
+    if unbounded is not None:
+        return "failed", unbounded
+    if not certificate.passed:
+        return "failed", f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
+    moved = (
+        f"; its objective changed by {refined.moved:.2g} of itself from mesh to mesh at the last" if refined.moved else ""
+    )
+    if certificate.integration_error > problem.tolerance:
+        return "feasible", (
+            f"the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than the"
+            f" tolerance {problem.tolerance:g}{moved}"
+        )
+    if problem.objective_tolerance is not None and not refined.settled:
+        return "feasible", f"objective_tolerance = {problem.objective_tolerance:g} was not reached{moved}"
+    if certificate.integration_restarts:
+        return "optimal", (
+            "; the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
+            f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
+        )
+    return "optimal", ""
+
+
+def _value(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate], error: float) -> str:
+    """Return an objective and a duration in words, with the digits that the objective's error leaves."""
+    objective, duration, share = refined.solution.objective, refined.motion.duration_s, 0.0
+    if problem.duration[0] < problem.duration[1] and objective != 0:
+        share = error / abs(objective)
+        if objective != duration:
+            share = np.sqrt(share)  # at a least value the objective hardly changes with the duration
+    return f"{known_digits(objective, error)} in {known_digits(duration, share * duration)} s"
+
+
+def _error_words(error: float) -> str:
+    if not np.isfinite(error):
+        return "the error of the objective is not known, because only one mesh has a motion"
+    return f"the estimated error of the objective is {error:.1g}"
+
+
+def known_digits(value: float, error: float) -> str:
+    """Return a number with the digits that an error leaves, at most ten."""
+    if value == 0 or not np.isfinite(error):
+        return f"{value:.{FEW_DIGITS}g}"
+    unit = np.ceil(np.log10(max(UNITS_OF_ERROR * error, np.finfo(float).tiny)))
+    digits = int(np.floor(np.log10(abs(value))) - unit + 1)
+    return f"{value:.{min(digits, MAX_DIGITS)}g}" if digits > 0 else "0"
+
+
+def _out_of_time(problem: OdeProblem) -> str:
+    """Return the words on a time limit that has passed; empty before it has."""
+    if not problem.solver.deadline.passed:
+        return ""
+    return f"; the plan ran out of its {problem.solver.max_time_s:g} s {OF_TIME}"

@@ -1,0 +1,183 @@
+"""The search for a user's motion: first solutions from starts, the best of them refined, and what its rungs share."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from linkplan.planner.ode.case import FirstSolution, OdeCase
+from linkplan.planner.ode.certificate import OdeCertificate, sizes_of
+from linkplan.planner.ode.costates import is_affine
+from linkplan.planner.ode.formulation import completed, start_of, straight_guess, units_of
+from linkplan.planner.ode.integration import is_unstable
+from linkplan.planner.ode.plan import OdePlan, plan_of
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.starts import piecewise_constant, sampled_guess
+from linkplan.planner.ode.switches import has_arcs, switch_by_costates
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
+from linkplan.planner.refinement.history import recorded
+from linkplan.planner.refinement.refine import refine
+from linkplan.planner.refinement.refined import Refined
+from linkplan.planner.search.rungs import Budget
+from linkplan.planner.solvers.outcome import INVALID
+from linkplan.planner.transcription.formulation import Start
+from linkplan.planner.transcription.mesh import Mesh, broken, uniform
+
+# A free duration that ended at the bound of its guess is solved for again so often; each time it may change by a factor of
+# a hundred. It has no best value if the objective falls below this share of itself at once.
+MAX_RESTARTS, UNBOUNDED_SHARE = 3, 0.5
+# Objectives within this relative difference belong to the same motion.
+SAME_MOTION_SHARE = 1e-4
+# A first solution whose integrated state ends this share of its size away has wild efforts between the nodes.
+WILD_ERROR = 1e-3
+# Efforts linear over intervals replace polynomials if they reduce the integration error to this share.
+LINEAR_ERROR_SHARE = 0.01
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OdeSearch:
+    """A search for the motion of a problem with a deadline, as every rung sees it; `plans` are those of the rungs so far."""
+
+    problem: OdeProblem
+    plans: list[OdePlan] = field(default_factory=list)
+
+    @cached_property
+    def guesses(self) -> list[StateGuess]:
+        """The given guesses, completed, then the straight line between the given values of start and goal."""
+        return [*(completed(self.problem, guess) for guess in self.problem.guesses), straight_guess(self.problem)]
+
+    def within(self, budget: Budget) -> OdeProblem:
+        """Return the problem with the settings that a budget allows its solves."""
+        return replace(self.problem, solver=budget.of(self.problem.solver))
+
+    @property
+    def ended(self) -> bool:
+        """Whether no further rung is tried: there is a plan, time is up, or every start gave numbers that are not finite."""
+        steps = recorded()
+        invalid = bool(steps) and all(step.solver_status == INVALID for step in steps)
+        return bool(self.plans) or self.problem.solver.deadline.passed or invalid
+
+
+def first_mesh(problem: OdeProblem) -> Mesh:
+    """Return the mesh on which starts are solved."""
+    return uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
+
+
+def first_solutions(
+    problem: OdeProblem, starts: Iterable[StateGuess], *, enough: int | None = None, number: int = 0
+) -> list[FirstSolution]:
+    """Return the solutions that starts lead to on the first mesh, the first `enough` of them; they count from `number`."""
+    found: list[FirstSolution] = []
+    for k, guess in enumerate(problem.solver.deadline.take(starts), number):
+        word = f"start {k + 1}" if k or problem.solver.starts > 1 else "first solve"
+        one = _of_any_duration(_solved(problem, guess, word, k), word)
+        if one is not None:
+            found.append(one)
+            if len(found) == enough:
+                break
+    return found
+
+
+def _solved(problem: OdeProblem, guess: StateGuess, word: str, number: int) -> FirstSolution | None:
+    """Return the solution on the first mesh from a completed guess, in its units."""
+    case = OdeCase(problem, problem, units_of(problem, guess))
+    found = attempt(case, start_of(guess, case.units), first_mesh(problem), np.array([guess.duration_s]), word)
+    return None if found is None else FirstSolution(case=case, found=found, number=number)
+
+
+def _of_any_duration(first: FirstSolution | None, word: str) -> FirstSolution | None:
+    """Return a first solution whose duration is not bounded by its guess, or the words on one that has no best."""
+    for restart in range(MAX_RESTARTS):
+        unbounded = None if first is None else unbounded_duration(first.case.asked, first.found)
+        if unbounded is None:
+            break
+        # Guessed too short or too long by far: from what was found, with time in its own units.
+        what, before = f"{word}, restarted from the bound on its duration", first
+        first = _solved(first.case.asked, sampled_guess(first.found.motion), what, first.number)
+        # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
+        if first is not None and restart:
+            falls = first.found.solution.objective < UNBOUNDED_SHARE * before.found.solution.objective
+            first = replace(first, unbounded=unbounded if falls else None)
+    return first
+
+
+def unbounded_duration(
+    problem: OdeProblem, found: Iterate[OdeTrajectory] | Refined[OdeTrajectory, OdeCertificate]
+) -> str | None:
+    """Return the words on a duration that ended at a bound which is not the user's but that of its guess; None elsewhere."""
+    held, duration = bounded_by_guess(found.solution, *problem.duration), found.motion.duration_s
+    if held is None:
+        return None
+    what, side = ("the objective is unbounded in the duration, the longer", "above") if held == LONGER else (
+        "the duration has no least value, the shorter", "below"
+    )  # fmt: skip
+    return f"{what} the motion the better, still at {duration:.4g} s: bound duration_s from {side}"
+
+
+def best_plan(problem: OdeProblem, found: Iterable[FirstSolution]) -> OdePlan | None:
+    """Return the plan of the best first solution that is optimal once refined, or else the best plan; None without any."""
+    failed, tried = None, np.zeros(0)
+    best_first = sorted(found, key=lambda one: (one.found.solution.objective, one.number))
+    for one in problem.solver.certificate_deadline.take(best_first):
+        objective = one.found.solution.objective
+        if np.any(np.abs(tried - objective) <= SAME_MOTION_SHARE * abs(objective)):
+            continue  # the same motion, that did not pass
+        tried = np.append(tried, objective)
+        refined = refined_motion(problem, one)
+        plan = plan_of(problem, refined, one.unbounded or unbounded_duration(problem, refined))
+        if plan.status == "optimal" or one.unbounded is not None:
+            return plan
+        failed = plan if failed is None or (failed.status, plan.status) == ("failed", "feasible") else failed
+    return failed
+
+
+def refined_motion(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTrajectory, OdeCertificate]:
+    """Return the motion that a first solution is refined to; one with switch times is taken as it is."""
+    if not first.case.has_switch_times:
+        asked = replace(problem, mesh=first.case.problem.mesh)
+        first = replace(first, case=OdeCase(asked, problem, first.case.units))
+        first = switch_by_costates(_with_linear_efforts(_without_wild_efforts(first)))
+    guess = sampled_guess(first.found.motion)
+    unstable = is_unstable(problem, first.found.motion, sizes_of(guess.state))
+    if unstable:
+        # In its own units, and from next to the coarser mesh: the solver loses such a motion more easily than others.
+        first = replace(first, case=replace(first.case, units=units_of(problem, guess)))
+    refined = refine(first.case, first.found, warm=unstable)
+    assert refined is not None  # a user's solution always has a certificate
+    return refined
+
+
+def _without_wild_efforts(first: FirstSolution) -> FirstSolution:
+    """Return a first solution whose efforts are no wild polynomials between its nodes."""
+    case, motion = first.case, first.found.motion
+    before = case.certify(motion).integration_error
+    if before <= WILD_ERROR:
+        return first
+    start, what = piecewise_constant(case, motion), "efforts piecewise constant at first"
+    return _solved_again(first, case, start, before, what)
+
+
+def _with_linear_efforts(first: FirstSolution) -> FirstSolution:
+    """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
+
+    On a singular arc only higher derivatives of the costates determine an effort that enters affinely. A polynomial through
+    the nodes of an interval can oscillate there, a straight line cannot.
+    """
+    case, asked, motion = first.case, first.case.asked, first.found.motion
+    if case.problem.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(motion, asked.effort_limit):
+        return first
+    linear = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
+    allowed = LINEAR_ERROR_SHARE * case.certify(motion).integration_error
+    return _solved_again(first, linear, linear.start_from(motion), allowed, "efforts linear over intervals")
+
+
+def _solved_again(first: FirstSolution, case: OdeCase, start: Start, allowed: float, what: str) -> FirstSolution:
+    """Return a first solution solved again on its mesh, where that reduces the integration error below what is allowed."""
+    durations = np.diff(first.found.motion.breaks_s[[0, -1]])
+    again = attempt(case, start, first.found.mesh, durations, what, warm=True)
+    if again is None or case.certify(again.motion).integration_error >= allowed:
+        return first
+    return replace(first, found=again, case=case)

@@ -1,0 +1,231 @@
+"""The objective's error is estimated, and only the digits that are known are printed."""
+
+import itertools
+import re
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.planner.ode.formulation import straight_guess
+from linkplan.planner.ode.plan import OdePlan, known_digits, plan_of
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.search import first_solutions, refined_motion
+from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.problem.settings import MeshSettings
+from tests.support.ode import (
+    FREE_EFFORT,
+    FREE_STATE,
+    INF,
+    NAN,
+    bryson_denham,
+    double_integrator,
+    duration,
+    robbins,
+    solved,
+    squared_effort,
+)
+
+DEG = np.pi / 180.0
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "printed"),
+    [
+        (19.431782, 4e-4, "19.432"),
+        (19.431782, 6e-4, "19.43"),
+        (-34.14118428, 3e-9, "-34.14118428"),
+        (4.000000077, 5e-7, "4"),
+        (4.000123, 5e-7, "4.000123"),
+        (123456.0, 40.0, "1.235e+05"),
+        (1e-9, 1e-8, "0"),
+        (0.0, 0.0, "0"),
+        (1 / 3, 0.0, "0.3333333333"),
+        (1 / 3, INF, "0.333"),
+    ],
+)
+def test_digits_are_printed_as_far_as_the_error_leaves_them(value, error, printed):
+    assert known_digits(value, error) == printed
+
+
+def printed_objective(plan: OdePlan) -> tuple[float, float]:
+    """Return the objective that a plan prints, and half the unit of its last digit."""
+    text = re.match(r"optimum (\S+) in", str(plan))[1]
+    return float(text), 0.5 * 10.0 ** -len(text.partition(".")[2])
+
+
+def check_what_is_said(plan: OdePlan, low: float, high: float) -> None:
+    """Check that the objective is as near to an optimum between two bounds as it says, and what it prints, too."""
+    assert plan.status == "optimal", plan.message
+    assert low - plan.objective_error <= plan.objective <= high + plan.objective_error
+    value, half = printed_objective(plan)
+    assert low - plan.objective_error - half <= value <= high + plan.objective_error + half
+    assert f"the estimated error of the objective is {plan.objective_error:.1g}" in plan.message
+
+
+# Robbins' problem by Lagrange's dual: where the motion touches its limit, and from when on it stays there, about.
+ROBBINS_TOUCHES, ROBBINS_AT_REST = np.array([0.97666543, 4.22707264, 5.25964376]), 5.47032283
+
+
+def robbins_below(touches: np.ndarray, at_rest: float) -> float:
+    """Return a lower bound on Robbins' optimum: the least cost if y >= 0 counts at touches (m,) only, and 3 y before a time.
+
+    What is left out of the cost is not negative, and fewer limits make it no larger. Before that time u''' = 3, then 0, and
+    u'' jumps at touches: y is a sum of powers, and its values are linear equations.
+    """
+    unit = [1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0]
+
+    def power(k: int, t: float, since: float) -> np.ndarray:
+        return np.array([max(t - since, 0.0) ** (k + 3 - i) / unit[k + 3 - i] for i in range(4)])
+
+    def at(t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return y, y', y'' and u at a time, as a matrix of the unknowns and a vector."""
+        columns = [power(0, t, 0.0), power(1, t, 0.0), power(2, t, 0.0), *(power(2, t, touch) for touch in touches)]
+        return np.array(columns).T, 3 * power(3, t, 0.0) - 3 * power(3, t, at_rest) + np.array([1 - 2 * t, -2, 0, 0])
+
+    rows = [*zip(*(part[:3] for part in at(10.0)), strict=True), *((a[0], b[0]) for a, b in map(at, touches))]
+    unknowns = np.linalg.solve([row for row, _ in rows], [-value for _, value in rows])
+    assert np.all(unknowns[3:] < 0)  # limits push y upwards: they are inequalities
+    share, weight = np.polynomial.legendre.leggauss(8)
+    cost, ends = 0.0, np.concatenate([[0.0], touches, [at_rest, 10.0]])
+    for left, right in itertools.pairwise(ends):
+        for t, w in zip(left + (right - left) * (share + 1) / 2, (right - left) / 2 * weight, strict=True):
+            matrix, vector = at(t)
+            y, _, _, u = matrix @ unknowns + vector
+            cost += w * (3 * y * (t < at_rest) + u**2 / 2)
+    return cost
+
+
+@pytest.mark.slow
+def test_robbins_optimum_is_as_near_as_the_plan_says():
+    optimum = robbins_below(ROBBINS_TOUCHES, ROBBINS_AT_REST)
+    plan = plan_ode(robbins(None))
+    check_what_is_said(plan, optimum, optimum * (1 + 1e-8))
+    assert plan.objective_error < 1e-4 * optimum
+    asked = plan_ode(robbins(1e-6))
+    assert asked.objective == pytest.approx(optimum, rel=1e-6)
+    assert asked.objective_error <= 1e-5 * optimum
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [1 / 9, 0.04, 0.1, 0.13])
+def test_an_optimum_beside_a_limit_is_found_to_a_millionth_without_asking(limit):
+    exact, plan = 4 / (9 * limit), plan_ode(bryson_denham(limit, None))
+    check_what_is_said(plan, exact, exact)
+    assert plan.objective == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("changes", "exact"),
+    [
+        ({"duration_s": 1.5, "running_cost": squared_effort, "goal": [2, 0]}, 12 * 2**2 / 1.5**3),
+        ({"duration_s": (0.1, 20.0), "final_cost": duration, "effort_limit": [[-1, 1]]}, 2.0),
+        ({"duration_s": (0.1, 20.0), "final_cost": duration, "effort_limit": [[-1, 1]],
+          "state_limit": [FREE_STATE, [-INF, 0.8]]}, 1 / 0.8 + 0.8),
+    ],
+    ids=["least effort", "least time", "least time under a speed limit"],
+)  # fmt: skip
+def test_closed_forms_are_as_near_as_plans_say(changes, exact):
+    problem = OdeProblem(
+        **{
+            "name": "x'' = u",
+            "rate": double_integrator,
+            "start": [0, 0],
+            "goal": [1, 0],
+            "effort_limit": FREE_EFFORT,
+            **changes,
+        }
+    )
+    check_what_is_said(solved(problem), exact, exact)
+
+
+# The straight line between the boundary values.
+
+
+def shuttle() -> OdeProblem:
+    """Return the reentry of the space shuttle with the largest cross range (Betts 2010, 6.1); published: 34.1412 deg.
+
+    States: height [ft], longitude, latitude [rad], speed [ft/s], flight path angle, azimuth [rad]. Efforts: angle of attack
+    and bank angle [rad].
+    """
+    area, earth, mass = 2690.0, 20902900.0, 203000.0 / 32.174
+
+    def rate(x, u, p, t):  # noqa: ARG001
+        height, _, latitude, speed, path, azimuth = (x[i] for i in range(6))
+        attack, bank = u[0] / DEG, u[1]
+        pressure = 0.5 * area * 0.002378 * ca.exp(-height / 23800.0) * speed**2
+        drag = (0.07854 - 0.61592e-2 * attack + 0.621408e-3 * attack**2) * pressure
+        lift = (-0.20704 + 0.029244 * attack) * pressure
+        radius = earth + height
+        weight = 0.14076539e17 / radius**2
+        return [
+            speed * ca.sin(path),
+            speed / radius * ca.cos(path) * ca.sin(azimuth) / ca.cos(latitude),
+            speed / radius * ca.cos(path) * ca.cos(azimuth),
+            -drag / mass - weight * ca.sin(path),
+            lift / (mass * speed) * ca.cos(bank) + ca.cos(path) * (speed / radius - weight / speed),
+            lift * ca.sin(bank) / (mass * speed * ca.cos(path))
+            + speed / (radius * ca.cos(latitude)) * ca.cos(path) * ca.sin(azimuth) * ca.sin(latitude),
+        ]
+
+    return OdeProblem(
+        name="space shuttle",
+        rate=rate,
+        start=[260000, 0, 0, 25600, -1 * DEG, 90 * DEG],
+        goal=[80000, NAN, NAN, 2500, -5 * DEG, NAN],
+        effort_limit=[[-90 * DEG, 90 * DEG], [-89 * DEG, 1 * DEG]],
+        state_limit=[[0, INF], FREE_STATE, [-89 * DEG, 89 * DEG], [1, INF], [-89 * DEG, 89 * DEG], FREE_STATE],
+        duration_s=(500, 5000),
+        final_cost=lambda x0, xT, T, p: -xT[2] / DEG,  # noqa: ARG005
+    )
+
+
+@pytest.mark.slow
+def test_a_shuttle_needs_no_guess_to_come_down():
+    plan = solved(shuttle())
+    assert plan.objective == pytest.approx(-34.1412, abs=5e-5)
+    assert plan.objective_error < 1e-6 * abs(plan.objective)
+
+
+def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
+    problem = OdeProblem(
+        name="1 / x",
+        rate=lambda x, u, p, t: [u[0] / x[0]],  # noqa: ARG005
+        start=[1],
+        goal=[2],
+        effort_limit=FREE_EFFORT,
+        duration_s=1.0,
+        running_cost=squared_effort,
+        guesses=[StateGuess(state=[[0.0], [0.0]])],  # there the rate is not finite
+    )
+    assert plan_ode(problem).objective == pytest.approx(1.5**2, rel=1e-6)  # (x^2 / 2)' = u
+
+
+# Plans that fail.
+
+
+def test_a_plan_that_failed_has_neither_objective_nor_duration():
+    """Rest to rest over 1 in T costs 12 / T^3: the longer the better."""
+    problem = OdeProblem(
+        name="without end", rate=double_integrator, start=[0, 0], goal=[1, 0], effort_limit=FREE_EFFORT,
+        duration_s=(0.1, INF), running_cost=squared_effort,
+    )  # fmt: skip
+    coarse = MeshSettings(scheme="radau-1", intervals=2, refine="intervals")
+    missed = replace(
+        problem, duration_s=2.0, rate=lambda x, u, p, t: [x[1], u[0] - ca.sin(5 * x[0])], mesh=coarse  # noqa: ARG005
+    )  # fmt: skip
+    for plan in (plan_ode(problem), plan_ode(missed)):
+        assert plan.status == "failed"
+        assert plan.trajectory is not None  # a motion that does not do is shown, not claimed
+        assert (plan.objective, plan.objective_error, plan.duration_s) == (None, None, None)
+
+
+def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():
+    problem = bryson_denham(0.1, None)
+    refined = refined_motion(problem, first_solutions(problem, [straight_guess(problem)])[0])
+    plan = plan_of(problem, replace(refined, objective_error=INF))
+    assert plan.status == "optimal"
+    assert plan.objective_error is None
+    assert plan.message.startswith("optimum 4.44 in 1 s; the error of the objective is not known")
