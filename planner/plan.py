@@ -30,7 +30,7 @@ class Plan:
 
     `details` holds further values by name, with the unit in the name. `solved` is the last program with its solution as the
     starting point, for warm starts; None for a motion that needed no solver. `solved_again` says that it was solved by a
-    warm start of an existing program.
+    warm start of an existing program. `read_scheme` is the transcription of a plan that was read, and has no program.
     """
 
     problem: Problem
@@ -42,7 +42,10 @@ class Plan:
     message: str
     """The answer in a sentence; without a motion, it names the limit, the joint, the instant and the excess."""
     objective: float | None = None
-    """The value of the objective in SI units: effort [N2 m2 s], time [s], tracking [rad2 s], ...; None if unknown."""
+    """The value of the objective in SI units: effort [N2 m2 s], time [s], tracking [rad2 s], ...; None if unknown.
+
+    A plan that failed has none, even if it has a motion: that motion does not keep the problem's limits.
+    """
     trajectory: Trajectory | None = None
     certificate: Certificate | None = None
     """The checks between the nodes: `passed`, `failures` and all values, in SI units; None without a motion."""
@@ -51,11 +54,12 @@ class Plan:
     details: dict[str, float] = field(default_factory=dict)
     solved: Transcribed | None = None
     solved_again: bool = False
+    read_scheme: str | None = None
 
     def __reduce__(self) -> tuple:
         """Pickle without the program, which a saved plan does not have either."""
         kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "solved"}
-        return _unpickled, (type(self), kept)
+        return _unpickled, (type(self), kept | {"read_scheme": self.scheme})
 
     @property
     def passed(self) -> bool:
@@ -84,13 +88,13 @@ class Plan:
 
     @property
     def duration_s(self) -> float | None:
-        """The duration of the motion [s]; None without a motion."""
-        return None if self.trajectory is None else self.trajectory.duration_s
+        """The duration of the motion [s]; None without a motion that passes its certificate."""
+        return self.trajectory.duration_s if self.trajectory is not None and self.passed else None
 
     @property
     def scheme(self) -> str:
         """The transcription of the final mesh; the problem's if nothing was solved."""
-        return self.problem.mesh.scheme if self.solved is None else self.solved.scheme.name
+        return (self.read_scheme or self.problem.mesh.scheme) if self.solved is None else self.solved.scheme.name
 
     @property
     def intervals(self) -> int:

@@ -236,10 +236,11 @@ def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem:
         problem=problem,
         status=status,
         message=message,
-        objective=saved.objective,
+        objective=None if status == "failed" else saved.objective,
         trajectory=trajectory,
         certificate=certificate,
         history=history_of(saved),
+        read_scheme=saved.mesh.scheme,
         details={name: value for name, value in saved.details.items() if value is not None},
     )
 

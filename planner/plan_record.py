@@ -45,6 +45,12 @@ class ExtraRecord(Struct, frozen=True):
     weight: float | None = None
 
 
+class MeshRecord(Struct, frozen=True):
+    """The final mesh's transcription; its intervals follow from the motion."""
+
+    scheme: str | None = None
+
+
 class PlanRecord(Struct, frozen=True):
     """The fields of `plan.json` that are read; the others are for people, or follow from the motion."""
 
@@ -54,6 +60,7 @@ class PlanRecord(Struct, frozen=True):
     message: str
     problem: dict[str, Any]
     objective: float | None = None
+    mesh: MeshRecord = MeshRecord()
     details: dict[str, float | None] = {}
     history: list[StepRecord] = []
     versions: dict[str, str] = {}

@@ -69,7 +69,7 @@ def finished(
             " the model's there (mechanism.friction_transition_deg_s)"
         )
     if failure is not None:
-        return replace(plan, status="failed", message=f"failed: {failure}", details=details)
+        return replace(plan, status="failed", message=f"failed: {failure}", objective=None, details=details)
     return replace(plan, message=sentence, details=details)
 
 

@@ -18,7 +18,7 @@ def case_record(case: CaseSection, plan: Plan) -> dict:
 def case_row(case: CaseSection, plan: Plan) -> list:
     """Return a case's row of the table."""
     problem, digits = plan.problem, known_digits(plan)
-    duration = None if plan.trajectory is None else figure(plan.trajectory.duration_s, digits)
+    duration = None if plan.duration_s is None else figure(plan.duration_s, digits)
     objective = None if plan.objective is None else f"{figure(plan.objective, min(digits, 6))}{objective_unit(problem)}"
     peaks = () if plan.certificate is None else zip(plan.certificate.peak_effort, problem.mechanism.actuators, strict=True)
     peak = max(((float(effort), actuator.unit) for effort, actuator in peaks), default=None)
