@@ -54,10 +54,9 @@ def from_several_starts(search: OdeSearch, budget: Budget) -> OdePlan | None:
 def from_guesses(search: OdeSearch, budget: Budget) -> OdePlan | None:
     """Return the plan that the first guess with a solution leads to; the best of several starts if the duration is open."""
     problem = search.within(budget)
-    starts = [*search.guesses, with_smallest_efforts(problem, search.guesses[-1])]
-    found = first_solutions(problem, starts, enough=1)
+    found = first_solutions(problem, search.guesses, enough=1)
     if is_open(problem) and not search.ended:
-        found += first_solutions(search.within(HURRIED), _further_guesses(search), number=len(starts))
+        found += first_solutions(search.within(HURRIED), _further_guesses(search), number=len(search.guesses))
     return best_plan(problem, found)
 
 
@@ -71,9 +70,10 @@ def from_constant_efforts(search: OdeSearch, budget: Budget) -> OdePlan | None:
 
 
 def from_further_guesses(search: OdeSearch, budget: Budget) -> OdePlan | None:
-    """Return the plan that the straight line at another duration leads to, or else a perturbed guess."""
+    """Return the plan that the straight line with small efforts leads to, or other durations, or a perturbed guess."""
     problem = search.within(budget)
-    found = first_solutions(problem, _further_guesses(search), enough=1, number=len(search.guesses) + 1)
+    starts = [with_smallest_efforts(problem, search.guesses[-1]), *_further_guesses(search)]
+    found = first_solutions(problem, starts, enough=1, number=len(search.guesses))
     return best_plan(problem, found)
 
 
@@ -166,7 +166,7 @@ RUNGS: tuple[Rung[OdeSearch], ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="the guesses given, then the straight line, with efforts in the middle of their limits and with small ones",
+        name="the guesses given, then the straight line",
         tried=lambda search: search.problem.solver.starts == 1,
         climb=from_guesses,
         budget=PATIENT,
@@ -178,7 +178,7 @@ RUNGS: tuple[Rung[OdeSearch], ...] = (
         climb=from_least_limits,
         budget=PATIENT,
     ),
-    Rung(name="other durations, and perturbed guesses", climb=from_further_guesses, budget=HURRIED),
+    Rung(name="small efforts, other durations, and perturbed guesses", climb=from_further_guesses, budget=HURRIED),
 )
 
 
