@@ -43,6 +43,8 @@ class OdeCase:
 
     def __post_init__(self) -> None:
         asked = self.asked
+        # Cut at its switches a bang-bang motion is exact as soon as its integration is.
+        default = None if self.has_switch_times else DEFAULT_OBJECTIVE_TOLERANCE
         target = RefinementTarget(
             effort_limit=asked.effort_limit,
             # Wherever an effort has two limits to jump between.
@@ -51,7 +53,7 @@ class OdeCase:
             continuous_efforts=False,  # nothing is known of its costs
             strictness=INTEGRATION_SHARE / asked.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
-            objective_tolerance=asked.objective_tolerance or DEFAULT_OBJECTIVE_TOLERANCE,
+            objective_tolerance=asked.objective_tolerance or default,
             objective_tolerance_given=asked.objective_tolerance is not None,
         )
         object.__setattr__(self, "target", target)
