@@ -55,11 +55,12 @@ def _distribution(results: Mapping[str, np.ndarray], trackers: Sequence[str], na
         rows = np.unique(np.linspace(0, len(values) - 1, num=101).astype(int))
         share = 100 * (rows + 1) / len(columns[tracker])
         x = values[rows]
-        last = np.append(np.diff(x) > 0, x[-1] < high) & ((x > 0) | (not log))  # equal values: the largest share
+        shown = (x > 0) | (not log)
+        last = np.append(np.diff(x) > 0, x[-1] < high) & shown  # equal values: the largest share
         series.append(
             Series(
                 name=tracker,
-                x=rounded(np.concatenate([x[last][:1], x[last], [high]]), log=log),
+                x=rounded(np.concatenate([x[shown][:1], x[last], [high]]), log=log),
                 y=rounded(np.concatenate([[0.0], share[last], share[-1:]])),
                 colour=tracker_colour(tracker, k + 3),
                 width=overlaid_width(k, len(known)),

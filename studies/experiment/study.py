@@ -32,7 +32,7 @@ from linkplan.studies.experiment.experiment import (
 from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.experiment.parts import read_results, write_results
 from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of, sensitivity_record
-from linkplan.studies.experiment.summary import Summary, summarise, summary_record
+from linkplan.studies.experiment.summary import Summary, chatter_notes, summarise, summary_record
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.tasks.engine import Engine, Say, here
 from linkplan.studies.tasks.unfinished import PLAN, finish, refuse_other, remove_left, unfinished, working
@@ -156,7 +156,10 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: d
         "imperfections": imperfections_asked(experiment.plan),
         "control_period_s": experiment.reference.period_s,
         "duration_s": experiment.reference.period_s * experiment.reference.n,
-        "notes": [note for note in (fall_note(experiment), defaults_note(experiment.plan)) if note is not None],
+        "notes": [
+            *(note for note in (fall_note(experiment), defaults_note(experiment.plan)) if note is not None),
+            *chatter_notes(experiment, summary),
+        ],
         **summary_record(summary),
         **found,
     }

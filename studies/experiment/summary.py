@@ -5,8 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.experiment.statistics import Estimate, Pair, mean_of, pair_of, share_of
+
+# A tracker whose effort varies in total by more than this multiple of the plan's, and once between its limits, chatters.
+CHATTER_FACTOR = 5.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -73,6 +77,20 @@ def summarise(
     ]
     samples = int(np.sum(rows[trackers[0]]))
     return Summary(samples=samples, trackers=tuple(found), pairs=tuple(pairs), metrics=metrics)
+
+
+def chatter_notes(experiment: Experiment, summary: Summary) -> list[str]:
+    """Return a sentence on each tracker whose effort varies much more in total than the plan's own."""
+    reference, limit = experiment.reference, experiment.loop.effort_limit
+    planned = float(np.abs(np.diff(reference.effort, axis=0)).sum())
+    span = float(np.sum(np.where(np.isfinite(limit), np.abs(limit), 0.0)))
+    unit = summary.metrics["chatter"].unit
+    return [
+        f"{one.name} chatters: its effort varies by {varied:.3g} {unit} in total, the plan's by {planned:.3g}; its gains are"
+        " too high for this period, delay and encoder"
+        for one in summary.trackers
+        if (varied := one.means["chatter"].value) > CHATTER_FACTOR * planned + span
+    ]
 
 
 def _percentile(values: np.ndarray) -> float:

@@ -315,3 +315,11 @@ def test_a_block_of_long_runs_has_few_samples_so_that_little_is_lost():
     assert blocks.block_samples(long) * 2 * long.reference.n <= blocks.BLOCK_STEPS
     covered = [sample for block in range(blocks.block_count(long)) for sample in blocks.samples_of(block, long)]
     assert covered == list(range(1000))
+
+
+def test_a_tracker_whose_gains_are_too_high_for_its_encoder_is_said_to_chatter(tmp_path):
+    fine = ("imperfections.encoder_resolution_deg=1e-4", SHORT)
+    coarse = ("imperfections.encoder_resolution_deg=0.05", SHORT)
+    (quiet, loud) = (done(tmp_path / name, overrides=how).record["notes"] for name, how in (("a", fine), ("b", coarse)))
+    assert not any("chatters" in note for note in quiet)
+    assert any(note.startswith("pd+ff chatters: its effort varies by") for note in loud)
