@@ -47,8 +47,9 @@ def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: 
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
     solver_error = SOLVER_TOLERANCE * now.n_intervals * abs(objective)
-    if not target.objective_tolerance_given and before.report.exact and now.report.exact:
-        return before if abs(then - objective) <= solver_error else now
+    both_exact = before.report.exact and now.report.exact
+    if not target.objective_tolerance_given and both_exact and abs(then - objective) <= solver_error:
+        return before
     truer = not before.report.exact and (now.report.exact or error_of(now) < error_of(before))
     share = LOST_GAIN_INEXACT if truer else LOST_GAIN
     return before if then < objective - share * abs(objective) else now
