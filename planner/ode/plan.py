@@ -12,13 +12,6 @@ from linkplan.planner.refinement.history import Step, recorded
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.solvers.outcome import OF_TIME, SOLVER_TOLERANCE
 
-# Digits of an objective: at most so many are printed, and so few if its error is not known.
-MAX_DIGITS, FEW_DIGITS = 10, 3
-# The error is at most this multiple of the largest of the last changes if each mesh leaves at most half of the error before.
-ERROR_OF_CHANGE = 2.0
-# A digit is printed if its unit is at least this multiple of the error: it may then be wrong by one.
-UNITS_OF_ERROR = 2.0
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class OdePlan:
@@ -74,7 +67,8 @@ def plan_of(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate]
     status, reason = _verdict(problem, refined, unbounded)
     # The solver leaves about its tolerance at every limit that binds.
     left = SOLVER_TOLERANCE * (len(refined.motion.breaks_s) - 1)
-    error = abs(objective) * max(ERROR_OF_CHANGE * refined.objective_error, left)
+    # At most twice the largest of the last changes, if each mesh leaves at most half of the error before.
+    error = abs(objective) * max(2.0 * refined.objective_error, left)
     error += abs(objective - certificate.integrated_objective)
     value, known, late = _value(problem, refined, error), _error_words(error), _out_of_time(problem)
     message = {
@@ -137,12 +131,13 @@ def _error_words(error: float) -> str:
 
 
 def known_digits(value: float, error: float) -> str:
-    """Return a number with the digits that an error leaves, at most ten."""
+    """Return a number with the digits that an error leaves, at most ten; three if the error is not known."""
     if value == 0 or not np.isfinite(error):
-        return f"{value:.{FEW_DIGITS}g}"
-    unit = np.ceil(np.log10(max(UNITS_OF_ERROR * error, np.finfo(float).tiny)))
+        return f"{value:.3g}"
+    # A digit is printed if its unit is at least twice the error: it may then be wrong by one.
+    unit = np.ceil(np.log10(max(2.0 * error, np.finfo(float).tiny)))
     digits = int(np.floor(np.log10(abs(value))) - unit + 1)
-    return f"{value:.{min(digits, MAX_DIGITS)}g}" if digits > 0 else "0"
+    return f"{value:.{min(digits, 10)}g}" if digits > 0 else "0"
 
 
 def _out_of_time(problem: OdeProblem) -> str:

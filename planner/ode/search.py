@@ -26,16 +26,6 @@ from linkplan.planner.solvers.outcome import INVALID, SOLVER_TOLERANCE
 from linkplan.planner.transcription.formulation import Start
 from linkplan.planner.transcription.mesh import Mesh, broken, uniform
 
-# A free duration that ended at the bound of its guess is solved for again so often; each time it may change by a factor of
-# a hundred. It has no best value if the objective falls below this share of itself at once.
-MAX_RESTARTS, UNBOUNDED_SHARE = 3, 0.5
-# Objectives within this relative difference belong to the same motion.
-SAME_MOTION_SHARE = 1e-4
-# A first solution whose integrated state ends this share of its size away has wild efforts between the nodes.
-WILD_ERROR = 1e-3
-# Efforts linear over intervals replace polynomials if they reduce the integration error to this share.
-LINEAR_ERROR_SHARE = 0.01
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OdeSearch:
@@ -90,7 +80,8 @@ def _solved(problem: OdeProblem, guess: StateGuess, word: str, number: int) -> F
 
 def _of_any_duration(first: FirstSolution | None, word: str) -> FirstSolution | None:
     """Return a first solution whose duration is not bounded by its guess, or the words on one that has no best."""
-    for restart in range(MAX_RESTARTS):
+    # A free duration that ended at the bound of its guess is solved for again; each time it may change a hundredfold.
+    for restart in range(3):
         unbounded = None if first is None else unbounded_duration(first.case.asked, first.found)
         if unbounded is None:
             break
@@ -99,7 +90,7 @@ def _of_any_duration(first: FirstSolution | None, word: str) -> FirstSolution | 
         first = _solved(first.case.asked, sampled_guess(first.found.motion), what, first.number)
         # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
         if first is not None and restart:
-            falls = first.found.solution.objective < UNBOUNDED_SHARE * before.found.solution.objective
+            falls = first.found.solution.objective < 0.5 * before.found.solution.objective
             first = replace(first, unbounded=unbounded if falls else None)
     return first
 
@@ -123,7 +114,7 @@ def best_plan(problem: OdeProblem, found: Iterable[FirstSolution]) -> OdePlan | 
     best_first = sorted(found, key=lambda one: (one.found.solution.objective, one.number))
     for one in problem.solver.certificate_deadline.take(best_first):
         objective = one.found.solution.objective
-        if np.any(np.abs(tried - objective) <= SAME_MOTION_SHARE * abs(objective)):
+        if np.any(np.abs(tried - objective) <= 1e-4 * abs(objective)):
             continue  # the same motion, that did not pass
         tried = np.append(tried, objective)
         refined = refined_motion(problem, one)
@@ -157,7 +148,8 @@ def _without_wild_efforts(first: FirstSolution) -> FirstSolution:
     """Return a first solution whose efforts are no wild polynomials between its nodes."""
     case, motion = first.case, first.found.motion
     before = case.certify(motion).integration_error
-    if before <= WILD_ERROR:
+    # Efforts are wild between the nodes if the integrated state ends this share of its size away.
+    if before <= 1e-3:
         return first
     start, what = piecewise_constant(case, motion), "efforts piecewise constant at first"
     return _solved_again(first, case, start, before, what)
@@ -173,7 +165,8 @@ def _with_linear_efforts(first: FirstSolution) -> FirstSolution:
     if case.problem.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(motion, asked.effort_limit):
         return first
     linear = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
-    allowed = LINEAR_ERROR_SHARE * case.certify(motion).integration_error
+    # Efforts linear over intervals replace polynomials if they reduce the integration error to this share.
+    allowed = 0.01 * case.certify(motion).integration_error
     return _solved_again(first, linear, linear.start_from(motion), allowed, "efforts linear over intervals")
 
 

@@ -38,12 +38,6 @@ from linkplan.planner.transcription.mesh import broken
 
 __all__ = ["RUNGS", "OdePlan", "plan_ode"]
 
-# Perturbed guesses that are tried where the duration is open, or where no other start leads to a solution.
-N_PERTURBED_GUESSES = 4
-# Continuation begins with the whole way. The smallest step is a quarter of it in the logarithm.
-# It begins at most at this share of the parameter's end.
-LEAST_STEP_POWER, MAX_STEPS, MAX_FIRST_SHARE = 0.25, 6, 0.999
-
 
 def from_several_starts(search: OdeSearch, budget: Budget) -> OdePlan | None:
     """Return the best plan of as many starts as the problem asks for (multistart)."""
@@ -80,7 +74,7 @@ def from_further_guesses(search: OdeSearch, budget: Budget) -> OdePlan | None:
 def _further_guesses(search: OdeSearch) -> list[StateGuess]:
     """Return the first guess at other durations, then guesses perturbed at random, but the same in every run."""
     n, guesses = len(search.guesses), search.guesses
-    others = itertools.islice(perturbed(search.problem, guesses, n + N_PERTURBED_GUESSES), n, None)
+    others = itertools.islice(perturbed(search.problem, guesses, n + 4), n, None)
     return [*of_other_durations(search.problem, guesses[0]), *others]
 
 
@@ -151,8 +145,9 @@ def _continued(
         found = attempt(case, case.start_from(start), mesh, durations, what)
         return None if found is None else FirstSolution(case=case, found=found)
 
-    way = end / min(begin, MAX_FIRST_SHARE * end)
-    steps = Steps(begin=end / way, end=end, factor=way, least=way**LEAST_STEP_POWER, most=MAX_STEPS)
+    # It begins with the whole way, from at most this share of the end. The smallest step is a quarter in the logarithm.
+    way = end / min(begin, 0.999 * end)
+    steps = Steps(begin=end / way, end=end, factor=way, least=way**0.25, most=6)
     path = followed(None, steps, solve_at)
     return best_plan(problem_at(end), path.stages[-1:]) if path.arrived else None
 

@@ -29,9 +29,7 @@ _EFFORT_SHARES = (0.7, 0.4)
 # The largest factor on the effort limits with which a motion is searched, and the halvings of its logarithm.
 _MAX_EFFORT_FACTOR, _FACTOR_HALVINGS = 1024.0, 8
 # Energies at which a turn is tried, as multiples of the energy at which dampers take full effort on average.
-_TURN_ENERGIES, _ENERGY_HALVINGS = np.geomspace(1e-3, 1e3, 25), 40
-# A speed at the goal is gathered over a way that is longer than need be by this share.
-_APPROACH_EXCESS = 1e-3
+_TURN_ENERGIES = np.geomspace(1e-3, 1e3, 25)
 # Energies that differ by less than this share are the same.
 _SAME_ENERGY_SHARE = 1e-6
 
@@ -73,7 +71,7 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     if not len(steady):
         return None
     low, high = energies[steady[-1]], energies[steady[-1] + 1]
-    for _ in range(_ENERGY_HALVINGS):
+    for _ in range(40):  # to rounding
         middle = 0.5 * (low + high)
         low, high = (middle, high) if turned(middle)[-1] > middle else (low, middle)
     w = turned(low)
@@ -197,7 +195,8 @@ def _resting_places(plane: Plane, part: Part) -> tuple[float | None, float | Non
         energy = plane.inertia[last] * leg[-1]
         lost = plane.work[-step][last] - plane.work[-step][last + step]
         rest = plane.s[last] + min(energy / lost, 1.0) * (plane.s[last + step] - plane.s[last])
-        found.append(float(rest + (_APPROACH_EXCESS * (rest - plane.s[at]) if along < 0 else 0.0)))
+        # A speed at the goal is gathered over a way that is longer than need be by this share.
+        found.append(float(rest + (1e-3 * (rest - plane.s[at]) if along < 0 else 0.0)))
     return found[0], found[1]
 
 

@@ -14,10 +14,6 @@ from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.phase_plane.grid import plane_of
 from linkplan.planner.problem.problem import Problem
 
-# Cells between an end of the motion and the end of the range; and the share of its energy that must be left there: a hundred
-# times the error of the quadrature.
-_CELLS, _LEFT_OVER_SHARE = 800, 1e-4
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _End:
@@ -52,7 +48,7 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
     bound = limit[mechanism.independent[0], 1 if step > 0 else 0]
     if not np.isfinite(bound) or step * (bound - end.position) <= 0:
         return None
-    s = np.linspace(end.position, bound, _CELLS + 1)
+    s = np.linspace(end.position, bound, 801)
     fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
     try:
         poses = follow(mechanism, fine[:, None], close_at(mechanism, [end.position]), problem.solver.deadline)
@@ -64,7 +60,8 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
     plane = plane_of(problem, s, poses, problem.limits.effort)
     w = plane.leg(at, 0.5 * end.speed**2, ahead, -ahead, backwards=end.along < 0)
     left = plane.inertia[-1 if ahead > 0 else 0] * w[-1]
-    if len(w) < len(s) or left < _LEFT_OVER_SHARE * plane.inertia[at] * w[0]:
+    # The share of the energy that must be left there is a hundred times the error of the quadrature.
+    if len(w) < len(s) or left < 1e-4 * plane.inertia[at] * w[0]:
         return None
     passed = int(np.argmin(np.abs(s - end.other)))
     on_the_way = step * (end.other - end.position) > 0 and step * (bound - end.other) > 0

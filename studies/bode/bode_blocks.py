@@ -33,7 +33,7 @@ from linkplan.studies.output.numbers import drawn_rows, rounded
 # point is at -1.
 _NYQUIST_HALF_WIDTH, _MAX_NYQUIST_GAIN = 2.5, 30.0
 # Responses of less coherence are measured badly.
-COHERENT = 0.99
+LEAST_COHERENCE = 0.99
 _FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
 
 
@@ -169,7 +169,7 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
             )
             less_db, less_deg = response.against(entry.predicted[quantity])
             for off, less in ((off_db, less_db), (off_deg, less_deg)):  # a line through coherent ones, a dot for each
-                coherent = np.where(response.coherence > COHERENT, less, np.nan)
+                coherent = np.where(response.coherence > LEAST_COHERENCE, less, np.nan)
                 off += [(entry.point.name, response.frequency_hz, coherent, look), ("", response.frequency_hz, less, dots)]
         limits = {"gain": [limit], "phase": [Limit(name="phase", value=-180.0)] if quantity == "loop" else []}
         found[quantity] = [

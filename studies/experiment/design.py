@@ -13,7 +13,7 @@ from linkplan.studies.sensitivity.scheme import SENSITIVE
 LATIN_HYPERCUBE = "latin-hypercube"
 DESIGNS = (LATIN_HYPERCUBE, "grid", *SENSITIVE)
 # Independent Latin hypercubes of an experiment: their means give the confidence intervals.
-REPLICATES = 10
+N_HYPERCUBES = 10
 # Most samples of an experiment: more are probably a typing error.
 MOST_SAMPLES = 1_000_000
 
@@ -22,7 +22,7 @@ def values_of(factors: Sequence[Factor], design: str, samples: int, levels: int,
     """Return the factors' values (n, d) in a problem file's units; fixed factors are the same in every sample.
 
     In a Latin hypercube, each factor's range is divided into intervals of equal probability, and each interval has one
-    sample (McKay, Beckman and Conover, Technometrics 21, 1979). The samples are `REPLICATES` independent hypercubes, whose
+    sample (McKay, Beckman and Conover, Technometrics 21, 1979). The samples are `N_HYPERCUBES` independent hypercubes, whose
     means tell how certain the mean of all is (Iman & Conover, Communications in Statistics A 9, 1980). A grid has `levels`
     values of each factor, even from end to end of its range: the central 95 % of a normal distribution.
 
@@ -56,8 +56,8 @@ def values_of(factors: Sequence[Factor], design: str, samples: int, levels: int,
 
 
 def replicate_of(samples: int) -> np.ndarray:
-    """Return the number (n,) of the Latin hypercube that each sample belongs to: `REPLICATES` in turn, of equal size."""
-    count = min(REPLICATES, samples)
+    """Return the number (n,) of the Latin hypercube that each sample belongs to: `N_HYPERCUBES` in turn, of equal size."""
+    count = min(N_HYPERCUBES, samples)
     return np.arange(samples) * count // samples
 
 

@@ -6,7 +6,7 @@ import scipy.stats
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread, spread_of
-from linkplan.studies.experiment.design import REPLICATES, replicate_of, values_of
+from linkplan.studies.experiment.design import N_HYPERCUBES, replicate_of, values_of
 from linkplan.studies.experiment.experiment_blocks import estimated
 from linkplan.studies.experiment.statistics import Estimate, mean_of, pair_of, share_of
 
@@ -107,9 +107,9 @@ def test_each_latin_hypercube_meets_every_part_of_every_range_once():
     n = 40
     factors = [factor("uniform", 1.0, 3.0), factor("fixed", 0.5), factor("normal", 10.0, 2.0)]
     values = values_of(factors, "latin-hypercube", n, 3, seed=4)
-    for number in range(REPLICATES):
+    for number in range(N_HYPERCUBES):
         own = values[replicate_of(n) == number, 0]
-        assert sorted(np.floor((own - 1.0) / 2.0 * len(own)).astype(int)) == list(range(n // REPLICATES))
+        assert sorted(np.floor((own - 1.0) / 2.0 * len(own)).astype(int)) == list(range(n // N_HYPERCUBES))
     assert np.all(values[:, 1] == 0.5)
     assert np.mean(values[:, 2]) == pytest.approx(10.0, abs=0.3)
     assert np.std(values[:, 2]) == pytest.approx(2.0, rel=0.2)
