@@ -1,5 +1,7 @@
 """What limits on effort, power and pin forces leave at a place and a speed, in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,3 +57,13 @@ def test_where_the_effort_s_limit_exceeds_the_power_the_power_is_held(towards, s
     held, efforts, _ = field(12.0).at(0.0, SPEED, towards=towards)
     assert held[0] == sign * AT_POWER
     assert efforts[0] * 3 * SPEED == pytest.approx(sign * 12.0)
+
+
+@pytest.mark.parametrize(("still", "keeps"), [(0.0, True), (4.0, False), (-4.0, False)])
+def test_a_state_is_kept_only_by_an_effort_that_the_actuator_and_the_pin_both_bear(still, keeps):
+    """The pin bears efforts from -2 - 2 F to 2 - 2 F, F its force without effort, and the actuator from -4 to 5."""
+    limited = replace(field(np.inf), pins=pin((still, 0.0), (0.5, 0.0)))
+    at, speed = np.zeros(1), np.array([SPEED])
+    limited = replace(limited, curves=lambda _: np.array([[2.0, 1.0, -0.5, -0.25, 3.0]]))
+    for towards in (True, False):
+        assert limited.keeps(at, speed, towards=towards) is keeps

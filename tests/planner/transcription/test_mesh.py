@@ -34,7 +34,8 @@ def test_only_marked_intervals_are_halved():
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_graded_mesh_has_no_interval_more_than_twice_as_long_as_an_adjacent_segment(order):
     durations = np.array([0.1, 3.0])[::order]
-    mesh = graded(Mesh(fraction=np.ones(2), segment=np.arange(2)), durations)
+    coarse = Mesh(fraction=np.array([1.0, 0.5, 0.5])[::order], segment=np.array([0, 1, 1] if order > 0 else [0, 0, 1]))
+    mesh = graded(coarse, durations)
     widths = mesh.fraction * durations[mesh.segment]
     beside_short = widths[1] if order > 0 else widths[-2]
     assert 0.1 < beside_short <= 0.2
