@@ -5,19 +5,21 @@ from types import SimpleNamespace
 import pytest
 
 from linkplan.planner.refinement.refined import better_of
+from linkplan.planner.solvers.outcome import SOLVER_TOLERANCE
 
 # What two meshes may differ by though neither is wrong: a tenth of what counts as lost.
 MESH = 1e-6
+INTERVALS = 40
 
 
 def passing(objective: float, *, exact: bool = True, errs: float = 1e-4):
     solution = SimpleNamespace(objective=objective)
     report = SimpleNamespace(exact=exact, integration_error_deg=errs, integration_error=None)
-    return SimpleNamespace(found=SimpleNamespace(solution=solution), report=report)
+    return SimpleNamespace(found=SimpleNamespace(solution=solution), report=report, n_intervals=INTERVALS)
 
 
-def target(*, tolerance_given: bool = False):
-    return SimpleNamespace(tolerance_given=tolerance_given)
+def target(*, tolerance_given: bool = False, objective_tolerance_given: bool = True):
+    return SimpleNamespace(tolerance_given=tolerance_given, objective_tolerance_given=objective_tolerance_given)
 
 
 @pytest.mark.parametrize("coarse", [1.0956, -1.2])
@@ -55,3 +57,12 @@ def test_a_better_motion_that_misses_the_tolerance_asked_for_is_no_answer():
 def test_the_first_that_passes_is_the_best_so_far():
     now = passing(1.0)
     assert better_of(None, now, target()) is now
+
+
+@pytest.mark.parametrize(("factor", "kept"), [(0.5, True), (2.0, False)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_objective_that_changes_by_less_than_the_solver_s_error_stays_as_it_was(factor, kept, sign):
+    finer = 1.0 + sign * factor * SOLVER_TOLERANCE * INTERVALS
+    before, now = passing(1.0), passing(finer)
+    assert better_of(before, now, target(objective_tolerance_given=False)) is (before if kept else now)
+    assert better_of(before, now, target()) is now

@@ -225,3 +225,10 @@ def test_a_plan_whose_objective_still_moves_by_a_twentieth_is_not_called_optimal
     plan = plan_motion(load_problem("knee-reach"))
     assert plan.status == status
     assert f"changed its objective by {change:.1g}" in plan.message
+
+
+@pytest.mark.parametrize(("change", "said"), [(5e-5, False), (5e-4, True)])
+def test_a_change_of_the_objective_by_a_ten_thousandth_is_said(monkeypatch, change, said):
+    found = refine
+    monkeypatch.setattr(attempts, "refine", lambda *given, **how: replace(found(*given, **how), moved=change))
+    assert ("still changed its objective" in plan_motion(load_problem("knee-reach")).message) is said

@@ -1,6 +1,8 @@
 """Functions that are wanted again are compiled by a process of its own, for which nobody waits."""
 
 import gc
+import os
+import time
 import warnings
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
+from linkplan.planner.transcription.cache import wanted_again
 from linkplan.planner.transcription.compiled import cached, compile_in_background, compiler
 from linkplan.planner.transcription.node import NodeFunctions, build_node
 from tests.support.tolerances_planner import ROUNDING
@@ -70,3 +73,12 @@ def test_a_compiler_that_fails_leaves_no_litter(folder, functions, monkeypatch):
     assert compile_in_background("k1", functions).wait() == 1
     assert sorted(path.name for path in folder.iterdir()) == ["k1.begun", "k1.wanted"]
     assert cached("k1", NodeFunctions) is None
+
+
+@pytest.mark.parametrize(("age_s", "again"), [(300.0, False), (900.0, True)])
+def test_a_compilation_that_was_begun_more_than_ten_minutes_ago_is_begun_again(tmp_path, age_s, again):
+    assert not wanted_again(tmp_path, "k1"), "wanted for the first time"
+    assert wanted_again(tmp_path, "k1"), "wanted again and not begun"
+    ago = time.time() - age_s
+    os.utime(tmp_path / "k1.begun", (ago, ago))
+    assert wanted_again(tmp_path, "k1") is again

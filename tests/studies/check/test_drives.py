@@ -47,3 +47,17 @@ def test_a_motor_that_only_pushes_says_so_unless_a_spring_brings_its_joint_back(
 def test_an_actuator_is_feeble_beside_one_that_is_a_thousand_times_as_strong(gear, n_feeble):
     beside = f'<motor name="weak" joint="a" ctrlrange="-1 1" gear="{gear}"/></actuator>'
     assert len(feeble_drives(load_mechanism(TWO.format(b="").replace("</actuator>", beside)))) == n_feeble
+
+
+# A driven carriage and a weight on it, [N/m] and [kg].
+CARRIED = """<mujoco><option gravity="0 0 0"/><worldbody><body>
+<joint name="a" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/>
+<body><joint name="b" type="slide" axis="1 0 0" stiffness="{stiffness}"/><geom size="0.1" mass="{mass}"/></body></body>
+</worldbody><actuator><motor name="on_a" joint="a" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("mass", [1, 1e6])
+def test_a_spring_steers_even_a_heavy_body_and_without_one_its_momentum_stays(mass):
+    sprung, loose = (load_mechanism(CARRIED.format(stiffness=k, mass=mass)) for k in (10, 0))
+    assert any("moved through the others only" in note for note in inspect(sprung, []).notes)
+    assert any("joint b moves freely: no actuator drives it" in problem for problem in inspect(loose, []).problems)

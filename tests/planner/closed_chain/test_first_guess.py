@@ -1,0 +1,21 @@
+"""The smooth path through waypoints that a search begins with."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.closed_chain.guess import first_guess
+from tests.support.bodies import HINGE, body_problem
+
+
+@pytest.mark.parametrize(("start", "via", "goal"), [(-60.0, -20.0, 30.0), (60.0, 20.0, -30.0), (0.0, 50.0, 10.0)])
+def test_the_path_passes_a_waypoint_at_the_mean_speed_unless_it_turns_there(start, via, goal):
+    motion = (
+        f'kind = "reach"\nstart_deg = {{ J = {start} }}\ngoal_deg = {{ J = {goal} }}\nduration_s = 1.5\n'
+        f"waypoints = [{{ at_deg = {{ J = {via} }}, time_s = 0.5 }}]\n"
+    )
+    problem = body_problem(HINGE, motion)
+    guess, time = first_guess(problem, problem.start_pose()), np.array([0.0, 0.5, 1.5])
+    turns = (via - start) * (goal - via) < 0
+    at_waypoint = 0.0 if turns else np.radians(goal - start) / 1.5
+    np.testing.assert_allclose(guess.position(time)[:, 0], np.radians([start, via, goal]), atol=1e-12)
+    np.testing.assert_allclose(guess.velocity(time)[:, 0], [0.0, at_waypoint, 0.0], atol=1e-9)

@@ -1,0 +1,66 @@
+"""Meshes: intervals, segments and phases, and how they are divided."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.transcription.mesh import Mesh, broken, graded, halved, segmented, uniform
+
+DURATIONS = np.array([0.1, 3.0, 0.2])
+
+
+def three_segments() -> Mesh:
+    return segmented(DURATIONS, 10, at_least=2, phase=np.array([0, 0, 1]))
+
+
+def test_segments_have_intervals_in_proportion_to_their_durations_and_a_least_number():
+    mesh = three_segments()
+    assert np.bincount(mesh.segment).tolist() == [2, 9, 2]
+    assert (mesh.n_intervals, mesh.n_segments, mesh.n_phases) == (13, 3, 2)
+    assert mesh.boundaries().tolist() == [0, 11, 13]
+
+
+def test_the_breaks_are_the_ends_of_intervals_in_their_segments():
+    at = three_segments().breaks(DURATIONS)
+    np.testing.assert_allclose(at[:3], [0.0, 0.05, 0.1])
+    np.testing.assert_allclose(at[3:12], 0.1 + np.arange(1, 10) / 3.0)
+    np.testing.assert_allclose(at[-2:], [3.2, 3.3])
+
+
+def test_only_marked_intervals_are_halved():
+    mesh = halved(broken(np.array([0.0, 0.2, 1.0])), np.array([False, True]))
+    np.testing.assert_allclose(mesh.fraction, [0.2, 0.4, 0.4])
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_graded_mesh_has_no_interval_more_than_twice_as_long_as_an_adjacent_segment(order):
+    durations = np.array([0.1, 3.0])[::order]
+    coarse = Mesh(fraction=np.array([1.0, 0.5, 0.5])[::order], segment=np.array([0, 1, 1] if order > 0 else [0, 0, 1]))
+    mesh = graded(coarse, durations)
+    widths = mesh.fraction * durations[mesh.segment]
+    beside_short = widths[1] if order > 0 else widths[-2]
+    assert 0.1 < beside_short <= 0.2
+    assert mesh.n_intervals == 6, "the short segment is whole, and the long one is halved towards it only"
+
+
+@pytest.mark.parametrize(
+    ("fraction", "segment", "phase"),
+    [
+        ([0.5, 0.4], [0, 0], None),
+        ([1.5, -0.5], [0, 0], None),
+        ([1.0, 0.0], [0, 0], None),
+        ([1.0, 1.0], [1, 0], None),
+        ([1.0, 1.0], [0, 1], [0]),
+        ([1.0, 1.0], [0, 1], [1, 2]),
+        ([1.0, 1.0], [0, 1], [0, 2]),
+        ([1.0, 1.0], [0, 1], [0, -1]),
+    ],
+)
+def test_a_mesh_that_does_not_fill_its_segments_and_phases_is_refused(fraction, segment, phase):
+    with pytest.raises(ValueError, match="mesh"):
+        Mesh(fraction=np.array(fraction), segment=np.array(segment), phase=None if phase is None else np.array(phase))
+
+
+def test_a_uniform_mesh_has_equal_intervals_in_one_segment():
+    mesh = uniform(4)
+    np.testing.assert_allclose(mesh.breaks(np.array([2.0])), [0.0, 0.5, 1.0, 1.5, 2.0])
+    assert mesh.boundaries().tolist() == [0, 4]
