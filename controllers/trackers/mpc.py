@@ -37,8 +37,8 @@ class MPC:
 
     `alone` (n, blocks n_u, m): map from an error to the LQR's corrections at the beginning of each block. `ahead`
     (n, blocks + 1): instants at which the blocks begin. `begin` (n, n_q + n_s) and `mean` (n, n_u): the reference's (q, v)
-    and mean effort of a block that begins at an instant. `own` (n, n_q + n_s): the predicted (q, v) after it. `room`
-    (2, n, blocks n_u): limits of the corrections. `effort_limit` (2, n_u). `kept` (m,): indices of the controlled states in
+    and mean effort of a block that begins at an instant. `own` (n, n_q + n_s): the predicted (q, v) after it.
+    `effort_limit` (n_u, 2). `kept` (m,): indices of the controlled states in
     x = (s, v). The memory is NaN while the LQR acts.
     """
 
@@ -49,7 +49,6 @@ class MPC:
     begin: np.ndarray
     mean: np.ndarray
     own: np.ndarray
-    room: np.ndarray
     effort_limit: np.ndarray
     kept: np.ndarray
     periods: int
@@ -66,20 +65,26 @@ class MPC:
         error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)[:, self.kept]
         effort = reference.effort[k] - times(self.regulator.gains[at], error)
         # The first row is the effort that the LQR applies now, the others are its corrections in the blocks.
-        low, high = (np.concatenate(limits) for limits in zip(self.effort_limit, self.room[:, at], strict=True))
+        room = self._room(at)
+        low, high = (np.concatenate(limits) for limits in zip(self.effort_limit.T, room, strict=True))
         predicted, next_memory = np.hstack([effort, times(self.alone[at], error)]), self.start(len(position))
         # Efforts beyond a limit by this share of the range between the limits are rounding.
         slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
         for row in np.flatnonzero(np.any((predicted < low - slack) | (predicted > high + slack), axis=1)):
             before = predicted[row, effort.shape[1] :] if np.isnan(memory[row, 0]) else memory[row]
-            found = self._improved(k, position[row], velocity[row], np.clip(before, *self.room[:, at]))
+            found = self._improved(k, position[row], velocity[row], np.clip(before, *room))
             if found is not None:
                 next_memory[row], effort[row] = found, self._applied(k, found[: effort.shape[1]])
         return effort, next_memory
 
+    def _room(self, at: int) -> np.ndarray:
+        """Return the limits (2, blocks n_u) of the corrections of the blocks that begin at an instant."""
+        mean = self.mean[self.ahead[at, :-1]]
+        return np.stack([(limit - mean).ravel() for limit in self.effort_limit.T])
+
     def _applied(self, k: int, correction: np.ndarray) -> np.ndarray:
         """Return the effort (n_u,) that uses the share of its room that the first correction (n_u,) uses of the mean's."""
-        about, limit = self.reference.effort[k], np.where(correction < 0, *self.effort_limit)
+        about, limit = self.reference.effort[k], np.where(correction < 0, *self.effort_limit.T)
         room = limit - self.mean[k % len(self.ahead)]
         limited = np.isfinite(room)
         share = np.divide(correction, room, out=np.where(limited, 0.0, 1.0), where=limited & (room != 0))
@@ -101,7 +106,7 @@ class MPC:
         )  # fmt: skip
         if not (gap.item() <= MAX_LOOP_GAP_M and np.isfinite(hessian).all() and np.isfinite(gradient).all()):
             return None
-        low, high = self.room[:, at] - corrections
+        low, high = self._room(at) - corrections
         change, _, flag, _ = daqp.solve(hessian.T, gradient.ravel(), np.empty((0, len(low))), high, low)
         return corrections + change if flag > 0 and np.isfinite(change).all() else None
 
@@ -137,7 +142,6 @@ def mpc(
         here = ahead[:, b]
         alone[:, b] = -found.gains[here] @ so_far
         so_far, ahead[:, b + 1] = way[here] @ so_far, at[here]
-    limits = np.ascontiguousarray(np.asarray(effort_limit, dtype=float).T)
     model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s)
     begin = np.hstack([reference.pose[:n], reference.velocity[:n]])
     return MPC(
@@ -148,8 +152,7 @@ def mpc(
         begin=begin,
         mean=mean,
         own=sampled(model.step, begin, mean)[:, :, 0],
-        room=np.stack([(limit - mean[ahead[:, :-1]]).reshape(n, -1) for limit in limits]),
-        effort_limit=limits,
+        effort_limit=np.array(effort_limit, dtype=float),
         kept=kept,
         periods=periods,
         predictor=model,
