@@ -3,10 +3,14 @@
     minimise sum e^T Q e + w^T R w + e_N^T P e_N,   e = x - x_ref,   w = u - u_ref,   low <= u <= high
 
 The terminal cost P is the LQR's cost to go. If the predicted LQR efforts keep the limits, the LQR feedback is therefore the
-solution and is used directly. Otherwise efforts that are held over blocks of control periods are corrected once per period
-(real-time iteration; Diehl, Bock & Schloeder, SIAM J. Control Optim. 43, 2005). The previous efforts give the predicted
-motion from the measured state, and the reduced dynamics are linearised along it. DAQP solves the quadratic program
+solution and is used directly. Otherwise corrections w that are held over blocks of control periods are improved once per
+period (real-time iteration; Diehl, Bock & Schloeder, SIAM J. Control Optim. 43, 2005). The previous corrections give the
+predicted motion from the measured state, and the reduced dynamics are linearised along it. DAQP solves the quadratic program
 (Arnstrom, Bemporad & Axehill, IEEE Trans. Automatic Control 67, 2022).
+
+The program knows the mean reference effort of a block, which smears a switch within the block. At each instant the applied
+effort is therefore u_ref + s (limit - u_ref), where s is the share of the mean's distance to the limit that the first
+correction uses. The mean over the block is the program's effort, no correction leaves u_ref, and a full one is the limit.
 """
 
 from dataclasses import dataclass
@@ -15,116 +19,96 @@ import daqp
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M
 from linkplan.controllers.trackers.linear import times
 from linkplan.controllers.trackers.lqr import Errors, Regulator, regulator
 from linkplan.controllers.trackers.prediction import Predictor, predictor
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import evaluated, sampled
 
-# Number of blocks of constant effort in the horizon.
+# Number of blocks of constant corrections in the horizon.
 HORIZON_BLOCKS = 20
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MPC:
-    """The effort of least cost whose prediction keeps the limits. The memory (n, blocks n_u) holds the previous efforts.
+    """The corrections of least cost whose prediction keeps the limits. The memory (n, blocks n_u) holds the previous ones.
 
-    `alone` (n, blocks, n_u, m): map from an error to the LQR's corrections at the beginning of each block. `ahead`
-    (n, blocks + 1): instants at which the blocks begin. `drive` (n, n_u): mean reference effort of a block that begins at
-    an instant. `kept` (m,): indices of the controlled states in x = (s, v). The memory is NaN while the LQR acts.
+    `alone` (n, blocks n_u, m): map from an error to the LQR's corrections at the beginning of each block. `ahead`
+    (n, blocks + 1): instants at which the blocks begin. `begin` (n, n_q + n_s) and `mean` (n, n_u): the reference's (q, v)
+    and mean effort of a block that begins at an instant. `own` (n, n_q + n_s): the predicted (q, v) after it.
+    `effort_limit` (n_u, 2). `kept` (m,): indices of the controlled states in
+    x = (s, v). The memory is NaN while the LQR acts.
     """
 
     reference: SampledReference
     regulator: Regulator
     alone: np.ndarray
     ahead: np.ndarray
-    drive: np.ndarray
+    begin: np.ndarray
+    mean: np.ndarray
+    own: np.ndarray
+    effort_limit: np.ndarray
     kept: np.ndarray
     periods: int
     predictor: Predictor
-    effort_limit: np.ndarray
     name: str = "mpc"
 
     def start(self, n: int) -> np.ndarray:
         """Return the initial memory (n, blocks n_u), NaN: the LQR acts."""
-        return np.full((n, self.drive.shape[1] * HORIZON_BLOCKS), np.nan)
+        return np.full((n, self.alone.shape[1]), np.nan)
 
     def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the efforts of the blocks."""
+        """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the corrections of the blocks."""
         reference, at = self.reference, k % len(self.ahead)
         error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)[:, self.kept]
         effort = reference.effort[k] - times(self.regulator.gains[at], error)
-        low, high = self.effort_limit.T
+        # The first row is the effort that the LQR applies now, the others are its corrections in the blocks.
+        room = self._room(at)
+        low, high = (np.concatenate(limits) for limits in zip(self.effort_limit.T, room, strict=True))
+        predicted, next_memory = np.hstack([effort, times(self.alone[at], error)]), self.start(len(position))
+        # Efforts beyond a limit by this share of the range between the limits are rounding.
         slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
-        predicted = self.drive[self.ahead[at, :-1]] + np.stack([times(K, error) for K in self.alone[at]], axis=1)
-        beyond = ~np.all((predicted >= low - slack) & (predicted <= high + slack), axis=(1, 2))
-        next_memory = self.start(len(position))
-        rows = np.flatnonzero(beyond)
-        if len(rows):
-            last = memory[rows].reshape(len(rows), HORIZON_BLOCKS, -1)
-            before = np.where(np.isnan(last), np.clip(predicted[rows], low, high), last)
-            found, better = self._corrected(k, position[rows], velocity[rows], before)
-            next_memory[rows] = np.where(better[:, None], found.reshape(len(rows), -1), np.nan)
-            effort[rows[better]] = found[better, 0]
+        for row in np.flatnonzero(np.any((predicted < low - slack) | (predicted > high + slack), axis=1)):
+            before = predicted[row, effort.shape[1] :] if np.isnan(memory[row, 0]) else memory[row]
+            found = self._improved(k, position[row], velocity[row], np.clip(before, *room))
+            if found is not None:
+                next_memory[row], effort[row] = found, self._applied(k, found[: effort.shape[1]])
         return effort, next_memory
 
-    def _corrected(self, k: int, s: np.ndarray, v: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return corrected efforts (r, blocks, n_u) from states (r, n_s), and a mask (r,) of the successful corrections.
+    def _room(self, at: int) -> np.ndarray:
+        """Return the limits (2, blocks n_u) of the corrections of the blocks that begin at an instant."""
+        mean = self.mean[self.ahead[at, :-1]]
+        return np.stack([(limit - mean).ravel() for limit in self.effort_limit.T])
 
-        A correction fails if the motion cannot be predicted or linearised, for example beyond the poses where the loop
-        closes.
+    def _applied(self, k: int, correction: np.ndarray) -> np.ndarray:
+        """Return the effort (n_u,) that uses the share of its room that the first correction (n_u,) uses of the mean's."""
+        about, limit = self.reference.effort[k], np.where(correction < 0, *self.effort_limit.T)
+        room = limit - self.mean[k % len(self.ahead)]
+        limited = np.isfinite(room)
+        share = np.divide(correction, room, out=np.where(limited, 0.0, 1.0), where=limited & (room != 0))
+        return about + np.clip(share, 0.0, 1.0) * np.where(limited, limit - about, correction)
+
+    def _improved(self, k: int, s: np.ndarray, v: np.ndarray, corrections: np.ndarray) -> np.ndarray | None:
+        """Return improved corrections (blocks n_u,) from one state, or None where no motion or no program is found.
+
+        A prediction fails for example beyond the poses where the loop closes.
         """
-        reference, kept, ahead = self.reference, self.kept, self.ahead[k % len(self.ahead)]
-        motion, found = self.predictor.motions_of(reference.pose[k], s, v, efforts)
-        better, rows = efforts.copy(), np.flatnonzero(found)
-        if not len(rows):
-            return better, found
-        motion, efforts = motion[rows], efforts[rows]
+        reference, at = self.reference, k % len(self.ahead)
+        blocks, found = self.ahead[at, :-1], self.regulator
         # If a cycle advances by whole turns, subtract the turns made so far.
-        passed = reference.position[k] - reference.position[k % len(self.ahead)]
-        mechanism = self.predictor.mechanism
-        x = np.concatenate([motion[:, 1:, mechanism.independent] - passed, motion[:, 1:, mechanism.n_q :]], axis=2)
-        wanted = np.concatenate([reference.position[ahead[1:]], reference.velocity[ahead[1:]]], axis=1)
-        weights = self.periods * self.regulator.Q, self.periods * self.regulator.R, self.regulator.cost[ahead[-1]]
-        with np.errstate(over="ignore", invalid="ignore"):  # `_solved` refuses infinite numbers
-            A, B = self.predictor.linearised(motion, efforts)
-            A, B = A[:, :, kept[:, None], kept], B[:, :, kept]
-            programs = _programs(A, B, (x - wanted)[:, :, kept], efforts - self.drive[ahead[:-1]], *weights)
-        rooms = self.effort_limit - efforts[:, :, :, None]
-        for row, hessian, gradient, room in zip(rows, *programs, rooms, strict=True):
-            correction = _solved(hessian, gradient, room)
-            found[row] = correction is not None
-            if correction is not None:
-                better[row] += correction
-        return better, found
-
-
-def _programs(A, B, e, w, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
-    """Return Hessians (r, N n_u, N n_u) and gradients (r, N n_u) in corrections d (N, n_u) of efforts.
-
-    dx_{b+1} = A_b dx_b + B_b d_b. The cost penalises e + dx (r, N, m), with P for the last block, and w + d (r, N, n_u).
-    Rows do not influence each other, because matmul multiplies the matrices of a stack one by one.
-    """
-    r, n, m, n_u = B.shape
-    states = np.zeros((r, n, m, n * n_u))
-    for b in range(n):
-        if b:
-            states[:, b, :, : b * n_u] = A[:, b] @ states[:, b - 1, :, : b * n_u]
-        states[:, b, :, b * n_u : (b + 1) * n_u] = B[:, b]
-    weighed = np.matmul(Q, states)
-    weighed[:, -1] = P @ states[:, -1]
-    turned = weighed.reshape(r, n * m, -1).transpose(0, 2, 1)
-    hessian = turned @ states.reshape(r, n * m, -1) + np.kron(np.eye(n), R)
-    return hessian, (turned @ e.reshape(r, -1, 1))[:, :, 0] + (w @ R).reshape(r, -1)
-
-
-def _solved(hessian: np.ndarray, gradient: np.ndarray, room: np.ndarray) -> np.ndarray | None:
-    """Return the optimal corrections (N, n_u) within the bounds `room` (N, n_u, 2), or None if the solver fails."""
-    if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
-        return None
-    low, high = (np.ascontiguousarray(side) for side in room.reshape(-1, 2).T)  # DAQP ignores strides
-    found, _, flag, _ = daqp.solve(np.ascontiguousarray(hessian), gradient, np.empty((0, len(gradient))), high, low)
-    return found.reshape(room.shape[:2]) if flag > 0 and np.isfinite(found).all() else None
+        s = s - (reference.position[k] - reference.position[at])
+        hessian, gradient, gap = evaluated(
+            self.predictor.program, reference.pose[at], s, v,
+            self.begin[blocks].T, self.mean[blocks].T, self.own[blocks].T, corrections.reshape(HORIZON_BLOCKS, -1).T,
+            self.periods * found.Q, self.periods * found.R, found.cost[self.ahead[at, -1]],
+        )  # fmt: skip
+        if not (gap.item() <= MAX_LOOP_GAP_M and np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+            return None
+        low, high = self._room(at) - corrections
+        change, _, flag, _ = daqp.solve(hessian.T, gradient.ravel(), np.empty((0, len(low))), high, low)
+        return corrections + change if flag > 0 and np.isfinite(change).all() else None
 
 
 def mpc(
@@ -148,9 +132,9 @@ def mpc(
     n, m, n_u = found.B.shape
     loop = found.A - found.B @ found.gains
     periods = max(1, int(np.ceil(horizon_s / (HORIZON_BLOCKS * reference.period_s) - 1e-9)))
-    way, drive, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, n_u)), np.arange(n)
+    way, mean, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, n_u)), np.arange(n)
     for _ in range(periods):
-        drive += reference.effort[at] / periods
+        mean += reference.effort[at] / periods
         way, at = loop[at] @ way, found.after[at]
     alone, ahead = np.empty((n, HORIZON_BLOCKS, n_u, m)), np.empty((n, HORIZON_BLOCKS + 1), dtype=int)
     ahead[:, 0], so_far = np.arange(n), np.tile(np.eye(m), (n, 1, 1))
@@ -158,14 +142,18 @@ def mpc(
         here = ahead[:, b]
         alone[:, b] = -found.gains[here] @ so_far
         so_far, ahead[:, b + 1] = way[here] @ so_far, at[here]
+    model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s)
+    begin = np.hstack([reference.pose[:n], reference.velocity[:n]])
     return MPC(
         reference=reference,
         regulator=found,
-        alone=alone,
+        alone=alone.reshape(n, -1, m),
         ahead=ahead,
-        drive=drive,
+        begin=begin,
+        mean=mean,
+        own=sampled(model.step, begin, mean)[:, :, 0],
+        effort_limit=np.array(effort_limit, dtype=float),
         kept=kept,
         periods=periods,
-        predictor=predictor(mechanism, HORIZON_BLOCKS, periods * reference.period_s),
-        effort_limit=np.array(effort_limit, dtype=float),
+        predictor=model,
     )

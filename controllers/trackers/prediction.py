@@ -1,96 +1,113 @@
-"""Predicted motions: the reduced dynamics under held efforts from a given state, and their linearisation."""
+"""The quadratic program of a predicted motion: the reduced dynamics under held corrections, linearised along the motion."""
 
+import functools
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M, closed_near
-from linkplan.controllers.trackers.lqr import discretise
+from linkplan.controllers.trackers.closing import closed_near
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import evaluated, mapped
 
 # Evaluations of the dynamics in one Runge-Kutta step.
 RUNGE_KUTTA_STAGES = 4
+# The exponential over a block is that over this power of one half of it, squared as often: near a singular pose the
+# derivatives are up to 2^5 per block.
+_DOUBLINGS = 5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Predictor:
-    """Motions over `blocks` blocks of `block_s` [s] each, with one fourth-order Runge-Kutta step per block."""
+    """Programs over blocks of held corrections, with one fourth-order Runge-Kutta step per block.
 
-    mechanism: Mechanism
-    blocks: int
-    block_s: float
-    begin: ca.Function  # q near, s -> q, gap [m]
-    motion: ca.Function  # (q, v), efforts of the blocks -> (q, v) after each
-    slopes: ca.Function  # q, v, efforts of the blocks -> the acceleration's derivatives by s, v, efforts
-
-    def motions_of(
-        self, near: np.ndarray, s: np.ndarray, v: np.ndarray, efforts: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (q, v) (r, blocks + 1, n_q + n_s) from states (r, n_s) under held efforts (r, blocks, n_u), and a mask.
-
-        The mask (r,) is False for a failed prediction, whose values are meaningless.
-        """
-        motions, found = np.zeros((len(s), self.blocks + 1, len(near) + s.shape[1])), np.zeros(len(s), dtype=bool)
-        for row, motion in enumerate(motions):
-            q, gap = evaluated(self.begin, near, s[row])
-            if not gap.item() <= MAX_LOOP_GAP_M:
-                continue
-            motion[0] = np.concatenate([q.ravel(), v[row]])
-            motion[1:] = evaluated(self.motion, motion[0], efforts[row].T)[0].T
-            found[row] = np.all(np.isfinite(motion))
-        return motions, found
-
-    def linearised(self, motions: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return A (r, blocks, 2 n_s, 2 n_s) and B (r, blocks, 2 n_s, n_u) of each block, linearised about its middle."""
-        n_q, n_s, n = self.mechanism.n_q, self.mechanism.dof, self.blocks
-        middle = 0.5 * (motions[:, 1:] + motions[:, :-1])
-        slopes = [np.empty((len(efforts), n, n_s, size)) for size in (n_s, n_s, efforts.shape[2])]
-        for row, (x, u) in enumerate(zip(middle, efforts, strict=True)):
-            for slope, found in zip(slopes, evaluated(self.slopes, x[:, :n_q].T, x[:, n_q:].T, u.T), strict=True):
-                slope[row] = found.reshape(n_s, n, -1).transpose(1, 0, 2)
-        A, B = held(*(slope.reshape(-1, *slope.shape[2:]) for slope in slopes), self.block_s)
-        return A.reshape(-1, n, *A.shape[1:]), B.reshape(-1, n, *B.shape[1:])
-
-
-def held(by_s: np.ndarray, by_v: np.ndarray, by_u: np.ndarray, block_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (n, 2 n_s, 2 n_s) and B (n, 2 n_s, n_u) of (s, v) over blocks [s] with constant acceleration derivatives.
-
-    The exponential's series is truncated at the fourth order, like the Runge-Kutta step of the prediction. If it converges
-    slowly, near a singular pose, the exact exponential is used.
+    `step`: (q, v), effort -> (q, v) after a block. `program`: near pose q, s, v, the references of the blocks ((q, v) at
+    their beginnings, their mean efforts, and `step` of both), corrections (n_u, blocks), Q, R, P -> Hessian, gradient in the
+    changes of the corrections, loop gap of the first pose [m]. The error after a block is the difference from `step` of the
+    reference, so that the step's own error cancels and no error needs no correction.
     """
-    n, n_s, n_u = by_u.shape
-    A, B = np.zeros((n, 2 * n_s, 2 * n_s)), np.zeros((n, 2 * n_s, n_u))
-    A[:, :n_s, n_s:] = np.eye(n_s)
-    A[:, n_s:, :n_s], A[:, n_s:, n_s:], B[:, n_s:] = by_s, by_v, by_u
-    stiff = ~((block_s**2 * np.abs(by_s).sum(axis=2) <= 1) & (block_s * np.abs(by_v).sum(axis=2) <= 1)).all(axis=1)
-    term = np.eye(2 * n_s) * block_s  # terms of h (1 + h A / 2 + (h A)^2 / 6 + (h A)^3 / 24)
-    total = term
-    for order in (2, 3, 4):
-        term = (block_s / order) * (A @ term)
-        total = total + term
-    A_block, B_block = np.eye(2 * n_s) + A @ total, total @ B
-    if np.any(stiff):
-        A_block[stiff], B_block[stiff] = discretise(A[stiff], B[stiff], block_s)
-    return A_block, B_block
+
+    step: ca.Function
+    program: ca.Function
 
 
-def predictor(mechanism: Mechanism, blocks: int, block_s: float) -> Predictor:
-    """Return the predictor of a mechanism's motions over blocks of a length [s]."""
-    n_q, n_s = mechanism.n_q, mechanism.dof
-    near, s = ca.MX.sym("near", n_q), ca.MX.sym("s", n_s)
-    state, u = ca.MX.sym("state", n_q + n_s), ca.MX.sym("u", mechanism.n_u)
+def predictor(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: float) -> Predictor:
+    """Return the predictor of a mechanism's errors over blocks of a length [s], in the states `kept` (m,) of (s, v)."""
+    n_q, n_s, n_u, m = mechanism.n_q, mechanism.dof, mechanism.n_u, len(kept)
+    state, effort = ca.MX.sym("state", n_q + n_s), ca.MX.sym("effort", n_u)
+    step = ca.Function("step", [state, effort], [runge_kutta(mechanism, state, effort, block_s)])
+    error, begin, own = (ca.MX.sym(name, n_q + n_s) for name in ("error", "begin", "own"))
+    mean, correction = ca.MX.sym("mean", n_u), ca.MX.sym("correction", n_u)
+    before, after = begin + error, step(begin + error, mean + correction)
+    slopes = _slopes(mechanism, 0.5 * (before + after), mean + correction, kept, block_s)
+    block = ca.Function("block", [error, begin, mean, own, correction], [after - own, *slopes])
 
-    step = ca.Function("block", [state, u], [runge_kutta(mechanism, state, u, block_s)])
-    return Predictor(
-        mechanism=mechanism,
-        blocks=blocks,
-        block_s=block_s,
-        begin=ca.Function("begin", [near, s], list(closed_near(mechanism, near, s))),
-        motion=step.mapaccum(blocks),
-        slopes=mapped(mechanism.dynamics.linearisation, blocks),
-    )
+    near, s, v = ca.MX.sym("near", n_q), ca.MX.sym("s", n_s), ca.MX.sym("v", n_s)
+    begins, owns = ca.MX.sym("begins", n_q + n_s, blocks), ca.MX.sym("owns", n_q + n_s, blocks)
+    means, corrections = ca.MX.sym("means", n_u, blocks), ca.MX.sym("corrections", n_u, blocks)
+    Q, R, P = ca.MX.sym("Q", m, m), ca.MX.sym("R", n_u, n_u), ca.MX.sym("P", m, m)
+    q, gap = closed_near(mechanism, near, s)
+    first = ca.vertcat(q, v) - begins[:, 0]
+    errors, A, B = block.mapaccum(blocks)(first, begins, means, owns, corrections)
+    chosen = [*mechanism.independent.tolist(), *range(n_q, n_q + n_s)]
+    reduced = errors[[chosen[i] for i in kept.tolist()], :]
+    hessian, gradient = condensing(blocks, m, n_u)(A, B, reduced, corrections, Q, R, P)
+    given = [near, s, v, begins, means, owns, corrections, Q, R, P]
+    return Predictor(step=step, program=ca.Function("program", given, [hessian, gradient, gap]))
+
+
+def _slopes(mechanism: Mechanism, state: ca.MX, effort: ca.MX, kept: np.ndarray, block_s: float) -> tuple[ca.MX, ca.MX]:
+    """Return A (m, m) and B (m, n_u) of the states `kept` of (s, v) over a block [s], linearised about one state.
+
+    The exponential of (A, B) comes from a series of fourth order by scaling and squaring.
+    """
+    n_q, n_s, n_u = mechanism.n_q, mechanism.dof, mechanism.n_u
+    by_s, by_v, by_u = mechanism.dynamics.linearisation(state[:n_q], state[n_q:], effort)
+    still = ca.DM(n_u, 2 * n_s + n_u)
+    slope = ca.vertcat(ca.horzcat(ca.DM(n_s, n_s), ca.DM.eye(n_s), ca.DM(n_s, n_u)), ca.horzcat(by_s, by_v, by_u), still)
+    part = slope * (block_s / 2**_DOUBLINGS)
+    whole = ca.DM.eye(2 * n_s + n_u)
+    power = whole
+    for order in (1, 2, 3, 4):
+        power = part @ power / order
+        whole = whole + power
+    for _ in range(_DOUBLINGS):
+        whole = whole @ whole
+    rows = kept.tolist()
+    return ca.densify(whole[rows, rows]), ca.densify(whole[rows, 2 * n_s :])
+
+
+@functools.cache
+def condensing(blocks: int, m: int, n_u: int) -> ca.Function:
+    """Return the function (A, B, e, w, Q, R, P) -> Hessian, gradient in changes d (N n_u,) of the corrections.
+
+    dx_{b+1} = A_b dx_b + B_b d_b. The cost penalises e + dx (m, N), with P for the last block, and w + d (n_u, N).
+    Multipliers are summed backwards along the motion (Andersson, PhD thesis, KU Leuven, 2013, section 5.3).
+    """
+    A, B, e = ca.SX.sym("A", m, m * blocks), ca.SX.sym("B", m, n_u * blocks), ca.SX.sym("e", m, blocks)
+    w, Q, R, P = ca.SX.sym("w", n_u, blocks), ca.SX.sym("Q", m, m), ca.SX.sym("R", n_u, n_u), ca.SX.sym("P", m, m)
+    A_of, B_of = ca.horzsplit(A, m), ca.horzsplit(B, n_u)
+    weight = [Q] * (blocks - 1) + [P]
+
+    def summed(states: list[ca.SX], first: int) -> list[ca.SX]:
+        """Return B_b^T l_b of blocks from `first`, with l_b = Q x_b + A_{b+1}^T l_{b+1}."""
+        found, multiplier = [], ca.SX(m, 1)
+        for b in range(blocks - 1, first - 1, -1):
+            multiplier = weight[b] @ states[b - first] + (A_of[b + 1].T @ multiplier if b + 1 < blocks else 0)
+            found.append(B_of[b].T @ multiplier)
+        return found[::-1]
+
+    hessian = ca.SX(blocks * n_u, blocks * n_u)
+    for b in range(blocks):
+        states = [B_of[b]]
+        for later in range(b + 1, blocks):
+            states.append(A_of[later] @ states[-1])
+        columns = slice(b * n_u, (b + 1) * n_u)
+        for later, part in enumerate(summed(states, b), b):
+            rows = slice(later * n_u, (later + 1) * n_u)
+            hessian[rows, columns] = part + (R if later == b else 0)
+            hessian[columns, rows] = hessian[rows, columns].T
+    gradient = ca.vertcat(*(part + R @ w[:, b] for b, part in enumerate(summed(ca.horzsplit(e, 1), 0))))
+    return ca.Function("condensing", [A, B, e, w, Q, R, P], [hessian, gradient])
 
 
 def runge_kutta(mechanism: Mechanism, state: ca.MX, effort: ca.MX, duration: ca.MX | float) -> ca.MX:

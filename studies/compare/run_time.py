@@ -13,7 +13,7 @@ from linkplan.controllers.trackers.integral_lqr import IntegralLQR
 from linkplan.controllers.trackers.lqr import LQR
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
 from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.prediction import RUNGE_KUTTA_STAGES
+from linkplan.controllers.trackers.prediction import RUNGE_KUTTA_STAGES, condensing
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker
 from linkplan.models.mechanism import Mechanism
@@ -81,10 +81,8 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
         m, n, many = len(tracker.kept), HORIZON_BLOCKS, HORIZON_BLOCKS * n_u
         free = state + 2 * n_u * m + many * (2 * m + 1)
         predicted = closing + n * (RUNGE_KUTTA_STAGES * _size(dynamics.flow) + _size(dynamics.linearisation))
-        # The state responses to efforts, and the Hessian of the cost.
-        program = m * m * n_u * n * (n - 1) + 2 * many * many * n * m + 2 * n * m * many * m
-        stored = state + n_q + n_u + m * m + n_u * m * (1 + n) + n_u
-        return stored, free, free + predicted + program
+        stored = state + n_s + 2 * n_q + 2 * n_u + m * m + n_u * m * (1 + n)
+        return stored, free, free + predicted + _size(condensing(n, m, n_u))
     return None, None, None
 
 
