@@ -48,7 +48,7 @@ MAX_GROWTH = 120
 ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
 # A mesh grows by this factor at most for digits of the objective that the user did not ask for: a solve on such a mesh takes
 # about as many times as long as the first. A second mesh, which tells the error, is always solved.
-CHEAP_GROWTH = 3
+CHEAP_GROWTH = 8
 # Switches are read again at most so often, and wrongly held arcs released.
 MAX_READINGS, MAX_RELEASES = 3, 3
 # Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
