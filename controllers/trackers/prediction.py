@@ -13,7 +13,7 @@ from linkplan.models.mechanism import Mechanism
 RUNGE_KUTTA_STAGES = 4
 # The exponential over a block is that over this power of one half of it, squared as often: near a singular pose the
 # derivatives are up to 2^5 per block.
-_DOUBLINGS = 5
+_EXPONENTIAL_DOUBLINGS = 5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -64,13 +64,13 @@ def _slopes(mechanism: Mechanism, state: ca.MX, effort: ca.MX, kept: np.ndarray,
     by_s, by_v, by_u = mechanism.dynamics.linearisation(state[:n_q], state[n_q:], effort)
     still = ca.DM(n_u, 2 * n_s + n_u)
     slope = ca.vertcat(ca.horzcat(ca.DM(n_s, n_s), ca.DM.eye(n_s), ca.DM(n_s, n_u)), ca.horzcat(by_s, by_v, by_u), still)
-    part = slope * (block_s / 2**_DOUBLINGS)
+    part = slope * (block_s / 2**_EXPONENTIAL_DOUBLINGS)
     whole = ca.DM.eye(2 * n_s + n_u)
     power = whole
     for order in (1, 2, 3, 4):
         power = part @ power / order
         whole = whole + power
-    for _ in range(_DOUBLINGS):
+    for _ in range(_EXPONENTIAL_DOUBLINGS):
         whole = whole @ whole
     rows = kept.tolist()
     return ca.densify(whole[rows, rows]), ca.densify(whole[rows, 2 * n_s :])

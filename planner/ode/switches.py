@@ -17,10 +17,9 @@ from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_wit
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
 
-# A solution replaces another one with switch times if its objective is better by this share, and by this multiple of the
-# error of its states. Next to an arc that vanishes the duration changes by the root of the solver's tolerance, 1e-10.
+# A solution replaces another one with switch times if its objective is better by this share, and by ten times the error of
+# its states. Next to an arc that vanishes the duration changes by the root of the solver's tolerance, 1e-10.
 _MIN_GAIN_SHARE = 1e-6
-_ERROR_MULTIPLE = 10.0
 
 
 def switch_by_costates(first: FirstSolution) -> FirstSolution:
@@ -75,7 +74,7 @@ def _replaces(case: OdeCase, tried: Iterate[OdeTrajectory], before: Solution, *,
         return solution.objective <= before.objective + allowed
     sizes = np.abs(tried.motion.state[:, :, : case.asked.n_x]).max(axis=(0, 1))
     worth = case.certify(tried.motion).integration_error * float(np.abs(last_costates(case.asked, solution)) @ sizes)
-    return before.objective - solution.objective > max(_MIN_GAIN_SHARE * abs(before.objective), _ERROR_MULTIPLE * worth)
+    return before.objective - solution.objective > max(_MIN_GAIN_SHARE * abs(before.objective), 10.0 * worth)
 
 
 def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:

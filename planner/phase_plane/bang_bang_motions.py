@@ -209,6 +209,17 @@ def _stop(plane: Plane, part: Part, start: int, rest: float):
     return index, np.pad(w, (0, len(index) - len(w))), np.full(len(index), -way)
 
 
+def _arriving(plane: Plane, ends: list[tuple[int, float]], deadline: Deadline) -> dict[tuple[int, int], np.ndarray]:
+    """Return the braking legs (w at cell ends) by where and in which direction they arrive at places with speeds."""
+    found = {}
+    for place, v in ends:
+        deadline.require_time()
+        for way in (+1, -1):
+            if v * way >= 0:
+                found[place, way] = plane.leg(place, 0.5 * v**2, -way, -way, backwards=True)
+    return found
+
+
 def _legs(plane: Plane, part: Part, deadline: Deadline):
     """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
 
@@ -220,12 +231,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
     rests = {*np.linspace(0, n - 1, _TURNING_PLACES).round().astype(int).tolist()}
     rests = sorted((rests if begin is None else rests | {plane.at(begin)}) - {goal})
     ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
-    arriving = {}  # braking legs by where and in which direction they arrive
-    for place, v in ends:
-        deadline.require_time()
-        for way in (+1, -1):
-            if v * way >= 0:
-                arriving[place, way] = plane.leg(place, 0.5 * v**2, -way, -way, backwards=True)
+    arriving = _arriving(plane, ends, deadline)
     ticket = itertools.count(1)  # equal times are never compared further
     queue, known = [(0.0, 0, 0, start, [])], {}
     if stop is not None and plane.at(stop) != start:

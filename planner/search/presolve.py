@@ -28,43 +28,68 @@ _PASSES, _POSE_TOLERANCE = "between start and goal, where every motion of one de
 
 def plain_contradiction(problem: Problem) -> str | None:
     """Return the sentence on a limit that no motion can keep, found without solving, or None."""
-    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
+    looks = (
+        _speed_at_an_end,
+        _range_at_an_end,
+        _branches_on_the_way,
+        _singular,
+        _beyond_ctrl,
+        _site_beyond,
+        _range_on_the_only_way,
+        no_way_to_stop,
+        _mean_speed,
+    )
+    return next((sentence for look in looks if (sentence := look(problem)) is not None), None)
+
+
+def _speed_at_an_end(problem: Problem) -> str | None:
+    """Return the sentence on a speed at start or goal beyond its limit, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
     for name in ("start_speed", "goal_speed"):
         value = getattr(motion, name)
         for column, joint in enumerate(mechanism.independent_joints):
-            low, high = limits.speed[mechanism.independent[column]]
+            low, high = problem.limits.speed[mechanism.independent[column]]
             if value is not None and not low <= value[column] <= high:
                 return (
                     f"infeasible: motion.{name} of joint {joint.name} is {joint.said(value[column], 4)} {joint.unit}/s,"
                     f" beyond its speed limit of {joint.said(high if value[column] > 0 else low, 4)} {joint.unit}/s"
                 )
+    return None
+
+
+def _range_at_an_end(problem: Problem) -> str | None:
+    """Return the sentence on a joint that stands beyond its range at start or goal, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
     for name in ("start", "goal"):
         if getattr(motion, name) is None or (name == "goal" and motion.goal_is_free):
             continue
         pose = close_at(mechanism, getattr(motion, name))
-        for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
+        for joint, x, (low, high) in zip(mechanism.joints, pose, problem.limits.position, strict=True):
             if not low <= x <= high:
                 return (
                     f"infeasible: joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at the {name},"
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem)
-    contradiction = contradiction or _site_beyond(problem) or _range_on_the_only_way(problem) or no_way_to_stop(problem)
-    if contradiction is not None:
-        return contradiction
-    if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
-        for column, joint in enumerate(mechanism.independent_joints):
-            mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
-            low, high = limits.speed[mechanism.independent[column]]
-            if not low <= mean <= high:
-                bound = high if mean > 0 else low
-                shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
-                return (
-                    f"infeasible: joint {joint.name} would have to move at {joint.said(mean, 4)} {joint.unit}/s on average"
-                    f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
-                    f" that limit alone asks for {shortest:.4g} s"
-                )
+    return None
+
+
+def _mean_speed(problem: Problem) -> str | None:
+    """Return the sentence on a joint whose mean speed between start and goal is beyond its limit, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if motion.kind != "reach" or motion.duration_s is None or motion.goal_is_free:
+        return None
+    for column, joint in enumerate(mechanism.independent_joints):
+        mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
+        low, high = problem.limits.speed[mechanism.independent[column]]
+        if not low <= mean <= high:
+            bound = high if mean > 0 else low
+            shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
+            return (
+                f"infeasible: joint {joint.name} would have to move at {joint.said(mean, 4)} {joint.unit}/s on average"
+                f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
+                f" that limit alone asks for {shortest:.4g} s"
+            )
     return None
 
 

@@ -86,39 +86,52 @@ def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
     Raises:
         ProblemError: for a tracker that cannot be built for another control period.
     """
-    plan, reference, loop = experiment.plan, experiment.reference, experiment.loop
-    mechanism, n = plan.problem.mechanism, experiment.n
+    mechanism, reference, n = experiment.plan.problem.mechanism, experiment.reference, experiment.n
     machines = [experiment.machine(i) for i in range(n)]
-    law = build_tracker(asked, plan, reference)
-    free = _unlimited(law)
-    limited = MujocoPlant(mechanism=mechanism, loop=loop)
-    infinite = np.tile([-np.inf, np.inf], (mechanism.n_u, 1))
-    unlimited = MujocoPlant(mechanism=mechanism, loop=replace(loop, effort_limit=infinite))
-    rigid = RigidPlant(mechanism=mechanism, delay_periods=loop.delay_periods)
-    failure: list[str | None] = [None] * n
-    clocked = [Imperfections(clock=one.clock) for one in _alike(machines)]
+    law = build_tracker(asked, experiment.plan, reference)
+    rigid = RigidPlant(mechanism=mechanism, delay_periods=experiment.loop.delay_periods)
     clocked = [Imperfections(clock=one.clock) for one in _alike(machines)]
     groups = {_GROUPS.get(factor.key, "model") for factor in experiment.section.factors} | {"limits"}
     acting = [name for name in SWITCHES if name in groups]
-    ran: dict[frozenset[str], _Found] = {}
-    for size in range(len(acting) + 1):
-        for names in map(frozenset, itertools.combinations(acting, size)):
-            these = [_with(one, names) for one in (machines if names - {"limits"} else _alike(machines))]
-            plant, tracker = (limited, law) if "limits" in names else (unlimited, free)
-            ran[names] = _errors(plant, tracker, reference, these)
-    first = [*_ideal(experiment, asked), _errors(rigid, free, reference, clocked), ran[frozenset()]]
+    ran = _combinations(experiment, law, machines, acting)
+    ideal = _ideal(experiment, asked)
+    first = [*ideal, _errors(rigid, _unlimited(law), reference, clocked), ran[frozenset()]]
     after = [ran[frozenset(SWITCHES[:k]) & frozenset(acting)] for k in range(1, len(SWITCHES) + 1)]
-    for words, (_, failed) in [*zip(RUNGS.values(), [*first, *after], strict=True), *_words_of(ran)]:
-        for i in range(n):
-            reason = failed[i if len(failed) > 1 else 0]
-            if failure[i] is None and reason is not None:
-                failure[i] = f"lost after {words.partition(':')[0]} was switched on: {reason}"
+    failure = _failures([*zip(RUNGS.values(), [*first, *after], strict=True), *_words_of(ran)], n)
     t, n_s = reference.position.shape
     errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in [*first, *after]])
     increments = np.diff(errors, axis=0, prepend=0.0)
     for row, name in enumerate(SWITCHES, start=len(first)):
         increments[row] = _mean_increment(name, acting, ran)
-    return Ladder(tracker=law.name, errors=errors, increments=increments, failure=tuple(failure))
+    return Ladder(tracker=law.name, errors=errors, increments=increments, failure=failure)
+
+
+def _combinations(
+    experiment: Experiment, law: AnyTracker, machines: Sequence[Imperfections], acting: Sequence[str]
+) -> dict[frozenset[str], "_Found"]:
+    """Return the errors of MuJoCo machines with each combination of the acting causes."""
+    mechanism, loop = experiment.plan.problem.mechanism, experiment.loop
+    infinite = np.tile([-np.inf, np.inf], (mechanism.n_u, 1))
+    limited = MujocoPlant(mechanism=mechanism, loop=loop)
+    unlimited = MujocoPlant(mechanism=mechanism, loop=replace(loop, effort_limit=infinite))
+    found = {}
+    for size in range(len(acting) + 1):
+        for names in map(frozenset, itertools.combinations(acting, size)):
+            these = [_with(one, names) for one in (machines if names - {"limits"} else _alike(machines))]
+            plant, tracker = (limited, law) if "limits" in names else (unlimited, _unlimited(law))
+            found[names] = _errors(plant, tracker, experiment.reference, these)
+    return found
+
+
+def _failures(runs: Sequence[tuple[str, "_Found"]], n: int) -> tuple[str | None, ...]:
+    """Return the first reason for which each machine (n,) was lost, with what was switched on then, or None."""
+    failure: list[str | None] = [None] * n
+    for words, (_, failed) in runs:
+        for i in range(n):
+            reason = failed[i if len(failed) > 1 else 0]
+            if failure[i] is None and reason is not None:
+                failure[i] = f"lost after {words.partition(':')[0]} was switched on: {reason}"
+    return tuple(failure)
 
 
 def _mean_increment(name: str, acting: Sequence[str], ran: Mapping[frozenset[str], "_Found"]) -> np.ndarray | float:
