@@ -8,6 +8,7 @@ import numpy as np
 from linkplan.planner.refinement.case import CertificateT, MotionT, RefinementTarget
 from linkplan.planner.refinement.certified_iterate import CertifiedIterateT, error_of
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.solvers.outcome import SOLVER_TOLERANCE
 from linkplan.planner.solvers.solve import Solution
 
 # The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the
@@ -38,10 +39,18 @@ class Refined(Generic[MotionT, CertificateT]):
 
 
 def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: RefinementTarget) -> CertifiedIterateT:
-    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had."""
+    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had.
+
+    The solver leaves its tolerance at every limit that binds, which are more on a finer mesh. An objective that nobody asked
+    to settle is not given up for that on a mesh that is no more exact.
+    """
     if before is None or (target.tolerance_given and now.report.exact and not before.report.exact):
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
+    left = SOLVER_TOLERANCE * now.n_intervals * abs(objective)
+    no_more_exact = before.report.exact and error_of(before) <= error_of(now)
+    if not target.objective_tolerance_given and no_more_exact and 0 <= objective - then <= left:
+        return before
     truer = not before.report.exact and (now.report.exact or error_of(now) < error_of(before))
     share = LOST_GAIN_INEXACT if truer else LOST_GAIN
     return before if then < objective - share * abs(objective) else now

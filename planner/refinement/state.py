@@ -103,7 +103,8 @@ class RefinementState(Generic[MotionT, CertificateT]):
     def result(self) -> Refined[MotionT, CertificateT] | None:
         """The best motion, or the last one if none passed; None without a certificate."""
         at, best = self.at, self.best
-        if not (at.passed and self.settled and self.objective_tolerance is not None and self.loose is None):
+        asked = self.objective_tolerance is not None and self.target.objective_tolerance_given
+        if not (at.passed and self.settled and asked and self.loose is None):
             at = best or at
         if at.certificate is None:
             return None
