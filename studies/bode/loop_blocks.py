@@ -63,7 +63,7 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
             tried_kd = np.where(study.settles_near_border[:, column] == settles, share * high, np.nan)
             if np.isfinite(tried_kd).any():
                 name = "" if any(line.name == name for line in lines) else name
-                lines.append(Line(name=name, values=tried_kd, unit=damping, look="points", colour=None if settles else 1))
+                lines.append(Line(name=name, values=tried_kd, unit=damping, look="points", colour=None if settles else 5))
     critical = plots("Stable kd over the position", "kd", axis, at, lines, group=f"along:map:{joint.name}", log=True)
     return [Facts(rows=rows), table, _gains(study, marked, stiffness, damping), *critical]
 
