@@ -1,5 +1,6 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
 
+import itertools
 import warnings
 from pathlib import Path
 
@@ -30,6 +31,7 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
     mujoco.set_mju_user_warning(messages.append)  # by default MuJoCo writes a log file to the working folder
     try:
         name, spec = _read_spec(source)
+        _name_bodies(spec)
         if payload is not None:
             attach(spec, payload)
         with warnings.catch_warnings(record=True) as caught:  # MuJoCo's bindings issue some messages as Python warnings
@@ -59,9 +61,19 @@ def model_spec(source: str | Path, payload: Payload | None = None) -> mujoco.MjS
     """
     compile_model(source, payload)
     _, spec = _read_spec(source)
+    _name_bodies(spec)
     if payload is not None:
         attach(spec, payload)
     return spec
+
+
+def _name_bodies(spec: mujoco.MjSpec) -> None:
+    """Give every body without a name one: "body" and its place in the file."""
+    taken = {body.name for body in spec.bodies}
+    for place, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = next(name for n in itertools.count(place) if (name := f"body{n}") not in taken)
+            taken.add(body.name)
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:

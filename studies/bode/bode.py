@@ -25,6 +25,7 @@ from linkplan.studies.frequency.feedback_loops import (
     law_gain,
     operating_point,
     refuse_above_nyquist,
+    with_lqr_errors,
 )
 from linkplan.studies.frequency.margins import Margins, frequency_grid, margins
 from linkplan.studies.frequency.measure import measure
@@ -244,8 +245,11 @@ def bode_study(
     if frequency_hz is not None:
         refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), timing.period_s)
     positions = np.atleast_2d(positions)
-    for position in positions:
-        operating_point(mechanism, position, effort_limit)  # refuses a pose that cannot be held before any work
+    points = [
+        operating_point(mechanism, position, effort_limit) for position in positions
+    ]  # or refuses a pose, before any work
+    if law == "lqr":
+        settings = with_lqr_errors(settings, mechanism, points, effort_limit)
     lines = _scan_lines(mechanism, positions, line) if scanned else []
     scans = tuple(_scans(mechanism, lines, settings, effort_limit, timing, law, scanned, say))
     if line is not None:
@@ -255,7 +259,7 @@ def bode_study(
     in_contact = touched(pairs, len(loops))
     trials = _settles(loops, in_contact, effort_limit)
     stable = [i for i, loop in enumerate(loops) if loop.stable and not in_contact[i]]
-    points, steps, conditions = [], 0, {}
+    found, steps, conditions = [], 0, {}
     for channel in range(mechanism.dof):
         bounds = [margins(loop, channel) for loop in loops]
         measured: dict[int, dict[str, Response]] = {}
@@ -264,14 +268,14 @@ def bode_study(
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
-        points += _channel_points(channel, loops, ideal, bounds, trials, measured)
+        found += _channel_points(channel, loops, ideal, bounds, trials, measured)
     return BodeStudy(
         mechanism=mechanism,
         law=law,
         settings=settings,
         timing=timing,
         effort_limit=np.array(effort_limit),
-        points=tuple(points),
+        points=tuple(found),
         scans=scans,
         method=None if setup is None else setup.method,
         simulated_steps=steps,

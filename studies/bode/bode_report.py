@@ -16,7 +16,7 @@ def bode_record(study: BodeStudy) -> dict:
         row = by_pose.setdefault(entry.point.pose.tobytes(), _pose_record(entry.point))
         row["loops"][study.law if mechanism.dof == 1 else _channel_name(study, entry.channel)] = _loop_record(entry)
     slides = mechanism.independent_joints[0].kind == "slide"
-    weights = ("lqr_position_m", "lqr_velocity_m_s") if slides else ("lqr_position", "lqr_velocity")
+    weights = ("lqr_position_m", "lqr_velocity_m_s") if slides else ("lqr_position_deg", "lqr_velocity_deg_s")
     names = (*(weights if study.law == "lqr" else ("kp", "kd")), "period_s", "delay_periods")
     return {
         "mechanism": mechanism.name,

@@ -25,8 +25,10 @@ from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
+from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.problem.values import number
 from linkplan.studies.check.softness import gap_sentence, softness_error
+from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time
 from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
 
@@ -122,7 +124,7 @@ def _pd(plan: Plan, reference: SampledReference) -> Tracker:
 
 
 def _lqr(plan: Plan, reference: SampledReference) -> Tracker:
-    errors = _errors(plan)
+    errors = _errors(plan, reference)
     return lqr(
         plan.problem.mechanism,
         reference,
@@ -132,12 +134,18 @@ def _lqr(plan: Plan, reference: SampledReference) -> Tracker:
     )
 
 
-def _errors(plan: Plan) -> Errors:
-    problem = plan.problem
-    limit = np.abs(problem.limits.actuators_effort).max(axis=1)
-    position, velocity = problem.tracking.lqr_errors(problem.mechanism.independent_joints)
-    effort = np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0))
-    return Errors(position=position, velocity=velocity, effort=effort)
+def _errors(plan: Plan, reference: SampledReference) -> Errors:
+    position, velocity = lqr_settings(plan, reference).lqr_errors(plan.problem.mechanism.independent_joints)
+    return Errors(position=position, velocity=velocity, effort=_unit_effort(plan))
+
+
+def lqr_settings(plan: Plan, reference: SampledReference) -> Tracking:
+    """Return the settings of tracking with every LQR error set for a plan's machine and motion."""
+    return scaled(plan.problem.tracking, plan.problem.mechanism, reference.pose, _unit_effort(plan))
+
+
+def _unit_effort(plan: Plan) -> np.ndarray:
+    return unit_effort(plan.problem.limits.actuators_effort, plan.certificate.peak_effort)
 
 
 def _frequency(plan: Plan) -> tuple[float, float]:
@@ -153,7 +161,7 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
     "lqi": lambda plan, reference: integral_lqr(
         plan.problem.mechanism,
         reference,
-        _errors(plan),
+        _errors(plan, reference),
         plan.problem.tracking.integral_time_s,
         np.array(plan.problem.limits.actuators_effort),
     ),
@@ -164,7 +172,7 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
     "mpc": lambda plan, reference: mpc(
         plan.problem.mechanism,
         reference,
-        _errors(plan),
+        _errors(plan, reference),
         plan.problem.tracking.horizon_s,
         np.array(plan.problem.limits.actuators_effort),
     ),

@@ -9,6 +9,7 @@ broken at the effort on i while the other loops are closed. With efforts tau = E
 freedom has a single loop, broken at its actuator.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import control
@@ -26,6 +27,7 @@ from linkplan.models.names import choose
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.frequency.response import Response
 
 CONTINUOUS, EXACT, SIMULATED = "continuous", "sampled, exact hold", "sampled, MuJoCo's steps"
@@ -153,18 +155,25 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     choose("tracker", law, LINEAR, LinkplanError)
     reference = point.constant(settings.period_s)
     if law == "lqr":
-        limit = np.abs(effort_limit).max(axis=1)
         position, velocity = settings.lqr_errors(point.mechanism.independent_joints)
         tracker = lqr(
             point.mechanism,
             reference,
             position_weight=position,
             velocity_weight=velocity,
-            effort_weight=np.where(np.isfinite(limit), limit, np.maximum(np.abs(point.hold), 1.0)),
+            effort_weight=unit_effort(effort_limit, np.abs(point.hold)),
         )
         return tracker.gains[0]
     kp, kd = settings.gains(point.mechanism.independent_joints)
     return pd_gain(pd(point.mechanism, reference, kp, kd).map[0], kp, kd)
+
+
+def with_lqr_errors(
+    settings: Tracking, mechanism: Mechanism, points: Sequence[OperatingPoint], limit: np.ndarray
+) -> Tracking:
+    """Return settings with every LQR error set for a machine that holds points, with effort limits (n_u, 2)."""
+    hold = np.max([np.abs(point.hold) for point in points], axis=0)
+    return scaled(settings, mechanism, np.array([point.pose for point in points]), unit_effort(limit, hold))
 
 
 def pd_gain(effort_map: np.ndarray, kp: float | np.ndarray, kd: float | np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from linkplan.controllers.playback import Rows, Shown
 from linkplan.models.poses.skeleton import pins_in_space
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.compare.compare import tracking_reference
+from linkplan.studies.compare.compare import lqr_settings, tracking_reference
 from linkplan.studies.render.caption import effort_lines
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, framed, own_direction
@@ -24,10 +24,11 @@ from linkplan.studies.render.shapes import bones, ghostly
 def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
     """Return the function that runs a plan with a tracker and gains."""
     reference = tracking_reference(plan)
+    settings = lqr_settings(plan, reference)
 
     def make(controls: Controls) -> Shown:
         """Run the tracker in MuJoCo."""
-        tracking = with_gains(plan.problem.tracking, controls.kp_factor, controls.kd_factor)
+        tracking = with_gains(settings, controls.kp_factor, controls.kd_factor)
         with_them = replace(plan, problem=replace(plan.problem, tracking=tracking))
         motion = tracked_motion(with_them, controls.tracker, reference)
         return shown(motion, lambda k: _words(motion, tracking, controls, k))
@@ -36,7 +37,7 @@ def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
 
 
 def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracking:
-    """Return settings with multiplied gains; for LQR, the position and velocity errors of weight 1 are divided."""
+    """Return settings with multiplied gains; for LQR, the position and velocity errors of weight 1, all set, are divided."""
 
     def times(gain, factor: float):
         return {name: factor * one for name, one in gain.items()} if isinstance(gain, dict) else factor * gain

@@ -125,7 +125,7 @@ def test_lqr_s_gains_where_the_plan_stands_still_are_python_control_s():
     plan, reference = optimal("knee-reach"), reference_of("knee-reach", PERIOD, 0.3)
     tracking, rest = plan.problem.tracking, slice(-100, None)
     A, B = (x[0] for x in discretise(*linearise(plan.problem.mechanism, *(x[-1:] for x in _states(reference))), PERIOD))
-    weights = np.array([tracking.lqr_position, tracking.lqr_velocity])
+    weights = np.concatenate(tracking.lqr_errors(plan.problem.mechanism.independent_joints))
     K, _, _ = control.dlqr(A, B, np.diag(weights**-2.0), np.array([[plan.problem.limits.effort[0, 1] ** -2.0]]))
     gains = tracker_of("lqr", "knee-reach", PERIOD, 0.3).gains
     assert np.ptp(reference.position[rest]) == 0
@@ -142,7 +142,8 @@ def test_integral_gains_at_rest_are_python_control_s():
     A, B = (x[0] for x in discretise(*linearise(mechanism, *(x[-1:] for x in _states(reference))), PERIOD))
     A_all = np.block([[A, np.zeros((2, 1))], [np.array([[-PERIOD, 0.0, 1.0]])]])
     B_all = np.concatenate([B, np.zeros((1, 1))])
-    weights = np.array([tracking.lqr_position, tracking.lqr_velocity, tracking.integral_time_s * tracking.lqr_position])
+    position, velocity = tracking.lqr_errors(mechanism.independent_joints)
+    weights = np.concatenate([position, velocity, tracking.integral_time_s * position])
     limit = plan.problem.limits.effort[0, 1]
     K, _, _ = control.dlqr(A_all, B_all, np.diag(weights**-2.0), np.array([[limit**-2.0]]))
     gains = tracker_of("lqi", "knee-reach", PERIOD, 0.3).gains[-1]

@@ -73,11 +73,12 @@ def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | No
     problem = optimal(name).problem
     tracking = problem.tracking
     if kind == "lqr":
+        position, velocity = tracking.lqr_errors(problem.mechanism.independent_joints)
         return lqr(
             problem.mechanism,
             reference,
-            position_weight=tracking.lqr_position,
-            velocity_weight=tracking.lqr_velocity,
+            position_weight=position,
+            velocity_weight=velocity,
             effort_weight=problem.limits.effort[:, 1],
         )
     feedback = pd(problem.mechanism, reference, tracking.kp, tracking.kd if kd is None else kd)

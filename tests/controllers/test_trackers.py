@@ -33,12 +33,12 @@ def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None =
 
 
 def lqr_of(plan: Plan, reference: SampledReference) -> LQR:
-    tracking = plan.problem.tracking
+    position, velocity = plan.problem.tracking.lqr_errors(plan.problem.mechanism.independent_joints)
     return lqr(
         plan.problem.mechanism,
         reference,
-        position_weight=tracking.lqr_position,
-        velocity_weight=tracking.lqr_velocity,
+        position_weight=position,
+        velocity_weight=velocity,
         effort_weight=plan.problem.limits.effort[:, 1],
     )
 
@@ -237,7 +237,7 @@ def knee_matrices(name: str) -> tuple[np.ndarray, ...]:
     A, B = discretise(
         *linearise(plan.problem.mechanism, reference.pose, reference.velocity, reference.effort), reference.period_s
     )
-    Q = np.diag([tracking.lqr_position**-2, tracking.lqr_velocity**-2])
+    Q = np.diag(np.concatenate(tracking.lqr_errors(plan.problem.mechanism.independent_joints)) ** -2)
     return A, B, Q, np.array([[plan.problem.limits.effort[0, 1] ** -2]])
 
 

@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.problem import load_problem
@@ -323,3 +324,34 @@ def test_a_tracker_whose_gains_are_too_high_for_its_encoder_is_said_to_chatter(t
     (quiet, loud) = (done(tmp_path / name, overrides=how).record["notes"] for name, how in (("a", fine), ("b", coarse)))
     assert not any("chatters" in note for note in quiet)
     assert any(note.startswith("pd+ff chatters: its effort varies by") for note in loud)
+
+
+LIGHT_ANKLE = """
+<mujoco>
+  <compiler angle="degree" autolimits="true"/>
+  <option timestep="5e-4"/>
+  <worldbody>
+    <body>
+      <joint name="ankle" axis="0 1 0" range="-90 90"/>
+      <inertial pos="0 0 -0.05" mass="0.5" diaginertia="8e-4 8e-4 8e-4"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="ankle" ctrlrange="-30 30"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.slow
+def test_lqr_with_its_own_weights_does_not_chatter_on_a_light_ankle():
+    varied = {}
+    for name, weights in (("own", {}), ("of a heavy machine", {"lqr_position_deg": 1.0, "lqr_velocity_deg_s": 100.0})):
+        problem = linkplan.Problem.reach(
+            LIGHT_ANKLE,
+            start_deg={"ankle": 0.0},
+            goal_deg={"ankle": 20.0},
+            duration_s=0.4,
+            tracking={"period_s": 1e-3, **weights},
+        )
+        runs = linkplan.experiment(linkplan.plan(problem), trackers=["lqr"], samples=8)
+        varied[name] = runs.results["chatter"].mean()
+    assert varied["own"] < 50.0  # [N.m]; the plan's own effort varies by 2 N.m
+    assert varied["of a heavy machine"] > 1000.0
