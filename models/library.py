@@ -2,6 +2,7 @@
 
 import itertools
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -15,13 +16,19 @@ from linkplan.models.model_values import refuse_unusable
 from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
 from linkplan.models.reading import read_file, shown
+from linkplan.models.selection import Selection, select
 from linkplan.models.urdf import mesh_hint
 
 __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
 
-def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[str, mujoco.MjModel]:
-    """Return a model's name and its compiled form with the payload.
+NOTHING_SELECTED = Selection()
+
+
+def compile_model(
+    source: str | Path, payload: Payload | None = None, selection: Selection = NOTHING_SELECTED
+) -> tuple[str, mujoco.MjModel, tuple[str, ...]]:
+    """Return a model's name, the compiled form of what is selected with the payload, and notes on what was left out.
 
     Raises:
         ModelError: if the source is neither a built-in name, nor a readable file, nor MJCF text; if MuJoCo refuses it
@@ -30,15 +37,16 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
     messages: list[str] = []
     mujoco.set_mju_user_warning(messages.append)  # by default MuJoCo writes a log file to the working folder
     try:
-        name, spec = _read_spec(source)
-        _name_bodies(spec)
+        name, spec, notes = _selected(source, selection)
         if payload is not None:
             attach(spec, payload)
         with warnings.catch_warnings(record=True) as caught:  # MuJoCo's bindings issue some messages as Python warnings
             warnings.simplefilter("always")
             model = spec.compile()
         messages += [str(one.message) for one in caught]
-    except (ValueError, RuntimeError, mujoco.FatalError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ModelError(f"model '{source}' has names that are not UTF-8 text") from error
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
         what = "MJCF text" if is_text(str(source)) else source
         raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
     finally:
@@ -50,30 +58,41 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
         )
     for text in messages:
         warnings.warn(f"model '{name}': {one_line(text)}", RuntimeWarning, stacklevel=2)
-    return name, model
+    return name, model, notes
 
 
-def model_spec(source: str | Path, payload: Payload | None = None) -> mujoco.MjSpec:
-    """Return the specification of a model with the payload.
+def model_spec(source: str | Path, payload: Payload | None = None, selection: Selection = NOTHING_SELECTED) -> mujoco.MjSpec:
+    """Return the specification of what is selected of a model, with the payload.
 
     Raises:
         ModelError: if the model does not compile, see `compile_model`.
     """
-    compile_model(source, payload)
-    _, spec = _read_spec(source)
-    _name_bodies(spec)
+    compile_model(source, payload, selection)
+    _, spec, _ = _selected(source, selection)
     if payload is not None:
         attach(spec, payload)
     return spec
 
 
-def _name_bodies(spec: mujoco.MjSpec) -> None:
-    """Give every body without a name one: "body" and its place in the file."""
-    taken = {body.name for body in spec.bodies}
-    for place, body in enumerate(spec.bodies):
-        if not body.name:
-            body.name = next(name for n in itertools.count(place) if (name := f"body{n}") not in taken)
-            taken.add(body.name)
+def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
+    """Return a model's name, the specification of what is selected, and notes on what was left out."""
+    name, spec = _read_spec(source)
+    _name_all(spec.bodies, "body")
+    if not selection:
+        return name, spec, ()
+    spec.compile()  # numbers the joints
+    _name_all(spec.joints, "joint")
+    return name, spec, select(spec, spec.compile(), selection)
+
+
+def _name_all(elements: Sequence, kind: str) -> None:
+    """Give every element without a name one: its kind and its number."""
+    taken = {element.name for element in elements}
+    for place, element in enumerate(elements):
+        if not element.name:
+            first = element.id if element.id >= 0 else place
+            element.name = next(name for n in itertools.count(first) if (name := f"{kind}{n}") not in taken)
+            taken.add(element.name)
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:

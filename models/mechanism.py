@@ -29,6 +29,7 @@ from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
+from linkplan.models.selection import HOME_KEYFRAME, Selection
 from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
@@ -56,6 +57,7 @@ class Mechanism:
     name: str
     model: mujoco.MjModel
     payload: Payload | None
+    selection: Selection  # what was taken out of a larger model
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
     tendons: tuple[TendonRange, ...]  # tendons with a limited length
@@ -198,6 +200,10 @@ def load_mechanism(
     solref: str | None = None,
     closure_tolerance_m: float | None = None,
     friction_transition: float | None = None,
+    keep: Sequence[str] | None = None,
+    fix_base: bool = False,
+    lock: Mapping[str, float] | None = None,
+    keyframe: str | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -212,6 +218,11 @@ def load_mechanism(
             1e-6 m, or 1e-5 of a small mechanism's extent.
         friction_transition: the transition speed of dry friction [rad/s on a hinge; extents per second on a slide or
             tendon]; by default two degrees per second.
+        keep: names of bodies or joints: of a larger robot, only these bodies are read, with what hangs on them, the chains
+            that close loops over them, and the bodies between them and the world.
+        fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
+        lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
+        keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
@@ -220,7 +231,10 @@ def load_mechanism(
     """
     asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
     payload = payload_from(payload)
-    name, model = compile_model(source, payload)
+    selection = Selection(
+        keep=tuple(keep or ()), fix_base=bool(fix_base), lock={} if lock is None else dict(lock), keyframe=keyframe
+    )
+    name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
@@ -270,6 +284,7 @@ def load_mechanism(
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
     passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
+    notes = [*left_out, *notes]
     notes += [*friction_notes(model, transition, extent), *conversion_notes(source)]
     notes += _reference_notes(loop, reference, unit, rank)
 
@@ -277,6 +292,7 @@ def load_mechanism(
         name=name,
         model=model,
         payload=payload,
+        selection=selection,
         joints=joints,
         actuators=actuators,
         tendons=limited_tendons(model),
@@ -296,7 +312,7 @@ def load_mechanism(
         coordinates=tree.coordinates,
         passive_dofs=passive_dofs,
         notes=tuple(notes),
-        source=source_table(source, payload, home, joints, asked),
+        source=source_table(source, payload, home, joints, selection, asked),
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
@@ -323,7 +339,7 @@ def _reference_notes(loop: KinematicLoop, reference: np.ndarray, unit: np.ndarra
 def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:
     """Return the keyframe "home" of the model, or its reference pose `qpos0`, as a qpos (nq,)."""
     for key in range(model.nkey):
-        if model.key(key).name == "home":
+        if model.key(key).name == HOME_KEYFRAME:
             return np.array(model.key_qpos[key], dtype=float)
     return np.array(model.qpos0, dtype=float)
 

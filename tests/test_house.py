@@ -22,9 +22,10 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "extras", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_text",
-        "model_values", "urdf",
+        "model_values", "urdf", "selection",
         "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
-        "source_table", "coordinate_choice", "mechanism", "poses",
+        "source_table", "coordinate_choice", "mechanism", "selected_model",
+        "poses",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "solvers", "refinement",

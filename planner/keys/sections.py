@@ -66,6 +66,27 @@ class MechanismSection(Section, frozen=True):
             example="[{independent}]",
         ),
     ] = ABSENT
+    keep: Annotated[
+        kinds.Kept,
+        key(
+            "bodies or joints: of a larger robot, only these are read, with what hangs on them and the loops over them",
+            default="the whole model",
+            example="[{bodies}]",
+        ),
+    ] = ABSENT
+    fix_base: Annotated[
+        bool,
+        Meta(extra={"said": "true or false"}),
+        key(
+            "whether what lies between the world and the kept bodies is locked, and a base that nothing drives",
+            default="false",
+            example="true",
+        ),
+    ] = ABSENT
+    lock: Annotated[kinds.Locks, key("positions of joints that do not move", "deg, m on slides", "none", "{}")] = {}
+    keyframe: Annotated[
+        str, key("the model's keyframe that gives the home pose", default="home, or the reference pose", example='"home"')
+    ] = ABSENT
     closure_tolerance_m: Annotated[
         kinds.Positive,
         key("the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", "1e-6"),

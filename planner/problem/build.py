@@ -133,6 +133,10 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         independent=asked.independent,
         solref=asked.solref,
         closure_tolerance_m=asked.closure_tolerance_m,
+        keep=asked.keep,
+        fix_base=asked.fix_base,
+        lock=asked.lock,
+        keyframe=asked.keyframe,
         friction_transition=None if asked.friction_transition_deg_s is None else np.radians(asked.friction_transition_deg_s),
     )
     joint_values(asked, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge

@@ -18,7 +18,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
     target = output_folder(arguments)
-    name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
+    name, tables, folder, is_problem = tables_of(arguments)
     try:
         sections = tables if is_problem else {"mechanism": tables["mechanism"]}
         mechanism, problem, notes = mechanism_and_problem(name, sections, folder)
@@ -30,11 +30,14 @@ def run_check(arguments: argparse.Namespace) -> int:
     found = whole.found
 
     def draw(place: Path) -> None:
+        from linkplan.models.selected_model import whole_model_text
         from linkplan.studies.check.path_plots import inspection_figure, path_figure
 
         inspection_figure(found, place / "mechanism.png")
         for number, path in enumerate(whole.paths, 1):
             path_figure(path, found.reaches, place / f"loop-{number}.png")
+        if mechanism.selection:
+            (place / "selected.xml").write_text(whole_model_text(mechanism), encoding="utf-8")
 
     deliver(arguments, target, whole.record(), whole.blocks(), lambda: _report(whole), draw)
     return NO if found.problems else DONE

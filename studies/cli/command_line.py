@@ -62,6 +62,7 @@ def build_parser() -> Parser:
     check = command("check", text, report=True)
     check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
     _at(check, "report inertia, gravity and effort map at this pose; may be given again")
+    _selection(check)
 
     plan = command("plan", "plan a motion and certify it between the nodes", report=True)
     text = (
@@ -166,6 +167,7 @@ def build_parser() -> Parser:
     text = "write a first problem file for a mechanism: a motion that it can make, every option in comments"
     new = command("new", text, output=False, settings=False)
     new.add_argument("model", metavar="MODEL", help="a built-in model or an MJCF file")
+    _selection(new)
     _file(new, "the problem file to write; it must not be there (default: print it)")
 
     export = command("export", "write a plan for other programs", output=False)
@@ -194,6 +196,17 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
     _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
+    _selection(parser)
+
+
+def _selection(parser: argparse.ArgumentParser) -> None:
+    text = "of a larger robot, read only these bodies or joints (commas between names), what hangs on them and their loops"
+    parser.add_argument("--keep", metavar="NAMES", help=text)
+    text = "lock what lies between the world and the kept bodies, and a base that no actuator moves"
+    parser.add_argument("--fix-base", action="store_true", help=text)
+    text = "lock a joint at an angle [deg], or a slide at a position [m]; may be given again"
+    parser.add_argument("--lock", action="append", default=[], metavar="JOINT=VALUE", help=text)
+    parser.add_argument("--keyframe", metavar="NAME", help='the keyframe of the home pose (default: "home")')
 
 
 def _tracker(parser: argparse.ArgumentParser) -> None:

@@ -144,8 +144,31 @@ def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dic
     return poses
 
 
-def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None, bool]:
-    """Return name, tables and folder of a model or a problem with overrides, and True for a problem."""
+def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
+    """Return the keys of the [mechanism] table that --keep, --fix-base, --lock and --keyframe set."""
+    table: dict[str, object] = {"keep": _names(arguments.keep), "fix_base": arguments.fix_base}
+    locks = {}
+    for text in arguments.lock:
+        name, _, value = text.rpartition("=")
+        try:
+            locks[name.strip()] = float(value)
+        except ValueError:
+            raise ProblemError(f"--lock takes JOINT=VALUE, in degrees or metres, got '{text}'") from None
+    table |= {"lock": locks, "keyframe": arguments.keyframe}
+    return {key: value for key, value in table.items() if value}
+
+
+def _names(text: str | None) -> list[str]:
+    """Return the names of --keep, with commas between them."""
+    names = [name.strip() for name in (text or "").split(",")]
+    if text is not None and not all(names):
+        raise ProblemError(f"--keep takes names of bodies or joints with commas between them, got '{text}'")
+    return [] if text is None else names
+
+
+def tables_of(arguments: argparse.Namespace) -> tuple[str, dict, Path | None, bool]:
+    """Return name, tables and folder of a model or a problem with its options, and True for a problem."""
+    source = arguments.model
     path = Path(source)
     is_problem = source in PROBLEMS or (path.suffix == ".toml" and source not in MODELS)
     if is_problem:
@@ -153,7 +176,8 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
     else:
         refuse_no_model(source, (*MODELS, *PROBLEMS))
         name, tables, folder = source, {"mechanism": {"model": source}}, None
-    set_all(tables, overrides)
+    set_all(tables, arguments.set)
+    tables["mechanism"] = tables.get("mechanism", {}) | selection_asked(arguments)
     return name, tables, folder, is_problem
 
 

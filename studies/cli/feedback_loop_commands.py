@@ -136,7 +136,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
 
 def _loop_of(arguments: argparse.Namespace) -> tuple[Problem | None, Mechanism, Tracking, np.ndarray]:
     """Return the problem or None, the mechanism, the tracking settings and the effort limits."""
-    name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
+    name, tables, folder, is_problem = tables_of(arguments)
     if is_problem:
         problem: Problem | None = Problem.from_tables(name, tables, folder)
         mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.actuators_effort

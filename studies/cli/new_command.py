@@ -5,7 +5,7 @@ import argparse
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.studies.cli.common import new_file, refuse_no_model
+from linkplan.studies.cli.common import new_file, refuse_no_model, selection_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -21,7 +21,7 @@ def run_new(arguments: argparse.Namespace) -> int:
     if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
         raise ProblemError(f"'{arguments.model}' is already a problem; new takes the model of a mechanism")
     refuse_no_model(arguments.model)
-    found = first_motion(arguments.model, say)
+    found = first_motion({"model": arguments.model} | selection_asked(arguments), say)
     tables = found.tables
     if any(one.stiff_gap_m < one.gap_m for one in soft_closures(found.mechanism)):
         tables = tables | {"mechanism": tables["mechanism"] | {"solref": "stiff"}}

@@ -8,7 +8,7 @@ from linkplan.models.names import choose
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.plan import Plan
 from linkplan.studies.export.formats import FORMATS
-from linkplan.studies.export.keyframes import keyframes_text, whole_model_text
+from linkplan.studies.export.keyframes import keyframes_text, model_with_keyframes_text
 from linkplan.studies.export.matlab import mat_bytes
 from linkplan.studies.export.ros import joint_trajectory_text
 from linkplan.studies.export.samples import Samples, samples_of
@@ -38,7 +38,7 @@ def about(plan: Plan) -> dict[str, str]:
 
 _WRITERS: Mapping[str, Callable[[Samples], bytes]] = {
     "keyframes": lambda samples: keyframes_text(samples).encode("utf-8"),
-    "mjcf": lambda samples: whole_model_text(samples).encode("utf-8"),
+    "mjcf": lambda samples: model_with_keyframes_text(samples).encode("utf-8"),
     "ros": lambda samples: joint_trajectory_text(samples).encode("utf-8"),
     "mat": mat_bytes,
     "csv": lambda samples: csv_bytes(samples.table.columns()),

@@ -1,11 +1,10 @@
 """A plan as keyframes of MuJoCo: a file to include in its model, or the model with them."""
 
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from linkplan.models.library import model_spec
+from linkplan.models.selected_model import whole_model_text
 from linkplan.studies.export.samples import Samples
 
 
@@ -19,18 +18,9 @@ def keyframes_text(samples: Samples) -> str:
     return f"<mujoco>\n  <!-- {about.replace('--', '- -')} -->\n{_keyframe(samples)}</mujoco>\n"
 
 
-def whole_model_text(samples: Samples) -> str:
+def model_with_keyframes_text(samples: Samples) -> str:
     """Return the model's MJCF with the plan's payload and softness, and with the keyframes."""
-    mechanism = samples.plan.problem.mechanism
-    source = str(mechanism.source["model"])
-    spec = model_spec(source, mechanism.payload)
-    soft = zip(spec.equalities, mechanism.model.eq_solref, mechanism.model.eq_solimp, strict=True)
-    for equality, solref, solimp in soft:
-        equality.solref, equality.solimp = solref, solimp
-    if Path(source).is_file():  # absolute folders, so that the file can be moved
-        folder = Path(source).resolve().parent
-        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
-    head, end, _ = spec.to_xml().rpartition("</mujoco>")
+    head, end, _ = whole_model_text(samples.plan.problem.mechanism).rpartition("</mujoco>")
     return f"{head}{_keyframe(samples)}{end}\n"
 
 

@@ -78,20 +78,20 @@ class FirstMotion:
         return self.plan is not None and self.plan.passed
 
 
-def first_motion(model: str, say: Say) -> FirstMotion:
+def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     """Return a feasible problem of a mechanism, with its plan.
 
     Each motion gets half of the remaining time budget.
 
     Args:
-        model: a built-in name or a path to an MJCF file.
+        table: the [mechanism] table: its model, a built-in name or a path to an MJCF file, and what is selected of it.
         say: called with lines on the progress.
 
     Raises:
         ModelError: if the model cannot be used.
         ProblemError: if no actuator drives the mechanism; the text has an actuator to add.
     """
-    mechanism = _assembled(model)
+    mechanism = _assembled(table)
     _refuse_undriven(mechanism)
     found = FirstMotion(mechanism=mechanism, tables=_tables(mechanism, *_ends(mechanism, 0.0, 1)), plan=None, why=_SHUT)
     deadline = Deadline().within(_TIME_BUDGET_S)
@@ -174,9 +174,9 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
     return tables
 
 
-def _assembled(model: str) -> Mechanism:
+def _assembled(table: Mapping[str, object]) -> Mechanism:
     """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open."""
-    tables = {"mechanism": {"model": model}}
+    tables = {"mechanism": dict(table)}
     try:
         return mechanism_from_tables(tables)
     except UnassembledError as error:

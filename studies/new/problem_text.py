@@ -100,6 +100,8 @@ def _facts(mechanism: Mechanism) -> dict[str, str]:
     bodies = [name for k in range(1, mechanism.model.nbody) if (name := mechanism.model.body(k).name)]
     if bodies:
         facts["body"] = inline(bodies[-1])
+    on_the_world = np.flatnonzero(mechanism.model.body_parentid == 0)[1:]
+    facts["bodies"] = ", ".join(inline(mechanism.model.body(int(k)).name) for k in on_the_world)
     facts |= {"fully_driven": "fully_driven"} if mechanism.n_u == mechanism.dof else {}
     return facts
 

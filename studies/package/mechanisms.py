@@ -33,6 +33,10 @@ def load_mechanism(
     solref: str | None = None,
     closure_tolerance_m: float | None = None,
     friction_transition_deg_s: float | None = None,
+    keep: Sequence[str] | None = None,
+    fix_base: bool = False,
+    lock: Mapping[str, float] | None = None,
+    keyframe: str | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
@@ -50,6 +54,11 @@ def load_mechanism(
             file forbids it; by default a micrometre, or a hundred thousandth of a small mechanism.
         friction_transition_deg_s: the speed v_0 of the dry friction f tanh(v / v_0); by default 2. For slides and tendons,
             this speed in rad/s is multiplied by the mechanism's extent.
+        keep: names of bodies or joints: of a larger robot, only these bodies are read, with what hangs on them, the chains
+            that close loops over them, and the bodies between them and the world. `notes` names what was dropped.
+        fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
+        lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
+        keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -58,6 +67,7 @@ def load_mechanism(
     said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
     said["closure_tolerance_m"] = closure_tolerance_m
     said["friction_transition_deg_s"] = friction_transition_deg_s
+    said |= {"keep": keep, "fix_base": fix_base or None, "lock": lock, "keyframe": keyframe}
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": plain(table)})
 

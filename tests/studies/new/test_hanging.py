@@ -23,7 +23,7 @@ def tried_of(text: str, monkeypatch, tmp_path) -> list[Problem]:
 
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
     (tmp_path / "model.xml").write_text(text, encoding="utf-8")
-    first_motion(str(tmp_path / "model.xml"), lambda _: None)
+    first_motion({"model": str(tmp_path / "model.xml")}, lambda _: None)
     return tried
 
 
@@ -86,7 +86,7 @@ def test_what_is_drawn_balanced_is_begun_as_it_is_drawn(monkeypatch, tmp_path):
 @pytest.mark.slow
 def test_an_arm_whose_outer_links_nothing_drives_has_a_first_motion(tmp_path):
     (tmp_path / "arm.xml").write_text(arm(4, 2), encoding="utf-8")
-    found = first_motion(str(tmp_path / "arm.xml"), print)
+    found = first_motion({"model": str(tmp_path / "arm.xml")}, print)
     assert found.planned, found.why
     assert found.plan.certificate.passed
     assert "least change of effort" in found.description

@@ -45,7 +45,7 @@ OPTION = re.compile(r"#([\w-]+) = (.*?)(\s+# .*)?$")
 
 @cache
 def begun(model: str) -> FirstMotion:
-    return first_motion(model, print)
+    return first_motion({"model": model}, print)
 
 
 @cache
@@ -150,7 +150,7 @@ def tried_of(model: str, monkeypatch) -> list[dict]:
         return Plan(problem=problem, status="failed", message="failed: as told")
 
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
-    found = first_motion(model, print)
+    found = first_motion({"model": model}, print)
     assert not found.planned
     assert found.why == "failed: as told"
     assert moves_of(found.tables["motion"])
@@ -197,7 +197,7 @@ def test_a_sprung_leg_has_a_first_motion(monkeypatch):
         return plan_motion(replace(problem, solver=replace(problem.solver, max_time_s=60.0)), *rest)
 
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", third)
-    found = first_motion(str(DATA / "sprung_leg.xml"), print)
+    found = first_motion({"model": str(DATA / "sprung_leg.xml")}, print)
     assert found.planned, found.why
     assert len(tried) == 3
 
@@ -221,7 +221,7 @@ def test_links_drawn_on_one_another_are_named_with_the_line_that_lets_them_pass(
 def test_a_mechanism_that_nothing_drives_is_refused_with_the_line_that_it_lacks(tmp_path):
     (tmp_path / "hoeken.xml").write_text(HOEKEN.format(actuator=""), encoding="utf-8")
     with pytest.raises(ProblemError) as refused:
-        first_motion(str(tmp_path / "hoeken.xml"), print)
+        first_motion({"model": str(tmp_path / "hoeken.xml")}, print)
     line = re.search(r"<actuator>.*</actuator>", str(refused.value))[0]
     assert 'joint="O2"' in line
     (tmp_path / "hoeken.xml").write_text(HOEKEN.format(actuator=line), encoding="utf-8")
@@ -280,7 +280,7 @@ def test_a_model_that_does_not_close_is_begun_at_the_pose_that_was_found(tmp_pat
     opened = re.sub(r"<keyframe>.*?</keyframe>", "", text, flags=re.S)
     (tmp_path / "open.xml").write_text(opened, encoding="utf-8")
     try:
-        found = first_motion(str(tmp_path / "open.xml"), print)
+        found = first_motion({"model": str(tmp_path / "open.xml")}, print)
     except LinkplanError as error:
         pytest.fail(f"a model without a keyframe is refused: {error}")
     assert found.planned, found.why

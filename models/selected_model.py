@@ -1,0 +1,45 @@
+"""A mechanism's model as MJCF text: what was selected of it, with its payload and the softness of its loops."""
+
+import contextlib
+import ctypes
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+
+from linkplan.models.library import model_spec
+from linkplan.models.mechanism import Mechanism
+
+# Digits that restore a double from its decimal text.
+_EXACT_DIGITS = 17
+
+
+def whole_model_text(mechanism: Mechanism) -> str:
+    """Return the MJCF text of a mechanism's model; folders of meshes are absolute, so that a file of it can be moved."""
+    source = str(mechanism.source["model"])
+    spec = model_spec(source, mechanism.payload, mechanism.selection)
+    soft = zip(spec.equalities, mechanism.model.eq_solref, mechanism.model.eq_solimp, strict=True)
+    for equality, solref, solimp in soft:
+        equality.solref, equality.solimp = solref, solimp
+    if Path(source).is_file():
+        folder = Path(source).resolve().parent
+        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
+    with _exact_numbers():
+        return spec.to_xml()
+
+
+@contextlib.contextmanager
+def _exact_numbers() -> Iterator[None]:
+    """Let MuJoCo write numbers with all their digits; by default it writes six, which opens loops by micrometres."""
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"), None)
+    precision = None if library is None else getattr(ctypes.CDLL(str(library)), "_mjPRIVATE__set_xml_precision", None)
+    before = None if library is None else getattr(ctypes.CDLL(str(library)), "_mjPRIVATE__get_xml_precision", None)
+    if precision is None or before is None:  # another version of MuJoCo
+        yield
+        return
+    digits = before()
+    precision(_EXACT_DIGITS)
+    try:
+        yield
+    finally:
+        precision(digits)

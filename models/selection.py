@@ -1,0 +1,354 @@
+"""One closed sub-chain of a robot: bodies that are dropped, and joints that are locked, in a model's specification.
+
+A locked joint's motion L is moved into its body's pose: P A L C = (P L) (L^-1 A L) C, where A and C are the motions of its
+body's other joints before and after it. MuJoCo computes the second anchor of a closure between bodies at the reference pose.
+A lock changes that pose, so the closure is tied to sites at the original anchors.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from linkplan.models.errors import ModelError
+from linkplan.models.names import nearest
+
+FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+# The keyframe at which a mechanism is assembled by default.
+HOME_KEYFRAME = "home"
+_TIED = {
+    int(mujoco.mjtEq.mjEQ_CONNECT): int(mujoco.mjtObj.mjOBJ_BODY),
+    int(mujoco.mjtEq.mjEQ_WELD): int(mujoco.mjtObj.mjOBJ_BODY),
+}
+# Slides of an undriven base that moves in a plane.
+_PLANAR_SLIDES = 2
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Selection:
+    """What is taken out of a model.
+
+    `keep`: names of bodies or joints. Their bodies are kept with everything that hangs on them, every chain that a loop
+    closes over them, and the bodies between them and the world. All other bodies are dropped. `fix_base`: the joints between
+    the world and the kept bodies are locked, and so is a base that no actuator moves. `lock`: positions by name of joints
+    that are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home
+    pose and the positions of a fixed base; by default "home", else the model's reference pose.
+    """
+
+    keep: tuple[str, ...] = ()
+    fix_base: bool = False
+    lock: Mapping[str, float] = field(default_factory=dict)
+    keyframe: str | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.table())
+
+    def table(self) -> dict[str, object]:
+        """Return what is selected as keys of the [mechanism] table."""
+        asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
+        return {key: value for key, value in asked.items() if value}
+
+
+def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tuple[str, ...]:
+    """Change a specification to what is selected, and return notes on what was locked and dropped.
+
+    Args:
+        spec: is changed.
+        model: its compiled form.
+        asked: bodies, joints and the keyframe.
+
+    Raises:
+        ModelError: for unknown names, or a joint that cannot be locked.
+    """
+    qpos = _home(model, asked.keyframe)
+    chosen = [_body_of(model, name) for name in asked.keep]
+    below = _closed_chain(model, chosen) if chosen else set(range(1, model.nbody))
+    above = {ancestor for body in below for ancestor in _ancestors(model, body)} - below
+    locked = _asked_locks(model, asked.lock)
+    floating = _floating(model, below | above) if asked.fix_base else []
+    if asked.fix_base:
+        joints = [j for body in sorted(above) for j in _joints_of(model, body)] + floating
+        locked = dict.fromkeys(joints) | locked
+    dropped = [body for body in range(1, model.nbody) if body not in below | above]
+    locked = {j: position for j, position in locked.items() if int(model.jnt_bodyid[j]) not in dropped}
+    kept = [j for j in range(model.njnt) if j not in locked and int(model.jnt_bodyid[j]) not in dropped]
+    places = {model.joint(j).name: _slice(model, j) for j in kept}
+    notes = [*_lock(spec, model, locked, qpos), *_drop(spec, model, dropped), *(_off_the_ground(spec) if floating else ())]
+    for key in list(spec.keys):
+        spec.delete(key)
+    small = spec.compile()
+    home = np.array(small.qpos0)
+    for j in range(small.njnt):
+        home[_slice(small, j)] = qpos[places[small.joint(j).name]]
+    if model.nkey and not np.array_equal(home, small.qpos0):
+        spec.add_key(name=HOME_KEYFRAME, qpos=home)
+    return tuple(notes)
+
+
+def _home(model: mujoco.MjModel, keyframe: str | None) -> np.ndarray:
+    """Return the qpos (nq,) of a keyframe, by default of "home"; of the reference pose where there is none."""
+    names = [model.key(k).name for k in range(model.nkey)]
+    if keyframe in (None, HOME_KEYFRAME):
+        return np.array(model.key_qpos[names.index(HOME_KEYFRAME)] if HOME_KEYFRAME in names else model.qpos0)
+    if keyframe not in names:
+        known = ", ".join(name for name in names if name) or "none"
+        raise ModelError(f"unknown keyframe '{keyframe}'{nearest(keyframe, names)}; the model's keyframes are {known}")
+    return np.array(model.key_qpos[names.index(keyframe)])
+
+
+def _body_of(model: mujoco.MjModel, name: str) -> int:
+    """Return the body of a name of a body or a joint.
+
+    Raises:
+        ModelError: if there is none.
+    """
+    bodies = {model.body(b).name: b for b in range(1, model.nbody)}
+    joints = {model.joint(j).name: int(model.jnt_bodyid[j]) for j in range(model.njnt)}
+    if name in bodies or name in joints:
+        return bodies.get(name, joints.get(name, 0))
+    raise ModelError(
+        f"mechanism.keep: no body or joint is named '{name}'{nearest(name, [*bodies, *joints])}; bodies are"
+        f" {', '.join(bodies)}"
+    )
+
+
+def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return the bodies between a body and the world, from below."""
+    above = []
+    while (body := int(model.body_parentid[body])) > 0:
+        above.append(body)
+    return above
+
+
+def _subtree(model: mujoco.MjModel, body: int) -> set[int]:
+    found = {body}
+    for other in range(body + 1, model.nbody):
+        if int(model.body_parentid[other]) in found:
+            found.add(other)
+    return found
+
+
+def _closed_chain(model: mujoco.MjModel, chosen: Sequence[int]) -> set[int]:
+    """Return bodies with what hangs on them, and every chain that a closure ties to them."""
+    kept = set().union(*(_subtree(model, body) for body in chosen))
+    pairs = [pair for i in range(model.neq) if len(pair := _tied_bodies(model, i)) > 1]
+    while True:
+        above = {ancestor for body in kept for ancestor in _ancestors(model, body)}
+        tied = {body for pair in pairs if pair & kept for body in pair - kept - above - {0}}
+        if not tied:
+            return kept
+        for body in tied:
+            chain = [one for one in (body, *_ancestors(model, body)) if one not in above]
+            kept |= _subtree(model, chain[-1])
+
+
+def _tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
+    """Return the bodies that an equality constraint ties together."""
+    kind, ends = int(model.eq_objtype[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
+    ends = tuple(end for end in ends if end >= 0)
+    if kind == int(mujoco.mjtObj.mjOBJ_BODY):
+        return set(ends)
+    if kind == int(mujoco.mjtObj.mjOBJ_SITE):
+        return {int(model.site_bodyid[end]) for end in ends}
+    if kind == int(mujoco.mjtObj.mjOBJ_JOINT):
+        return {int(model.jnt_bodyid[end]) for end in ends}
+    if kind == int(mujoco.mjtObj.mjOBJ_TENDON):
+        return set().union(*(_bodies_of_tendon(model, end) for end in ends))
+    return set()
+
+
+def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
+    found = set()
+    for at in range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon])):
+        kind, element = int(model.wrap_type[at]), int(model.wrap_objid[at])
+        if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
+            found.add(int(model.jnt_bodyid[element]))
+        elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
+            found.add(int(model.site_bodyid[element]))
+    return found
+
+
+def _joints_of(model: mujoco.MjModel, body: int) -> range:
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
+
+
+def _floating(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
+    """Return the joints of bodies on the world that translate in a plane or in space and that nothing drives."""
+    driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if int(model.actuator_trntype[a]) == 0}
+    found = []
+    for body in bodies:
+        joints = _joints_of(model, body)
+        kinds = [int(model.jnt_type[j]) for j in joints]
+        moves = FREE in kinds or kinds.count(SLIDE) >= _PLANAR_SLIDES
+        if int(model.body_parentid[body]) == 0 and moves and not driven & set(joints):
+            found += list(joints)
+    return found
+
+
+def floating_base(model: mujoco.MjModel) -> str | None:
+    """Return the name of the first body on the world that moves freely in a plane or in space; None without one."""
+    joints = _floating(model, range(1, model.nbody))
+    return model.body(int(model.jnt_bodyid[joints[0]])).name if joints else None
+
+
+def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, float | None]:
+    joints = {model.joint(j).name: j for j in range(model.njnt)}
+    for name in lock:
+        if name not in joints:
+            raise ModelError(
+                f"mechanism.lock: no joint is named '{name}'{nearest(name, joints)}; joints are {', '.join(joints)}"
+            )
+        if int(model.jnt_type[joints[name]]) not in (HINGE, SLIDE):
+            raise ModelError(
+                f"mechanism.lock: joint '{name}' is a {'ball' if int(model.jnt_type[joints[name]]) == BALL else 'free'}"
+                " joint, which has no single position; lock takes hinges and slides, and fix_base = true fixes a free base"
+            )
+    hinges = {name for name in lock if int(model.jnt_type[joints[name]]) == HINGE}
+    return {joints[name]: float(np.radians(x)) if name in hinges else float(x) for name, x in lock.items()}
+
+
+def _slice(model: mujoco.MjModel, joint: int) -> slice:
+    at = int(model.jnt_qposadr[joint])
+    return slice(at, at + {FREE: 7, BALL: 4}.get(int(model.jnt_type[joint]), 1))
+
+
+def _lock(spec: mujoco.MjSpec, model: mujoco.MjModel, locked: Mapping[int, float | None], qpos: np.ndarray) -> list[str]:
+    """Lock joints at positions, or at those of `qpos` (nq,); delete what acts on them, and return notes."""
+    if not locked:
+        return []
+    _tie_to_sites(spec, model)
+    said: dict[str, list[str]] = {}
+    for body in sorted({int(model.jnt_bodyid[j]) for j in locked}):
+        pose, before = _pose(model.body_pos[body], model.body_quat[body]), []
+        for j in _joints_of(model, body):
+            if j not in locked:
+                before.append(j)
+                continue
+            position = qpos[_slice(model, j)] if locked[j] is None else np.array([locked[j]])
+            motion = _motion(model, j, position)
+            pose = motion if int(model.jnt_type[j]) == FREE else pose @ motion
+            for other in before:
+                _move_joint(spec.joint(model.joint(other).name), np.linalg.inv(motion))
+            said.setdefault(_words(model, j, position), []).append(model.joint(j).name or f"of {model.body(body).name}")
+        _place(spec.body(model.body(body).name), pose)
+    gone = {model.joint(j).name for j in locked}
+    acting = _delete_users(spec, gone)
+    for name in gone:
+        spec.delete(spec.joint(name))
+    notes = [f"locked {where}: {', '.join(names)}" for where, names in said.items()]
+    return [*notes, f"dropped with the locked joints: {', '.join(acting)}"] if acting else notes
+
+
+def _words(model: mujoco.MjModel, joint: int, position: np.ndarray) -> str:
+    kind = int(model.jnt_type[joint])
+    if kind == HINGE:
+        return f"at {np.degrees(position[0]):.6g} deg"
+    return f"at {position[0]:.6g} m" if kind == SLIDE else "at home"
+
+
+def _pose(place: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn.reshape(3, 3), place
+    return pose
+
+
+def _motion(model: mujoco.MjModel, joint: int, position: np.ndarray) -> np.ndarray:
+    """Return the motion (4, 4) of a joint at a position, in its body's frame; of a free joint the pose in the world."""
+    kind, axis, anchor = int(model.jnt_type[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
+    if kind == FREE:
+        return _pose(position[:3], position[3:])
+    travel = float(position[0] - model.qpos0[int(model.jnt_qposadr[joint])])
+    if kind == SLIDE:
+        return _pose(travel * axis, np.array([1.0, 0, 0, 0]))
+    turn = np.array(position, dtype=float)
+    if kind == HINGE:
+        turn = np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, axis, travel)
+    about = _pose(np.zeros(3), turn)
+    about[:3, 3] = anchor - about[:3, :3] @ anchor
+    return about
+
+
+def _move_joint(joint: "mujoco._specs.MjsJoint", motion: np.ndarray) -> None:
+    joint.pos = motion[:3, :3] @ joint.pos + motion[:3, 3]
+    joint.axis = motion[:3, :3] @ joint.axis
+
+
+def _place(body: "mujoco._specs.MjsBody", pose: np.ndarray) -> None:
+    """Set a body's pose (4, 4) in its parent."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, pose[:3, :3].ravel())
+    if body.frame is not None:
+        body.set_frame(body.parent.add_frame())
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.pos, body.quat = pose[:3, 3], quaternion
+
+
+def _tie_to_sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Tie the connects between bodies to sites at their compiled anchors, and write out the poses of welds."""
+    for index, closure in enumerate(list(spec.equalities)):
+        kind = int(model.eq_type[index])
+        if int(model.eq_objtype[index]) != _TIED.get(kind):
+            continue
+        if kind == int(mujoco.mjtEq.mjEQ_WELD):
+            closure.data = model.eq_data[index]
+            continue
+        ends = (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
+        name = closure.name or "-".join(model.body(end).name for end in ends)
+        for which, end in enumerate(ends):
+            body = spec.body(model.body(end).name) if end else spec.worldbody
+            body.add_site(name=f"{name} anchor {which + 1}", pos=model.eq_data[index, 3 * which : 3 * which + 3])
+        closure.objtype = mujoco.mjtObj.mjOBJ_SITE
+        closure.name, closure.name1, closure.name2 = name, f"{name} anchor 1", f"{name} anchor 2"
+
+
+def _delete_users(spec: mujoco.MjSpec, joints: set[str]) -> list[str]:
+    """Delete the actuators and sensors on joints, and return the actuators' names.
+
+    Raises:
+        ModelError: if a tendon or an equality constraint uses one of the joints.
+    """
+    for tendon in spec.tendons:
+        for wrap in tendon.path:
+            if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT and wrap.target.name in joints:
+                raise ModelError(f"joint '{wrap.target.name}' cannot be locked: tendon '{tendon.name}' uses it")
+    for closure in spec.equalities:
+        used = joints & {closure.name1, closure.name2} if closure.objtype == mujoco.mjtObj.mjOBJ_JOINT else set()
+        if used:
+            raise ModelError(
+                f"joint '{min(used)}' cannot be locked: the coupling of joints {closure.name1} and"
+                f" {closure.name2 or 'none'} moves it; lock the other joint by it, or leave both free"
+            )
+    acting = [one for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_JOINT and one.target in joints]
+    names = [f"actuator {one.name or 'on ' + one.target}" for one in acting]
+    gone = {mujoco.mjtObj.mjOBJ_JOINT: joints, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
+    sensing = [one for one in spec.sensors if one.objname in gone.get(one.objtype, ())]
+    for one in [*acting, *sensing]:
+        spec.delete(one)
+    return names
+
+
+def _off_the_ground(spec: mujoco.MjSpec) -> list[str]:
+    """Switch off the contacts of the world's geoms, and return a note: a robot whose base is fixed stands on nothing."""
+    ground = [geom for geom in spec.worldbody.geoms if geom.contype or geom.conaffinity]
+    for geom in ground:
+        geom.contype = geom.conaffinity = 0
+    names = ", ".join(geom.name or "a geom without a name" for geom in ground)
+    return [f"the base is fixed in the air: no contact with the world's {names}"] if ground else []
+
+
+def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) -> list[str]:
+    """Delete bodies with everything that refers to them, and return a note with their names and their mass."""
+    roots = [body for body in dropped if int(model.body_parentid[body]) not in dropped]
+    for body in roots:
+        spec.delete(spec.body(model.body(body).name))
+    if not dropped:
+        return []
+    mass = float(sum(model.body_mass[body] for body in dropped))
+    names = ", ".join(model.body(body).name for body in roots)
+    return [f"dropped with all that hangs on them ({len(dropped)} bodies, {mass:.4g} kg): {names}"]

@@ -1,0 +1,203 @@
+"""One leg out of a robot: what is kept, locked and dropped, and that the leg is the robot's own."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import linkplan
+from linkplan.models.errors import LinkplanError
+from linkplan.models.library import compile_model
+from linkplan.models.selected_model import whole_model_text
+from linkplan.models.selection import Selection
+from linkplan.studies.cli.main import main
+
+# A floating body with an arm and two legs. A leg is a driven thigh, and a driven crank whose rod moves the shank. The arm is
+# one body with three joints, in a frame.
+LEG = """
+<body name="{side} thigh" pos="0 {y} -0.1">
+  <joint name="{side} hip" axis="0 1 0" range="-60 60" armature="0.01"/>
+  <inertial pos="0.01 0 -0.15" mass="3" diaginertia="0.03 0.03 0.003"/>
+  <body name="{side} crank" pos="0 0 -0.05">
+    <joint name="{side} motor" axis="0 1 0" range="-50 50" armature="0.02"/>
+    <inertial pos="0.02 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>
+    <body name="{side} rod" pos="0.06 0 0">
+      <joint name="{side} rod pin" axis="0 1 0"/>
+      <inertial pos="0 0 -0.12" mass="0.1" diaginertia="5e-4 5e-4 1e-5"/>
+    </body>
+  </body>
+  <body name="{side} shank" pos="0 0 -0.3">
+    <joint name="{side} knee" axis="0 1 0"/>
+    <inertial pos="0.01 0 -0.1" mass="1.5" diaginertia="0.02 0.02 0.001"/>
+    <geom name="{side} foot" type="sphere" size="0.03" pos="0 0 -0.28" mass="0.1"/>
+  </body>
+</body>
+"""
+CROUCH = "0.5 0 0.8 0.98480775 0 0.17364818 0  0.35 0 0 0  0 0 0 0  0 0 0"
+ROBOT = f"""
+<mujoco model="robot">
+  <compiler angle="degree" autolimits="true"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1"/>
+    <body name="pelvis" pos="0 0 1" euler="0 10 0">
+      <freejoint name="base"/>
+      <inertial pos="0 0 0" mass="10" diaginertia="0.1 0.1 0.1"/>
+      {LEG.format(side="left", y=0.1)}
+      {LEG.format(side="right", y=-0.1)}
+      <frame pos="0 0 0.2" euler="0 0 30">
+        <body name="arm" pos="0 0.2 0" euler="0 20 0">
+          <joint name="shoulder roll" axis="1 0 0"/>
+          <joint name="shoulder pitch" axis="0 1 0" pos="0 0 0.02" ref="5"/>
+          <joint name="shoulder yaw" axis="0 0 1"/>
+          <inertial pos="0.02 0 -0.2" mass="1" diaginertia="0.01 0.01 0.001"/>
+        </body>
+      </frame>
+    </body>
+  </worldbody>
+  <equality>
+    <connect name="left pin" body1="left rod" body2="left shank" anchor="0 0 -0.25"/>
+    <connect name="right pin" body1="right rod" body2="right shank" anchor="0 0 -0.25"/>
+  </equality>
+  <actuator>
+    <motor name="left hip" joint="left hip" ctrlrange="-100 100"/>
+    <motor name="left motor" joint="left motor" ctrlrange="-100 100"/>
+    <motor name="right hip" joint="right hip" ctrlrange="-100 100"/>
+    <motor name="right motor" joint="right motor" ctrlrange="-100 100"/>
+    <motor name="arm" joint="shoulder pitch" ctrlrange="-10 10"/>
+  </actuator>
+  <sensor><actuatorfrc actuator="right hip"/><jointpos joint="left hip"/></sensor>
+  <keyframe><key name="crouch" qpos="{CROUCH}"/></keyframe>
+</mujoco>
+"""
+
+
+def joint_names(model: mujoco.MjModel) -> list[str]:
+    return [model.joint(j).name for j in range(model.njnt)]
+
+
+def selected(**asked) -> mujoco.MjModel:
+    return compile_model(ROBOT, None, Selection(**asked))[1]
+
+
+def inertia_and_bias(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return M (n_v, n_v) and the bias (n_v,)."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_forward(model, data)
+    columns = []
+    for unit in np.eye(model.nv):
+        columns.append(np.zeros(model.nv))
+        mujoco.mj_mulM(model, data, columns[-1], unit)
+    return np.array(columns), np.array(data.qfrc_bias)
+
+
+def assert_same_dynamics(part: mujoco.MjModel, fixed: dict[str, list[float]]) -> None:
+    """Compare a part's inertia and bias with the robot's, whose other joints stand at `fixed` or at their reference."""
+    whole, rng = compile_model(ROBOT)[1], np.random.default_rng(0)
+    for qpos in rng.uniform(-0.4, 0.4, (5, part.nq)):
+        qvel = rng.uniform(-1, 1, part.nv)
+        whole_qpos, whole_qvel, dofs = np.array(whole.qpos0), np.zeros(whole.nv), []
+        for name, value in fixed.items():
+            at = int(whole.jnt_qposadr[whole.joint(name).id])
+            whole_qpos[at : at + len(value)] = value
+        for name in joint_names(part):
+            joint, own = whole.joint(name).id, part.joint(name).id
+            whole_qpos[whole.jnt_qposadr[joint]] = qpos[part.jnt_qposadr[own]]
+            dofs.append(int(whole.jnt_dofadr[joint]))
+            whole_qvel[dofs[-1]] = qvel[part.jnt_dofadr[own]]
+        M, bias = inertia_and_bias(whole, whole_qpos, whole_qvel)
+        M_part, bias_part = inertia_and_bias(part, qpos, qvel)
+        np.testing.assert_allclose(M_part, M[np.ix_(dofs, dofs)], atol=1e-12)
+        np.testing.assert_allclose(bias_part, bias[dofs], atol=1e-10)
+
+
+def test_a_kept_joint_brings_its_leg_and_its_loop_and_nothing_else():
+    part = selected(keep=("left hip",), fix_base=True)
+    assert joint_names(part) == ["left hip", "left motor", "left rod pin", "left knee"]
+    assert (part.nu, part.neq, part.nsensor) == (2, 1, 1)
+    assert_same_dynamics(part, {})
+
+
+def test_a_loop_brings_the_chain_at_its_other_end():
+    part = selected(keep=("left crank",), fix_base=True)
+    assert joint_names(part) == ["left motor", "left rod pin", "left knee"]  # the shank, and not the hip
+
+
+def test_a_fixed_base_stands_where_the_keyframe_puts_it():
+    part = selected(keep=("left hip",), fix_base=True, keyframe="crouch")
+    assert_same_dynamics(part, {"base": [0.5, 0, 0.8, 0.98480775, 0, 0.17364818, 0]})
+    np.testing.assert_allclose(part.key("home").qpos, [0.35, 0, 0, 0])
+
+
+@pytest.mark.parametrize("name", ["shoulder roll", "shoulder pitch", "shoulder yaw"])
+def test_a_locked_joint_among_others_of_its_body_leaves_their_dynamics(name):
+    part = selected(keep=("arm",), fix_base=True, lock={name: 25.0})
+    assert name not in joint_names(part)
+    assert_same_dynamics(part, {name: [np.radians(25.0)]})
+
+
+def test_a_loop_closes_where_it_did_when_one_of_its_joints_is_locked():
+    leg = linkplan.load_mechanism(ROBOT, keep=["left hip"], fix_base=True, lock={"left motor": 20.0})
+    assert (leg.dof, leg.n_u) == (1, 1)
+    robot = compile_model(ROBOT)[1]
+    data = mujoco.MjData(robot)
+    for joint, position in zip(leg.joints, leg.home, strict=True):
+        data.qpos[robot.jnt_qposadr[robot.joint(joint.name).id]] = position
+    data.qpos[robot.jnt_qposadr[robot.joint("left motor").id]] = np.radians(20.0)
+    mujoco.mj_forward(robot, data)
+    assert np.abs(data.efc_pos[:3]).max() < 1e-9  # the robot's own loop is closed at the leg's home pose
+
+
+def test_notes_name_what_was_locked_and_dropped():
+    notes = " | ".join(linkplan.load_mechanism(ROBOT, keep=["left crank"], fix_base=True).notes)
+    assert "locked at home: base" in notes
+    assert "locked at 0 deg: left hip" in notes
+    assert "dropped with the locked joints: actuator left hip" in notes
+    assert "dropped with all that hangs on them (5 bodies, 5.8 kg): right thigh, arm" in notes
+    assert "no contact with the world's floor" in notes
+
+
+def test_the_selected_model_s_text_is_the_same_machine_to_the_last_digit():
+    leg = linkplan.load_mechanism(ROBOT, keep=["left hip"], fix_base=True, keyframe="crouch", lock={"left motor": 7.0})
+    again = linkplan.load_mechanism(whole_model_text(leg))
+    np.testing.assert_allclose(again.model.body_pos, leg.model.body_pos, rtol=0, atol=1e-16)
+    np.testing.assert_allclose(again.home, leg.home, atol=1e-12)
+
+
+def test_a_selection_stands_in_the_problem_and_in_its_saved_plan(tmp_path):
+    (tmp_path / "robot.xml").write_text(ROBOT, encoding="utf-8")
+    leg = linkplan.load_mechanism(tmp_path / "robot.xml", keep=["left hip"], fix_base=True, lock={"left motor": 3.0})
+    problem = linkplan.Problem.reach(leg, start_deg={"left hip": 0.0}, goal_deg={"left hip": 5.0}, duration_s=0.5)
+    linkplan.plan(problem).save(tmp_path / "plan")
+    again = linkplan.read_plan(tmp_path / "plan").problem.mechanism
+    assert {key: again.source[key] for key in ("keep", "fix_base", "lock")} == {
+        "keep": ["left hip"],
+        "fix_base": True,
+        "lock": {"left motor": 3.0},
+    }
+    assert again.dof == 1
+
+
+def test_check_writes_the_selected_model(capsys, tmp_path):
+    (tmp_path / "robot.xml").write_text(ROBOT, encoding="utf-8")
+    options = ("--keep", "left hip", "--fix-base", "--lock", "left motor=4", "--keyframe", "crouch")
+    main(["check", str(tmp_path / "robot.xml"), *options, "-o", str(tmp_path / "out")])
+    assert "locked at 4 deg: left motor" in capsys.readouterr().out
+    assert linkplan.load_mechanism(tmp_path / "out" / "selected.xml").dof == 1
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"keep": ["left hipp"]}, ["mechanism.keep", "left hipp", "did you mean 'left hip'"]),
+        ({"lock": {"elbow": 1.0}}, ["mechanism.lock", "elbow", "joints are"]),
+        ({"lock": {"base": 1.0}}, ["base", "free joint", "fix_base"]),
+        ({"keyframe": "stand"}, ["unknown keyframe 'stand'", "crouch"]),
+        ({"keep": []}, ["mechanism.keep"]),
+        ({"fix_base": 1}, ["fix_base", "true or false"]),
+    ],
+)
+def test_a_wrong_selection_is_refused_in_one_line(asked, words):
+    with pytest.raises(LinkplanError) as refused:
+        linkplan.load_mechanism(ROBOT, **asked)
+    assert all(word in str(refused.value) for word in words), str(refused.value)
+    assert "\n" not in str(refused.value)
