@@ -188,10 +188,26 @@ def _floating(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     return found
 
 
-def floating_base(model: mujoco.MjModel) -> str | None:
-    """Return the name of the first body on the world that moves freely in a plane or in space; None without one."""
-    joints = _floating(model, range(1, model.nbody))
-    return model.body(int(model.jnt_bodyid[joints[0]])).name if joints else None
+def floating_joints(model: mujoco.MjModel) -> set[int]:
+    """Return the joints of bodies on the world that move freely in a plane or in space, and that nothing drives."""
+    return set(_floating(model, range(1, model.nbody)))
+
+
+def floating_sentence(model: mujoco.MjModel) -> str | None:
+    """Return the sentence on a base that floats, with the remedy; None if none does."""
+    joints = sorted(floating_joints(model))
+    if not joints:
+        return None
+    freedoms = sum({FREE: 6, BALL: 3}.get(int(model.jnt_type[j]), 1) for j in joints)
+    bases = dict.fromkeys(int(model.jnt_bodyid[j]) for j in joints)
+    names = ", ".join(model.body(base).name for base in bases)
+    hanging = [b for b in range(1, model.nbody) if int(model.body_parentid[b]) in bases]
+    moving = [b for b in hanging if any(model.body_dofnum[below] for below in _subtree(model, b))]
+    chains = ", ".join(model.body(b).name for b in moving) or "its bodies"
+    return (
+        f"the base {names} floats: nothing drives its {freedoms} degrees of freedom; take a chain with its loops out of the"
+        f" robot: --keep NAMES --fix-base, or keep = [NAMES] and fix_base = true under [mechanism]; chains begin at {chains}"
+    )
 
 
 def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, float | None]:
@@ -238,7 +254,7 @@ def _lock(spec: mujoco.MjSpec, model: mujoco.MjModel, locked: Mapping[int, float
     acting = _delete_users(spec, gone)
     for name in gone:
         spec.delete(spec.joint(name))
-    notes = [f"locked {where}: {', '.join(names)}" for where, names in said.items()]
+    notes = ["locked: " + "; ".join(f"{', '.join(names)} {where}" for where, names in said.items())]
     return [*notes, f"dropped with the locked joints: {', '.join(acting)}"] if acting else notes
 
 

@@ -1,5 +1,7 @@
 """The findings of `linkplan check` on contacts: contacts that make a plan false are problems, the others are notes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
@@ -17,23 +19,34 @@ def reach_sentence(pair: ContactPair, n_poses: int) -> str:
 
 
 def contact_findings(
-    mechanism: Mechanism, pairs: tuple[ContactPair, ...], n_poses: int, path: KinematicLoopPath | None, treatment: str
+    mechanism: Mechanism,
+    pairs: tuple[ContactPair, ...],
+    sweeps: Sequence[int],
+    path: KinematicLoopPath | None,
+    treatment: str,
 ) -> tuple[list[str], list[str]]:
     """Return the problems and notes on contacts, each a sentence.
 
     Args:
         mechanism: with the geoms.
         pairs: geoms that collide at some of the poses within reach.
-        n_poses: the number of checked poses within reach.
+        sweeps: the numbers of checked poses within each coordinate's reach, one after the other.
         path: a problem's motion; if None, the mechanism alone is checked and every contact is a problem.
         treatment: the problem's `contacts`, "refuse" or "note".
     """
+    n_poses = sum(sweeps)
     if path is None:
+        pads = [pair for pair in pairs if _meet_at_an_end(pair, sweeps)]
         return [
             f"{reach_sentence(pair, n_poses)}: contact forces are not planned for; where the links pass side by side,"
             f" {exclusion(pair.bodies)} in the model's <contact> says so"
             for pair in pairs
-        ], []
+            if pair not in pads
+        ], [
+            f"geoms {pair.first} and {pair.second} meet towards an end of the reach, as a gripper's pads or a stop do, up to"
+            f" {1e3 * pair.depth_m:.2g} mm deep: a motion ends before they meet"
+            for pair in pads
+        ]
     way = np.arange(float(len(path.poses)))
 
     def position_at(at: np.ndarray) -> np.ndarray:
@@ -57,6 +70,17 @@ def contact_findings(
         if (pair.first, pair.second) not in named:
             notes.append(f"{reach_sentence(pair, n_poses)}, but not along {path.title}")
     return problems, notes
+
+
+def _meet_at_an_end(pair: ContactPair, sweeps: Sequence[int]) -> bool:
+    """Tell if two moving bodies meet towards one end of reaches only, and stay apart before it."""
+    meets = np.zeros(sum(sweeps), dtype=bool)
+    meets[list(pair.poses)] = True
+    for of_one in np.split(meets, np.cumsum(sweeps)[:-1]):
+        changes = np.count_nonzero(np.diff(of_one.astype(int)))
+        if of_one.any() and changes != 1:
+            return False
+    return "world" not in pair.bodies
 
 
 def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: KinematicLoopPath, position_at) -> str:

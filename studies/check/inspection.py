@@ -13,6 +13,8 @@ from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.reduction.reduced import linearised
+from linkplan.models.selection import floating_joints, floating_sentence
+from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.sites import site_names
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import RANGE_END_TOLERANCE, feeble_drives, pressed_stops, pushed_one_way, undriven
@@ -63,10 +65,12 @@ def inspect(
     For a problem, contacts are judged along its `motion` by its setting `contacts`.
     """
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
-    poses = np.vstack([can.poses for can in reaches])
+    floating = floating_columns(mechanism)
+    swept = [can.poses for can in reaches if can.coordinate not in floating] or [mechanism.home[None]]
+    poses, sweeps = np.vstack(swept), [len(one) for one in swept]
     touching = contact_pairs(mechanism, poses)
     problems, notes = _findings(mechanism, reaches)
-    refused, noted = contact_findings(mechanism, touching, len(poses), motion, contacts)
+    refused, noted = contact_findings(mechanism, touching, sweeps, motion, contacts)
     return Inspection(
         mechanism=mechanism,
         closure_gaps=_closure_gaps(mechanism),
@@ -136,7 +140,11 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
     driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > ACTING_SHARE * reached.max()}
     steerable = bool(driven) and _steerable(mechanism)
+    base, floating = floating_sentence(mechanism.model), floating_columns(mechanism)
+    problems += [] if base is None else [base]
     for can in reaches:
+        if can.coordinate in floating:
+            continue
         idle = bool(driven) and int(mechanism.independent[can.coordinate]) not in driven and mechanism.n_u < mechanism.dof
         faults, facts = _coordinate_findings(mechanism, can, idle=idle, steerable=steerable)
         problems += faults
@@ -148,6 +156,13 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
+
+
+def floating_columns(mechanism: Mechanism) -> set[int]:
+    """Return the independent coordinates of a base that floats."""
+    names = {joint_label(mechanism.model, j) for j in floating_joints(mechanism.model)}
+    joints = enumerate(mechanism.independent_joints)
+    return {column for column, joint in joints if joint.name in names or joint.chart in names}
 
 
 def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steerable: bool) -> tuple[list[str], list[str]]:
@@ -195,7 +210,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
             f"home is the reference pose: of the model's keyframes, {', '.join(named)}, none is called home;"
             " mechanism.home_deg chooses another pose"
         )
-    return problems, [*notes, *mechanism.notes]
+    return problems, [*mechanism.notes, *notes] if mechanism.selection else [*notes, *mechanism.notes]
 
 
 def _stop_finding(mechanism: Mechanism, can: Reach, *, upper: bool) -> tuple[str, bool]:

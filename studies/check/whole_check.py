@@ -20,6 +20,7 @@ from linkplan.studies.check.kinematic_loop_report import (
     reach_paths,
 )
 from linkplan.studies.check.refused_model import REFUSED
+from linkplan.studies.check.summary import summary_blocks
 from linkplan.studies.output.document import Block, Text
 from linkplan.studies.output.text import text_of
 
@@ -29,6 +30,7 @@ class WholeCheck:
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
     found: Inspection
+    subject: str  # the model or problem as it was named
     paths: tuple[KinematicLoopPath, ...]
 
     @property
@@ -59,6 +61,10 @@ class WholeCheck:
             " reach; the JSON record has all of them"
         )
         return [*inspection_blocks(self.found), *paths, *([Text(text=left_out)] if brief else [])]
+
+    def summary(self) -> list[Block]:
+        """Return the findings in at most thirty lines."""
+        return summary_blocks(self.found, self.subject)
 
     def text(self) -> str:
         """Return the findings as text."""
@@ -106,7 +112,9 @@ def check_whole(
     paths = reach_paths(mechanism, found.reaches) if motion is None else (motion,)
     chosen = () if problem is None else problem.notes
     singular = [note for path in paths for note in inertia_notes(path)]
-    return WholeCheck(found=replace(found, notes=(*found.notes, *singular, *notes, *chosen, *off_path)), paths=paths)
+    subject = str(mechanism.source["model"]) if problem is None else problem.name
+    notes = (*found.notes, *singular, *notes, *chosen, *off_path)
+    return WholeCheck(subject=subject, found=replace(found, notes=notes), paths=paths)
 
 
 def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

@@ -1,6 +1,8 @@
 """The command `check`."""
 
 import argparse
+import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +29,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         deliver(arguments, target, refused.record(), refused.blocks(), lambda: _report(refused))
         return NO  # a problem of the model, not bad input
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
+    whole = replace(whole, subject=shlex.join([arguments.model, *_selection_options(arguments)]))
     found = whole.found
 
     def draw(place: Path) -> None:
@@ -39,8 +42,17 @@ def run_check(arguments: argparse.Namespace) -> int:
         if mechanism.selection:
             (place / "selected.xml").write_text(whole_model_text(mechanism), encoding="utf-8")
 
-    deliver(arguments, target, whole.record(), whole.blocks(), lambda: _report(whole), draw)
+    blocks = whole.blocks() if arguments.all or arguments.at_deg else whole.summary()
+    deliver(arguments, target, whole.record(), blocks, lambda: _report(whole), draw)
     return NO if found.problems else DONE
+
+
+def _selection_options(arguments: argparse.Namespace) -> list[str]:
+    """Return the options that select a part of the model, to be given again."""
+    keep = [] if arguments.keep is None else ["--keep", arguments.keep]
+    base = ["--fix-base"] if arguments.fix_base else []
+    locks = [word for lock in arguments.lock for word in ("--lock", lock)]
+    return [*keep, *base, *locks, *([] if arguments.keyframe is None else ["--keyframe", arguments.keyframe])]
 
 
 def _report(found: "WholeCheck | RefusedModel") -> "Report":

@@ -61,6 +61,7 @@ def build_parser() -> Parser:
     text = "report on a mechanism: degrees of freedom, closure, reach, singular poses, ratios, inertias, forces, faults"
     check = command("check", text, report=True)
     check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
+    check.add_argument("--all", action="store_true", help="print every finding and table, not a summary of thirty lines")
     _at(check, "report inertia, gravity and effort map at this pose; may be given again")
     _selection(check)
 

@@ -16,6 +16,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import contact_note
 from linkplan.planner.closed_chain.guess import first_guess
@@ -196,6 +197,8 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
     line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
     if mechanism.dof == 0:
         raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom: its loops hold it still")
+    if (floats := floating_sentence(mechanism.model)) is not None:
+        raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
     if mechanism.n_u == 0:
         unusable = "".join(f"; {item.text}" for item in audit(mechanism.model))
         joints = ", ".join(j.name for j in mechanism.joints)

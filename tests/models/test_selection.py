@@ -149,8 +149,7 @@ def test_a_loop_closes_where_it_did_when_one_of_its_joints_is_locked():
 
 def test_notes_name_what_was_locked_and_dropped():
     notes = " | ".join(linkplan.load_mechanism(ROBOT, keep=["left crank"], fix_base=True).notes)
-    assert "locked at home: base" in notes
-    assert "locked at 0 deg: left hip" in notes
+    assert "locked: base at home; left hip at 0 deg" in notes
     assert "dropped with the locked joints: actuator left hip" in notes
     assert "dropped with all that hangs on them (5 bodies, 5.8 kg): right thigh, arm" in notes
     assert "no contact with the world's floor" in notes
@@ -181,7 +180,7 @@ def test_check_writes_the_selected_model(capsys, tmp_path):
     (tmp_path / "robot.xml").write_text(ROBOT, encoding="utf-8")
     options = ("--keep", "left hip", "--fix-base", "--lock", "left motor=4", "--keyframe", "crouch")
     main(["check", str(tmp_path / "robot.xml"), *options, "-o", str(tmp_path / "out")])
-    assert "locked at 4 deg: left motor" in capsys.readouterr().out
+    assert "left motor at 4 deg" in capsys.readouterr().out
     assert linkplan.load_mechanism(tmp_path / "out" / "selected.xml").dof == 1
 
 

@@ -156,7 +156,7 @@ def test_contacts_that_act_in_a_run_are_said_with_the_line_that_leaves_them_out(
 def _reached(text: str) -> tuple:
     mechanism = load_mechanism(text)
     poses = reach(mechanism, 0).poses
-    return mechanism, contact_pairs(mechanism, poses), len(poses)
+    return mechanism, contact_pairs(mechanism, poses), [len(poses)]
 
 
 def test_one_key_makes_closures_as_stiff_as_check_recommends():

@@ -1,0 +1,120 @@
+"""The findings of `linkplan check` in at most thirty lines: what the mechanism is, what is wrong, what to do next."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+import mujoco
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.selection import floating_joints
+from linkplan.studies.check.inspection import Inspection, floating_columns
+from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.output.text import text_of
+
+# The summary's lines, of which problems, coordinates and notes take at most these.
+SUMMARY_LINES = 30
+MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
+# A sentence of the summary is cut at this length; it stays on three lines of a narrow terminal.
+_MOST_CHARACTERS = 240
+_NAMED = (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_JOINT)
+_ALSO_NAMED = (mujoco.mjtObj.mjOBJ_ACTUATOR, mujoco.mjtObj.mjOBJ_EQUALITY, mujoco.mjtObj.mjOBJ_TENDON)
+
+
+def summary_blocks(found: Inspection, subject: str) -> list[Block]:
+    """Return the summary; `subject` is the model or problem as it was named, for the commands to go on with."""
+    mechanism = found.mechanism
+    freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
+    independent = _some([joint.name for joint in mechanism.independent_joints], MOST_COORDINATES)
+    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {mechanism.n_q} joints)")
+    problems = grouped(mechanism, found.problems)
+    verdict: list[Block] = [
+        Text(text=f"PROBLEM: {text}", tone="bad") for text in _first(problems, MOST_PROBLEMS, "problems")
+    ]
+    notes = [Text(text=text, tone="note") for text in _first(grouped(mechanism, found.notes), MOST_NOTES, "notes")]
+    drives = _some([f"{a.name} ({a.lower:g} to {a.upper:g} {a.unit})" for a in mechanism.actuators], MOST_COORDINATES)
+    rank = f"{mechanism.n_closure_rows} rows of rank {len(mechanism.closure_rows)}"
+    facts = Facts(
+        rows=[
+            ("loops", f"{_some(mechanism.closure_names, MOST_COORDINATES)}: {rank}" if mechanism.closure_names else "none"),
+            ("driven by", drives or "nothing"),
+        ]
+    )
+    after = Facts(rows=[("next", _next(mechanism, subject, problems)), ("everything", f"linkplan check {subject} --all")])
+    blocks = [first, *(verdict or [Text(text="no problems found", tone="good")]), facts, *_reaches(found), *notes, after]
+    assert len(text_of(blocks).splitlines()) <= SUMMARY_LINES
+    return blocks
+
+
+def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
+    """Return one sentence of each kind, with the number of the others; those of a kind differ in names and numbers alone."""
+    names = _names(mechanism)
+    kinds: dict[str, list[str]] = {}
+    for sentence in sentences:
+        kind = names.sub("_", sentence) if names is not None else sentence
+        kinds.setdefault(re.sub(r"(geom )?-?\d[\d.e+-]*", "_", kind), []).append(sentence)
+    said = []
+    for alike in kinds.values():
+        more = f" (and {len(alike) - 1} more of this kind)" if len(alike) > 1 else ""
+        room = _MOST_CHARACTERS - len(more)
+        first = alike[0] if len(alike[0]) <= room else f"{alike[0][: room - 3].rstrip()}..."
+        said.append(first + more)
+    return said
+
+
+def _names(mechanism: Mechanism) -> re.Pattern | None:
+    """Return the pattern of every name in a model, the longest first."""
+    model = mechanism.model
+    sizes = {mujoco.mjtObj.mjOBJ_BODY: model.nbody, mujoco.mjtObj.mjOBJ_GEOM: model.ngeom}
+    sizes |= {mujoco.mjtObj.mjOBJ_SITE: model.nsite, mujoco.mjtObj.mjOBJ_JOINT: model.njnt}
+    sizes |= {mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu, mujoco.mjtObj.mjOBJ_EQUALITY: model.neq}
+    sizes |= {mujoco.mjtObj.mjOBJ_TENDON: model.ntendon}
+    names = {mujoco.mj_id2name(model, kind, i) for kind in (*_NAMED, *_ALSO_NAMED) for i in range(sizes[kind])}
+    names |= {joint.name for joint in mechanism.joints} | set(mechanism.closure_names)
+    known = sorted((re.escape(name) for name in names if name), key=len, reverse=True)
+    return re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w])") if known else None
+
+
+def _first(sentences: Sequence[str], most: int, what: str) -> list[str]:
+    """Return the first sentences, and one on how many are left out."""
+    if len(sentences) <= most:
+        return list(sentences)
+    return [*sentences[: most - 1], f"{len(sentences) - most + 1} more kinds of {what}"]
+
+
+def _some(names: Sequence[str], most: int) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
+
+
+def _reaches(found: Inspection) -> list[Table | Text]:
+    """Return the table of the first coordinates' reach, rods' spins left out."""
+    mechanism = found.mechanism
+    floating = floating_columns(mechanism)
+    steered = [can for can in found.reaches if can.coordinate not in floating]
+    of = [can for can in steered if int(mechanism.independent[can.coordinate]) not in mechanism.passive_dofs]
+    rows = [
+        [
+            joint.name,
+            joint.said(can.lower.position, 5),
+            joint.said(can.upper.position, 5),
+            joint.unit,
+            can.lower.reason,
+            can.upper.reason,
+        ]
+        for can in of[:MOST_COORDINATES]
+        for joint in [mechanism.joints[mechanism.independent[can.coordinate]]]
+    ]
+    if not rows:
+        return []
+    more = f"; of {len(of)} coordinates the first {len(rows)}" if len(of) > len(rows) else ""
+    title = f"Reach, the other coordinates at home{more}"
+    return [table_of(title, ["coordinate", "from", "to", "unit", "what ends it below", "above"], rows)]
+
+
+def _next(mechanism: Mechanism, subject: str, problems: Sequence[str]) -> str:
+    if floating_joints(mechanism.model):
+        return f"linkplan check {subject} --keep NAMES --fix-base takes one chain with its loops out of the robot"
+    if subject.endswith(".toml"):
+        return f"linkplan plan {subject} -o planned"
+    begin = "mend the problems in the model, then " if problems else ""
+    return f"{begin}linkplan new {subject} -o problem.toml writes a first motion"

@@ -1,0 +1,89 @@
+"""The summary of `linkplan check`: at most thirty lines for any robot, alike findings grouped, and what to do next."""
+
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.check.summary import SUMMARY_LINES, grouped
+
+ARM = '<body name="{side} {k}" pos="0.1 0 0"><joint name="{side} joint {k}" axis="0 1 0" range="-90 90"/><geom size="0.06"/>'
+
+
+def centipede(legs: int, joints: int, *, floating: bool = False) -> str:
+    """Return a model of legs on one body, each a chain of joints whose geoms overlap when it folds."""
+    chains = [
+        f'<body name="hip {leg}" pos="0 {0.1 * leg} 0">'
+        + "".join(ARM.format(side=f"leg {leg}", k=k) for k in range(joints))
+        + "</body>" * (joints + 1)
+        for leg in range(legs)
+    ]
+    motors = "".join(
+        f'<motor name="drive {leg}.{k}" joint="leg {leg} joint {k}" ctrlrange="-9 9"/>'
+        for leg in range(legs)
+        for k in range(joints)
+    )
+    free = "<freejoint/>" if floating else ""
+    body = f'<body name="trunk" pos="0 0 1">{free}<geom size="0.05"/>{"".join(chains)}</body>'
+    head = '<compiler angle="degree" autolimits="true"/>'
+    return f"<mujoco>{head}<worldbody>{body}</worldbody><actuator>{motors}</actuator></mujoco>"
+
+
+@pytest.mark.parametrize("floating", [False, True])
+def test_a_robot_of_many_joints_is_summed_up_in_thirty_lines(ask, tmp_path, floating):
+    (tmp_path / "robot.xml").write_text(centipede(4, 6, floating=floating), encoding="utf-8")
+    code, out, _ = ask("check", str(tmp_path / "robot.xml"))
+    assert len(out.splitlines()) <= SUMMARY_LINES
+    assert "24 degrees of freedom" in out or "30 degrees of freedom" in out
+    assert "more of this kind" in out
+    assert f"linkplan check {tmp_path / 'robot.xml'} --all" in out
+    assert code == 1
+    _, everything, _ = ask("check", str(tmp_path / "robot.xml"), "--all")
+    assert len(everything.splitlines()) > 2 * SUMMARY_LINES
+
+
+def test_a_base_that_floats_is_one_problem_with_its_remedy(ask, ask_json, tmp_path):
+    (tmp_path / "robot.xml").write_text(centipede(2, 2, floating=True), encoding="utf-8")
+    code, found = ask_json("check", str(tmp_path / "robot.xml"))
+    (base,) = [problem for problem in found["problems"] if "float" in problem]
+    assert code == 1
+    assert all(
+        word in base for word in ("trunk", "6 degrees of freedom", "--keep NAMES --fix-base", "chains begin at hip 0, hip 1")
+    )
+    assert not [problem for problem in found["problems"] if "moves freely" in problem]
+    code, _, err = ask("new", str(tmp_path / "robot.xml"))
+    assert code == 2
+    assert "--keep NAMES --fix-base" in err
+    code, _, err = ask("check", str(tmp_path / "robot.xml"), "--keep", "hip 1", "--fix-base")
+    assert code == 0, err
+
+
+def test_sentences_that_differ_in_names_and_numbers_alone_are_of_one_kind():
+    mechanism = load_mechanism("five-bar")
+    first, second = (joint.name for joint in mechanism.joints[:2])
+    sentences = [f"joint {first} stands at 4 deg", f"joint {second} stands at -1.5e3 deg", "the loop is open"]
+    assert grouped(mechanism, sentences) == [f"joint {first} stands at 4 deg (and 1 more of this kind)", "the loop is open"]
+
+
+GRIPPER = """
+<mujoco>
+  <compiler angle="degree" autolimits="true"/>
+  <worldbody>
+    <body name="left" pos="-0.05 0 0">
+      <joint name="left" axis="0 1 0" range="-30 60"/>
+      <geom name="left pad" type="capsule" fromto="0 0 0 0 0 0.1" size="0.01"/>
+    </body>
+    <body name="right" pos="0.05 0 0">
+      <joint name="right" axis="0 -1 0" range="-30 60"/>
+      <geom name="right pad" type="capsule" fromto="0 0 0 0 0 0.1" size="0.01"/>
+    </body>
+  </worldbody>
+  <equality><joint joint1="right" joint2="left"/></equality>
+  <actuator><motor name="grip" joint="left" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+
+def test_pads_that_meet_when_the_gripper_closes_are_no_error(ask_json, tmp_path):
+    (tmp_path / "gripper.xml").write_text(GRIPPER, encoding="utf-8")
+    code, found = ask_json("check", str(tmp_path / "gripper.xml"))
+    assert (code, found["problems"]) == (0, [])
+    assert any("left pad and right pad meet towards an end of the reach" in note for note in found["notes"])
