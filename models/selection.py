@@ -206,7 +206,7 @@ def floating_sentence(model: mujoco.MjModel) -> str | None:
     chains = ", ".join(model.body(b).name for b in moving) or "its bodies"
     return (
         f"the base {names} floats: nothing drives its {freedoms} degrees of freedom; take a chain with its loops out of the"
-        f" robot: --keep NAMES --fix-base, or keep = [NAMES] and fix_base = true under [mechanism]; chains begin at {chains}"
+        f" robot by mechanism.keep = [NAMES] and mechanism.fix_base = true; chains begin at {chains}"
     )
 
 

@@ -203,7 +203,9 @@ class TrackingSection(Section, frozen=True):
         kinds.Gain | kinds.Gains, key("proportional gain on the independent joints, for all or by joint", "N.m/rad, N/m")
     ] = 200.0
     kd: Annotated[kinds.Gain | kinds.Gains, key("derivative gain, for all or by joint", "N.m.s/rad, N.s/m")] = 1.0
-    period_s: Annotated[kinds.Period, key("the control period", "s")] = 1e-4
+    period_s: Annotated[
+        kinds.Period, key("the control period", "s", "1e-4, or the model's timestep if that is longer", "0.0001")
+    ] = ABSENT
     delay_periods: Annotated[
         kinds.Delay, key("control periods from a measurement to its effort, a whole number in tracking")
     ] = 0

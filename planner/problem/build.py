@@ -31,7 +31,7 @@ from linkplan.planner.problem.motion import motion_of
 from linkplan.planner.problem.named_coordinates import coordinates_note, other_coordinates
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine, sine_of
-from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.settings import DEFAULT_PERIOD_S, MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.values import plain
 
 
@@ -181,5 +181,7 @@ def _mesh(section: dict, objective: Objective, *, rated: bool) -> dict:
 def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
     found = Tracking(**section)
     if mechanism is not None:
+        if "period_s" not in section:
+            found = replace(found, period_s=max(DEFAULT_PERIOD_S, float(mechanism.model.opt.timestep)))
         found.gains(mechanism.independent_joints)  # refuses joints without a gain, and gains of unknown joints
     return found

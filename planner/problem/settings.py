@@ -44,6 +44,9 @@ class MeshSettings:
             _set(self, "breaks", breaks)
 
 
+# The control period [s] of a model whose timestep is no longer; else a period is one timestep: the model runs as it is.
+DEFAULT_PERIOD_S = 1e-4
+
 # Control periods in which the whole effort limit reaches a default LQR error from rest. With 4, 13 of 400 light machines
 # with default imperfections chatter between their limits; with 5 none does, and 6 leaves a reserve.
 LQR_RESPONSE_PERIODS = 6
@@ -101,7 +104,7 @@ class Tracking:
 
     kp: float | Mapping[str, float] = _TRACKING.kp
     kd: float | Mapping[str, float] = _TRACKING.kd
-    period_s: float = _TRACKING.period_s
+    period_s: float = DEFAULT_PERIOD_S
     delay_periods: float = _TRACKING.delay_periods
     duration_s: float | None = None  # of the tracking run; default: the plan and a rest, or eight periods
     lqr_position_deg: float | None = None

@@ -5,6 +5,8 @@ import numpy as np
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.models.selection import floating_joints
+from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.check.check_report import effort_unit
 from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE
 
@@ -39,6 +41,13 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
         if all(a.joint != index for a, _ in acting)
         else f"joint {joint.name} moves freely: {pushes}, and no spring or weight brings it back"
     )
+
+
+def floating_columns(mechanism: Mechanism) -> set[int]:
+    """Return the independent coordinates of a base that floats."""
+    names = {joint_label(mechanism.model, j) for j in floating_joints(mechanism.model)}
+    joints = enumerate(mechanism.independent_joints)
+    return {column for column, joint in joints if joint.name in names or joint.chart in names}
 
 
 def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str, bool]:

@@ -13,11 +13,17 @@ from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.reduction.reduced import linearised
-from linkplan.models.selection import floating_joints, floating_sentence
-from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.sites import site_names
 from linkplan.studies.check.contact_findings import contact_findings
-from linkplan.studies.check.drives import RANGE_END_TOLERANCE, feeble_drives, pressed_stops, pushed_one_way, undriven
+from linkplan.studies.check.drives import (
+    RANGE_END_TOLERANCE,
+    feeble_drives,
+    floating_columns,
+    pressed_stops,
+    pushed_one_way,
+    undriven,
+)
 from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE, KinematicLoopPath
 from linkplan.studies.check.softness import softness_note
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
@@ -156,13 +162,6 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
-
-
-def floating_columns(mechanism: Mechanism) -> set[int]:
-    """Return the independent coordinates of a base that floats."""
-    names = {joint_label(mechanism.model, j) for j in floating_joints(mechanism.model)}
-    joints = enumerate(mechanism.independent_joints)
-    return {column for column, joint in joints if joint.name in names or joint.chart in names}
 
 
 def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steerable: bool) -> tuple[list[str], list[str]]:

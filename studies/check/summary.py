@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 import mujoco
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.selection import floating_joints
-from linkplan.studies.check.inspection import Inspection, floating_columns
+from linkplan.studies.check.drives import floating_columns
+from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.text import text_of
 
-# The summary's lines, of which problems, coordinates and notes take at most these.
-SUMMARY_LINES = 30
+# The summary's lines, with those on what to do next; problems, coordinates and notes take at most these.
+SUMMARY_LINES, LINES_OF_WHAT_IS_NEXT = 30, 2
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
 # A sentence of the summary is cut at this length; it stays on three lines of a narrow terminal.
 _MOST_CHARACTERS = 240
@@ -20,8 +20,8 @@ _NAMED = (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOB
 _ALSO_NAMED = (mujoco.mjtObj.mjOBJ_ACTUATOR, mujoco.mjtObj.mjOBJ_EQUALITY, mujoco.mjtObj.mjOBJ_TENDON)
 
 
-def summary_blocks(found: Inspection, subject: str) -> list[Block]:
-    """Return the summary; `subject` is the model or problem as it was named, for the commands to go on with."""
+def summary_blocks(found: Inspection) -> list[Block]:
+    """Return the summary, which leaves lines for what to do next."""
     mechanism = found.mechanism
     freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
     independent = _some([joint.name for joint in mechanism.independent_joints], MOST_COORDINATES)
@@ -39,9 +39,8 @@ def summary_blocks(found: Inspection, subject: str) -> list[Block]:
             ("driven by", drives or "nothing"),
         ]
     )
-    after = Facts(rows=[("next", _next(mechanism, subject, problems)), ("everything", f"linkplan check {subject} --all")])
-    blocks = [first, *(verdict or [Text(text="no problems found", tone="good")]), facts, *_reaches(found), *notes, after]
-    assert len(text_of(blocks).splitlines()) <= SUMMARY_LINES
+    blocks = [first, *(verdict or [Text(text="no problems found", tone="good")]), facts, *_reaches(found), *notes]
+    assert len(text_of(blocks).splitlines()) <= SUMMARY_LINES - LINES_OF_WHAT_IS_NEXT
     return blocks
 
 
@@ -109,12 +108,3 @@ def _reaches(found: Inspection) -> list[Table | Text]:
     more = f"; of {len(of)} coordinates the first {len(rows)}" if len(of) > len(rows) else ""
     title = f"Reach, the other coordinates at home{more}"
     return [table_of(title, ["coordinate", "from", "to", "unit", "what ends it below", "above"], rows)]
-
-
-def _next(mechanism: Mechanism, subject: str, problems: Sequence[str]) -> str:
-    if floating_joints(mechanism.model):
-        return f"linkplan check {subject} --keep NAMES --fix-base takes one chain with its loops out of the robot"
-    if subject.endswith(".toml"):
-        return f"linkplan plan {subject} -o planned"
-    begin = "mend the problems in the model, then " if problems else ""
-    return f"{begin}linkplan new {subject} -o problem.toml writes a first motion"

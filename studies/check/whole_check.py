@@ -30,7 +30,6 @@ class WholeCheck:
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
     found: Inspection
-    subject: str  # the model or problem as it was named
     paths: tuple[KinematicLoopPath, ...]
 
     @property
@@ -63,8 +62,8 @@ class WholeCheck:
         return [*inspection_blocks(self.found), *paths, *([Text(text=left_out)] if brief else [])]
 
     def summary(self) -> list[Block]:
-        """Return the findings in at most thirty lines."""
-        return summary_blocks(self.found, self.subject)
+        """Return the findings in less than thirty lines."""
+        return summary_blocks(self.found)
 
     def text(self) -> str:
         """Return the findings as text."""
@@ -112,9 +111,8 @@ def check_whole(
     paths = reach_paths(mechanism, found.reaches) if motion is None else (motion,)
     chosen = () if problem is None else problem.notes
     singular = [note for path in paths for note in inertia_notes(path)]
-    subject = str(mechanism.source["model"]) if problem is None else problem.name
     notes = (*found.notes, *singular, *notes, *chosen, *off_path)
-    return WholeCheck(subject=subject, found=replace(found, notes=notes), paths=paths)
+    return WholeCheck(found=replace(found, notes=notes), paths=paths)
 
 
 def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

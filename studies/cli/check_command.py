@@ -2,13 +2,15 @@
 
 import argparse
 import shlex
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.models.selection import floating_joints
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.output.document import Facts
 
 if TYPE_CHECKING:
     from linkplan.studies.check.whole_check import WholeCheck
@@ -29,7 +31,6 @@ def run_check(arguments: argparse.Namespace) -> int:
         deliver(arguments, target, refused.record(), refused.blocks(), lambda: _report(refused))
         return NO  # a problem of the model, not bad input
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
-    whole = replace(whole, subject=shlex.join([arguments.model, *_selection_options(arguments)]))
     found = whole.found
 
     def draw(place: Path) -> None:
@@ -42,9 +43,23 @@ def run_check(arguments: argparse.Namespace) -> int:
         if mechanism.selection:
             (place / "selected.xml").write_text(whole_model_text(mechanism), encoding="utf-8")
 
-    blocks = whole.blocks() if arguments.all or arguments.at_deg else whole.summary()
+    blocks = whole.blocks() if arguments.all or arguments.at_deg else [*whole.summary(), _what_is_next(whole, arguments)]
     deliver(arguments, target, whole.record(), blocks, lambda: _report(whole), draw)
     return NO if found.problems else DONE
+
+
+def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
+    """Return the commands to go on with."""
+    subject = shlex.join([arguments.model, *_selection_options(arguments)])
+    if floating_joints(whole.found.mechanism.model):
+        further = f"linkplan check {subject} --keep NAMES --fix-base takes one chain with its loops out of the robot"
+    elif arguments.model.endswith(".toml") or arguments.model in PROBLEMS:
+        further = f"linkplan plan {subject} -o planned"
+    else:
+        further = f"linkplan new {subject} -o problem.toml writes a first motion"
+    if whole.problems and not floating_joints(whole.found.mechanism.model):
+        further = f"mend the problems, then {further}"
+    return Facts(rows=[("next", further), ("everything", f"linkplan check {subject} --all")])
 
 
 def _selection_options(arguments: argparse.Namespace) -> list[str]:

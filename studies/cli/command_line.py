@@ -194,7 +194,7 @@ def build_parser() -> Parser:
 def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
     parser.add_argument("--tracker", default="pd", metavar="LAW", help="pd, pd+ff or lqr (default: %(default)s)")
-    parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
+    parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
     _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
     _selection(parser)

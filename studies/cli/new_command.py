@@ -13,7 +13,6 @@ from linkplan.studies.cli.printing import progress, show
 def run_new(arguments: argparse.Namespace) -> int:
     """Write a problem file for a mechanism; 1 if no motion was found for it."""
     from linkplan.planner.files.single_file import write_new
-    from linkplan.studies.check.softness import soft_closures
     from linkplan.studies.new.first_motion import first_motion, model_beside
     from linkplan.studies.new.problem_text import problem_text
 
@@ -23,8 +22,6 @@ def run_new(arguments: argparse.Namespace) -> int:
     refuse_no_model(arguments.model)
     found = first_motion({"model": arguments.model} | selection_asked(arguments), say)
     tables = found.tables
-    if any(one.stiff_gap_m < one.gap_m for one in soft_closures(found.mechanism)):
-        tables = tables | {"mechanism": tables["mechanism"] | {"solref": "stiff"}}
     if arguments.model not in MODELS:
         tables = tables | {"mechanism": tables["mechanism"] | {"model": model_beside(arguments.model, target)}}
     file = "problem.toml" if target is None else target.name

@@ -46,12 +46,18 @@ def test_a_base_that_floats_is_one_problem_with_its_remedy(ask, ask_json, tmp_pa
     (base,) = [problem for problem in found["problems"] if "float" in problem]
     assert code == 1
     assert all(
-        word in base for word in ("trunk", "6 degrees of freedom", "--keep NAMES --fix-base", "chains begin at hip 0, hip 1")
+        word in base
+        for word in (
+            "trunk",
+            "6 degrees of freedom",
+            "mechanism.keep = [NAMES] and mechanism.fix_base = true",
+            "chains begin at hip 0, hip 1",
+        )
     )
     assert not [problem for problem in found["problems"] if "moves freely" in problem]
     code, _, err = ask("new", str(tmp_path / "robot.xml"))
     assert code == 2
-    assert "--keep NAMES --fix-base" in err
+    assert "mechanism.fix_base = true" in err
     code, _, err = ask("check", str(tmp_path / "robot.xml"), "--keep", "hip 1", "--fix-base")
     assert code == 0, err
 

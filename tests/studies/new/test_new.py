@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.planner.files.tables import set_key
@@ -202,13 +203,14 @@ def test_a_sprung_leg_has_a_first_motion(monkeypatch):
     assert len(tried) == 3
 
 
-@pytest.mark.parametrize(("closure", "stiff"), [("", True), (' solref="0.004 1" solimp="0.999 0.999 0.001"', False)])
-def test_closures_that_would_gape_in_the_simulator_are_begun_stiff(closure, stiff, tmp_path, ask):
-    text = HOEKEN.format(actuator=MOTOR).replace('<connect name="B"', f'<connect name="B"{closure}')
-    (tmp_path / "hoeken.xml").write_text(text, encoding="utf-8")
+def test_a_first_problem_is_simulated_with_the_model_s_own_timestep_and_softness(tmp_path, ask):
+    (tmp_path / "hoeken.xml").write_text(HOEKEN.format(actuator=MOTOR), encoding="utf-8")
     code, out, _ = ask("new", str(tmp_path / "hoeken.xml"))
     assert code == 0
-    assert (tomllib.loads(out)["mechanism"].get("solref") == "stiff") is stiff
+    assert "solref" not in tomllib.loads(out)["mechanism"]
+    (tmp_path / "first.toml").write_text(out, encoding="utf-8")
+    run = linkplan.track(linkplan.plan(linkplan.Problem.from_file(tmp_path / "first.toml")), "pd+ff")
+    assert run.rollout.conditions["timestep_s"] == 0.002  # MuJoCo's default
 
 
 def test_links_drawn_on_one_another_are_named_with_the_line_that_lets_them_pass(tmp_path):
