@@ -25,7 +25,7 @@ from linkplan.studies.check.drives import (
     undriven,
 )
 from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE, KinematicLoopPath
-from linkplan.studies.check.softness import softness_note
+from linkplan.studies.check.softness import massless_findings, softness_note
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
 # A larger gap of a loop at the model's reference pose [m] is a fault of the file; a smaller one is rounding.
@@ -200,7 +200,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
         notes.append("the model has no active loop closure: it is an open tree")
     soft = softness_note(mechanism)
     notes += [] if soft is None else [soft]
-    problems += _massless(mechanism)
+    problems += massless_findings(mechanism)
     if mechanism.n_u == 0:
         problems.append("the model has no actuator that a plan can use")
     named = [name for k in range(mechanism.model.nkey) if (name := mechanism.model.key(k).name)]
@@ -260,25 +260,6 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
             said.append(
                 f"{at}: a dead centre of {joint.name}, the closure keeps its rank: the mechanism moves on there, but"
                 f" {joint.name} does not fix how; mechanism.independent with another joint leads through"
-            )
-    return said
-
-
-def _massless(mechanism: Mechanism) -> list[str]:
-    """Return a sentence on every body with less than a millionth of the heaviest mass, in a mechanism with closures.
-
-    MuJoCo scales the stiffness of a closure by the inertia of its bodies. A body without mass makes the closure soft.
-    """
-    model, said = mechanism.model, []
-    if not mechanism.closures:
-        return said
-    heaviest = float(model.body_mass[1:].max(initial=0.0))
-    for body in range(1, model.nbody):
-        with_children = float(model.body_subtreemass[body])
-        if model.body_weldid[body] == body and model.body_dofnum[body] and with_children < 1e-6 * heaviest:
-            said.append(
-                f"body {model.body(body).name or body} has a mass of {with_children:.3g} kg where the heaviest has"
-                f" {heaviest:.3g} kg: the simulator cannot hold a loop by it; give it its mass"
             )
     return said
 

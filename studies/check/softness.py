@@ -206,3 +206,22 @@ def softness_note(mechanism: Mechanism) -> str | None:
         f'{text}; solref="{worst.stiff_solref}" solimp="{STIFF_IMPEDANCE}", the stiffest that its timestep admits, leaves'
         f" {said(worst.stiff_gap_m)} ({STIFF_KEY} sets it)"
     )
+
+
+def massless_findings(mechanism: Mechanism) -> list[str]:
+    """Return a sentence on every body with less than a millionth of the heaviest mass, in a mechanism with closures.
+
+    MuJoCo scales the stiffness of a closure by the inertia of its bodies. A body without mass makes the closure soft.
+    """
+    model, said = mechanism.model, []
+    if not mechanism.closures:
+        return said
+    heaviest = float(model.body_mass[1:].max(initial=0.0))
+    for body in range(1, model.nbody):
+        with_children = float(model.body_subtreemass[body])
+        if model.body_weldid[body] == body and model.body_dofnum[body] and with_children < 1e-6 * heaviest:
+            said.append(
+                f"body {model.body(body).name or body} has a mass of {with_children:.3g} kg where the heaviest has"
+                f" {heaviest:.3g} kg: the simulator cannot hold a loop by it; give it its mass"
+            )
+    return said

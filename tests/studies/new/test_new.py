@@ -210,7 +210,7 @@ def test_a_first_problem_is_simulated_with_the_model_s_own_timestep_and_softness
     assert "solref" not in tomllib.loads(out)["mechanism"]
     (tmp_path / "first.toml").write_text(out, encoding="utf-8")
     run = linkplan.track(linkplan.plan(linkplan.Problem.from_file(tmp_path / "first.toml")), "pd+ff")
-    assert run.rollout.conditions["timestep_s"] == 0.002  # MuJoCo's default
+    assert run.to_dict()["loop"]["timestep_s"] == 0.002  # MuJoCo's default
 
 
 def test_links_drawn_on_one_another_are_named_with_the_line_that_lets_them_pass(tmp_path):
