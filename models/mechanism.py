@@ -21,6 +21,7 @@ from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
 from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
+from linkplan.models.closure.snapping import SHIFT_SHARE, apply_shifts, needless_gaps, refuse_large_gaps, shifts
 from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
@@ -33,7 +34,7 @@ from linkplan.models.selection import HOME_KEYFRAME, Selection
 from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
-from linkplan.models.tree.dynamics import build_tree
+from linkplan.models.tree.dynamics import Tree, build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import Joint, index_of, read_joints, unit_steps
 from linkplan.models.tree.newton_euler import Inertial
@@ -58,6 +59,7 @@ class Mechanism:
     model: mujoco.MjModel
     payload: Payload | None
     selection: Selection  # what was taken out of a larger model
+    shifted: tuple[int, ...]  # equality constraints whose anchors were moved along their hinge's axis
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
     tendons: tuple[TendonRange, ...]  # tendons with a limited length
@@ -247,16 +249,19 @@ def load_mechanism(
     joints = read_joints(name, model, tree.coordinates)
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
-    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
-    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
-    loop = KinematicLoop(
-        function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))]),
-        rows=tuple(closure.rows for closure in closures),
-    )
+    loop, sparse = _loop(tree, closures)
     extent = extent_m(model)
     unit = unit_steps(joints, extent)
     tolerance = closure_tolerance(closure_tolerance_m, extent)
     reference = tree.coordinates.q_of(reference_qpos)
+    still = needless_gaps(loop, closures, reference, unit)
+    along_axes = max(tolerance, SHIFT_SHARE * extent)
+    refuse_large_gaps(name, closures, still, along_axes)
+    moved = shifts(model, closures, still, reference_qpos, along_axes)
+    if moved:
+        apply_shifts(model, moved)
+        closures = read_closures(model, tree)
+        loop, sparse = _loop(tree, closures)
     try:
         pose = assemble(name, joints, loop, reference, home_positions(name, joints, home), tolerance)
     except UnassembledError as error:
@@ -284,7 +289,7 @@ def load_mechanism(
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
     passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
-    notes = [*left_out, *notes]
+    notes = [*left_out, *(shift.sentence for shift in moved), *notes]
     notes += [*friction_notes(model, transition, extent), *conversion_notes(source)]
     notes += _reference_notes(loop, reference, unit, rank)
 
@@ -293,6 +298,7 @@ def load_mechanism(
         model=model,
         payload=payload,
         selection=selection,
+        shifted=tuple(shift.index for shift in moved),
         joints=joints,
         actuators=actuators,
         tendons=limited_tendons(model),
@@ -317,6 +323,15 @@ def load_mechanism(
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
+
+
+def _loop(tree: Tree, closures: Sequence[Closure]) -> tuple[KinematicLoop, ca.Function]:
+    """Return the closure as numbers, and its sparse Jacobian."""
+    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
+    jacobian = ca.jacobian(phi, tree.q)
+    function = ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(jacobian)])
+    rows = tuple(closure.rows for closure in closures)
+    return KinematicLoop(function=function, rows=rows), ca.Function("J", [tree.q], [jacobian])
 
 
 def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]:

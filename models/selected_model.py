@@ -7,8 +7,10 @@ from pathlib import Path
 
 import mujoco
 
+from linkplan.models.catalogue import is_file
 from linkplan.models.library import model_spec
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.ties import tied_points
 
 # Digits that restore a double from its decimal text.
 _EXACT_DIGITS = 17
@@ -21,7 +23,13 @@ def whole_model_text(mechanism: Mechanism) -> str:
     soft = zip(spec.equalities, mechanism.model.eq_solref, mechanism.model.eq_solimp, strict=True)
     for equality, solref, solimp in soft:
         equality.solref, equality.solimp = solref, solimp
-    if Path(source).is_file():
+    for index in mechanism.shifted:
+        closure, name = spec.equalities[index], mechanism.model.equality(index).name or f"closure {index}"
+        for end, (body, place) in enumerate(tied_points(mechanism.model, index)):
+            spec.bodies[body].add_site(name=f"{name} anchor of end {end + 1}", pos=place)
+        closure.objtype = mujoco.mjtObj.mjOBJ_SITE
+        closure.name1, closure.name2 = (f"{name} anchor of end {end}" for end in (1, 2))
+    if is_file(Path(source)):
         folder = Path(source).resolve().parent
         spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
     with _exact_numbers():

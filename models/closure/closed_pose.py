@@ -55,7 +55,10 @@ def with_closed_pose(
 ) -> UnassembledError:
     """Return an error that offers a closed pose (n_q,), or states that none was found."""
     if pose is None:
-        hint = "no closed pose was found near it: the links may be too short; else name one with mechanism.home_deg"
+        hint = (
+            "no closed pose was found near it: the links may be too short, or rounded, which"
+            f" mechanism.closure_tolerance_m = {1.01 * error.gap_m:.3g} accepts; else name a pose with mechanism.home_deg"
+        )
         return UnassembledError(f"{error}; {hint}", error.gap_m)
     home = home_of(joints, pose)
     hint = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"

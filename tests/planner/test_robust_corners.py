@@ -41,7 +41,7 @@ def missing(mechanism: Mechanism, corner: Corner, q, s_rate, s_acceleration, eff
 
     The tree's inverse dynamics with the loop cut, along the loop's null space: pin forces do no work there.
     """
-    _, model = compile_model(TWO_MOTORS, SHANK.scaled(corner.payload_factor))
+    _, model, _ = compile_model(TWO_MOTORS, SHANK.scaled(corner.payload_factor))
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     null = scipy.linalg.null_space(loop(model, q), rcond=1e-9)
     gamma = null @ np.linalg.inv(null[mechanism.independent])

@@ -79,7 +79,7 @@ def test_keyframes_replayed_in_mujoco_give_the_same_motion(plan):
 @pytest.mark.slow
 def test_the_table_replayed_in_mujoco_gives_the_same_motion(plan):
     table = np.genfromtxt(io.BytesIO(exported(plan, "csv")), delimiter=",", names=True, deletechars="")
-    _, model = compile_model("optimus-knee", PAYLOADS["shank"])
+    _, model, _ = compile_model("optimus-knee", PAYLOADS["shank"])
     joints = [model.joint(j).name for j in range(model.njnt)]
     samples = samples_of(plan)
     q, rates = (np.radians(np.column_stack([table[f"{j}_{unit}"] for j in joints])) for unit in ("deg", "deg_s"))

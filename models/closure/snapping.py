@@ -1,0 +1,115 @@
+"""Anchors of a file that lie beside their hinge's axis: gaps of loops that no joint can change, and what closes them.
+
+No motion changes the part of phi in the directions that no joint moves: the left null space of J at all poses together. In a
+planar loop it is the offset of the two anchors along the hinges' common axis. A shift of one anchor along the axis closes it
+and changes no motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from linkplan.models.closure.equations import CONNECT, Closure, earlier_pin
+from linkplan.models.closure.newton import KinematicLoop
+from linkplan.models.errors import UnassembledError
+from linkplan.models.tree.ties import tied_points
+
+# The largest shift without a tolerance of the user's, as a share of the mechanism's size.
+SHIFT_SHARE = 0.05
+# Shifts [m] below this one are rounding of the arithmetic.
+_LEAST_SHIFT_M = 1e-13
+# Directions whose rate of change by any joint is below this share of the largest do not move: axes of rounded files are
+# parallel to about 1e-6 rad.
+_STILL_SHARE = 1e-5
+# Poses about the reference at which J is taken, and their distance from it [rad; extents on a slide].
+_POSES, _DISTANCE = 6, 0.2
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Shift:
+    """A shift (3,) [m] of the end (0 or 1) of a closure's anchor, in its body's frame. `index` is the equality's."""
+
+    index: int
+    name: str
+    end: int
+    by: np.ndarray
+
+    @property
+    def sentence(self) -> str:
+        """What was moved, and by how much."""
+        length = 1e3 * float(np.linalg.norm(self.by))
+        return f"anchor of closure {self.name} moved by {length:.3g} mm along its hinge's axis, where no joint can close it"
+
+
+def needless_gaps(loop: KinematicLoop, closures: Sequence[Closure], reference: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Return the part (n_rows,) [m] of the gaps at the reference pose that no joint can change; zero in rows of angles."""
+    phi, _ = loop.residual(reference)
+    rng = np.random.default_rng(0)
+    poses = [reference, *(reference + _DISTANCE * unit * rng.uniform(-1, 1, len(reference)) for _ in range(_POSES))]
+    still = np.zeros_like(phi)
+    for closure in closures:
+        if closure.kind != "point" or closure.rows.stop - closure.rows.start != 3:
+            continue
+        rates = np.hstack([(loop.residual(q)[1] * unit)[closure.rows] for q in poses])
+        left, size, _ = np.linalg.svd(rates)
+        directions = left[:, size <= _STILL_SHARE * size[0]]
+        still[closure.rows] = directions @ (directions.T @ phi[closure.rows])
+    return still
+
+
+def shifts(
+    model: mujoco.MjModel, closures: Sequence[Closure], still: np.ndarray, qpos: np.ndarray, limit_m: float
+) -> list[Shift]:
+    """Return the shifts of anchors that close gaps `still` (n_rows,) [m] of at most `limit_m`.
+
+    Args:
+        model: with the anchors.
+        closures: of the model.
+        still: see `needless_gaps`.
+        qpos: MuJoCo's reference pose (nq,).
+        limit_m: larger gaps are left.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    found = []
+    for closure in closures:
+        gap = still[closure.rows]
+        if not _LEAST_SHIFT_M < np.linalg.norm(gap) <= limit_m or earlier_pin(model, closure.index) is not None:
+            continue
+        in_world = data.xmat[closure.frame].reshape(3, 3) @ gap
+        ends = tied_points(model, closure.index)
+        end = 1 if ends[1][0] else 0  # the world's own anchors stay
+        by = data.xmat[ends[end][0]].reshape(3, 3).T @ (in_world if end else -in_world)
+        found.append(Shift(index=closure.index, name=closure.name, end=end, by=by))
+    return found
+
+
+def refuse_large_gaps(name: str, closures: Sequence[Closure], still: np.ndarray, limit_m: float) -> None:
+    """Refuse gaps along a hinge's axis of more than `limit_m`, and name the tolerance that accepts them.
+
+    Raises:
+        UnassembledError: for the largest of them.
+    """
+    gaps = {closure.name: float(np.linalg.norm(still[closure.rows])) for closure in closures}
+    widest = max(gaps, key=gaps.__getitem__, default="")
+    if widest and gaps[widest] > limit_m:
+        raise UnassembledError(
+            f"mechanism '{name}' does not close: closure {widest} is open by {1e3 * gaps[widest]:.4g} mm along its hinge's"
+            f" axis, which no joint can change; mechanism.closure_tolerance_m = {1.01 * gaps[widest]:.3g} moves its anchor",
+            gaps[widest],
+        )
+
+
+def apply_shifts(model: mujoco.MjModel, found: Sequence[Shift]) -> None:
+    """Move the anchors of a compiled model."""
+    for shift in found:
+        site = int(model.eq_objtype[shift.index]) == int(mujoco.mjtObj.mjOBJ_SITE)
+        if site:
+            model.site_pos[(model.eq_obj1id, model.eq_obj2id)[shift.end][shift.index]] += shift.by
+        elif int(model.eq_type[shift.index]) == int(CONNECT):
+            model.eq_data[shift.index, 3 * shift.end : 3 * shift.end + 3] += shift.by
+        else:  # a weld keeps its point in the second body's frame, then that body's place in the first one's frame
+            model.eq_data[shift.index, 3 * (1 - shift.end) : 3 * (1 - shift.end) + 3] += shift.by
