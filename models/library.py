@@ -17,7 +17,8 @@ from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
 from linkplan.models.reading import read_file, shown
 from linkplan.models.selection import Selection, select
-from linkplan.models.urdf import mesh_hint
+from linkplan.models.urdf import mesh_hint, urdf_root
+from linkplan.models.urdf_loops import complete
 
 __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
@@ -77,12 +78,14 @@ def model_spec(source: str | Path, payload: Payload | None = None, selection: Se
 def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
     """Return a model's name, the specification of what is selected, and notes on what was left out."""
     name, spec = _read_spec(source)
+    root = urdf_root(source)
+    notes = () if root is None else complete(spec, source, root)
     _name_all(spec.bodies, "body")
     if not selection:
-        return name, spec, ()
+        return name, spec, notes
     spec.compile()  # numbers the joints
     _name_all(spec.joints, "joint")
-    return name, spec, select(spec, spec.compile(), selection)
+    return name, spec, (*notes, *select(spec, spec.compile(), selection))
 
 
 def _name_all(elements: Sequence, kind: str) -> None:

@@ -290,7 +290,7 @@ def load_mechanism(
     passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
     notes = [*left_out, *(shift.sentence for shift in moved), *notes]
-    notes += [*friction_notes(model, transition, extent), *conversion_notes(source)]
+    notes += [*friction_notes(model, transition, extent), *conversion_notes(source, driven=model.nu > 0)]
     notes += _reference_notes(loop, reference, unit, rank)
 
     mechanism = Mechanism(

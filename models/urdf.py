@@ -10,13 +10,13 @@ from pathlib import Path
 from linkplan.models.catalogue import is_text
 
 _READ_IN_MUJOCO = ("compiler", "option", "size")
-_READ = ("link", "joint", "material", "mujoco")
+_READ = ("link", "joint", "material", "mujoco", "transmission", "loop_joint")
 
 
-def conversion_notes(source: str | Path) -> list[str]:
-    """Return a note on each kind of element of a URDF (a path or text) that its conversion ignores; none for MJCF."""
-    root = _root(str(source))
-    if root is None or root.tag != "robot":
+def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
+    """Return notes on the elements of a URDF (a path or text) that its conversion ignores, and on drives if it has none."""
+    root = urdf_root(source)
+    if root is None:
         return []
     notes = []
     speeds = [
@@ -40,11 +40,19 @@ def conversion_notes(source: str | Path) -> list[str]:
             f"MuJoCo ignores {_some(list(dict.fromkeys(inside)))} in the URDF's <mujoco> element, where it only reads"
             f" {', '.join(_READ_IN_MUJOCO)}"
         )
+    if driven:
+        return notes
     notes.append(
-        "MuJoCo reads no actuators from a URDF, and no closures except mimic: add them in an MJCF file that attaches it,"
+        "the URDF names no actuators: add <transmission> elements, a YAML file beside it, or an MJCF file that attaches it,"
         ' with <asset><model name="NAME" file="FILE.urdf"/></asset> and <frame><attach model="NAME" prefix="P_"/></frame>'
     )
     return notes
+
+
+def urdf_root(source: str | Path) -> ET.Element | None:
+    """Return the <robot> element of a URDF (a path or text); None for another model."""
+    root = _root(str(source))
+    return root if root is not None and root.tag == "robot" else None
 
 
 def mesh_hint(error: Exception) -> str:

@@ -7,6 +7,7 @@ and changes no motion.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from random import Random
 
 import mujoco
 import numpy as np
@@ -46,8 +47,9 @@ class Shift:
 def needless_gaps(loop: KinematicLoop, closures: Sequence[Closure], reference: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """Return the part (n_rows,) [m] of the gaps at the reference pose that no joint can change; zero in rows of angles."""
     phi, _ = loop.residual(reference)
-    rng = np.random.default_rng(0)
-    poses = [reference, *(reference + _DISTANCE * unit * rng.uniform(-1, 1, len(reference)) for _ in range(_POSES))]
+    rng = Random(0)  # numpy.random takes long to load
+    steps = [np.array([rng.uniform(-_DISTANCE, _DISTANCE) for _ in reference]) for _ in range(_POSES)]
+    poses = [reference, *(reference + step * unit for step in steps)]
     still = np.zeros_like(phi)
     for closure in closures:
         if closure.kind != "point" or closure.rows.stop - closure.rows.start != 3:

@@ -1,0 +1,237 @@
+"""What a URDF says beside its tree: loops, drives and joint types in elements or in a YAML file, which MuJoCo leaves out.
+
+Read are `<loop_joint>` elements (Drake's), frames named closing_NAME_1 and closing_NAME_2 (onshape-to-robot's),
+`<transmission>` elements, and a YAML file beside the URDF (example-parallel-robots') with the keys closed_loop, type,
+name_mot, joint_name and joint_type. Frames that only mark a closure stay bodies of their own. Meshes whose files are missing
+are left out.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import mujoco
+import numpy as np
+
+from linkplan.models.catalogue import is_text
+from linkplan.models.errors import ModelError
+from linkplan.models.extras import load_extra
+from linkplan.models.reading import read_file
+
+_CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+_AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_CLOSING = re.compile(r"closing_(.+)_1")
+_MOST_YAML_BYTES = 1_000_000
+# What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
+LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
+
+
+class Beside(msgspec.Struct, frozen=True):
+    """The YAML file beside a URDF; other keys are ignored."""
+
+    closed_loop: list[tuple[str, str]] = []
+    type: list[str] = []
+    name_mot: list[str] = []
+    joint_name: list[str] = []
+    joint_type: list[str] = []
+
+
+def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple[str, ...]:
+    """Add to a URDF's specification what MuJoCo left out of it, and return notes on what comes from where.
+
+    Args:
+        spec: MuJoCo's conversion of the URDF, which is changed.
+        source: the URDF's path or text.
+        root: its <robot> element.
+
+    Raises:
+        ModelError: for an element or a key that names no link, frame or joint.
+    """
+    beside = None if is_text(str(source)) else _yaml_beside(Path(source))
+    notes = _settle_meshes(spec, None if is_text(str(source)) else Path(source).parent)
+    pairs = [(first, f"closing_{found[1]}_2", "3d") for first in _links(root) if (found := _CLOSING.fullmatch(first))]
+    asked = Beside() if beside is None else beside
+    kinds = asked.type or ["6d"] * len(asked.closed_loop)
+    pairs += [(first, second, kind) for (first, second), kind in zip(asked.closed_loop, kinds, strict=True)]
+    notes += _weigh(spec, root)
+    loops = list(root.iter("loop_joint"))
+    spec.compiler.fusestatic = spec.compiler.fusestatic and not pairs
+    for first, second, kind in pairs:
+        ends = [(_link_of(root, name), np.zeros(3)) for name in (first, second)]
+        _close(spec, f"{first}-{second}", ends, _WELD if kind.lower() == "6d" else _CONNECT)
+    for loop in loops:
+        _close_loop_joint(spec, loop)
+    _retype(spec, dict(zip(asked.joint_name, asked.joint_type, strict=True)))
+    motors = asked.name_mot or list(
+        dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
+    )
+    _drive(spec, root, motors)
+    where = "the URDF" if beside is None else "the YAML file beside the URDF"
+    if pairs or loops:
+        names = ", ".join([f"{a}-{b}" for a, b, _ in pairs] + [str(loop.get("name")) for loop in loops])
+        notes.append(f"closures from {where if pairs else 'the URDF'}: {names}")
+    if motors:
+        notes.append(f"motors from {where if asked.name_mot else 'transmissions of the URDF'}: {', '.join(motors)}")
+    return tuple(notes)
+
+
+def _link_of(root: ET.Element, name: str) -> str:
+    """Return the link of a frame: a link's own name, or the child of the joint of that name."""
+    child = root.find(f"joint[@name='{name}']/child")
+    return name if child is None or name in _links(root) else child.get("link", name)
+
+
+def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
+    """Give links without a mass that joints move the smallest one, and return a note on them."""
+    masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iter("link")}
+    moving = {
+        joint.find("child").get("link", "") for joint in root.iter("joint") if joint.get("type") not in (None, "fixed")
+    }
+    light = [name for name in moving if (mass := masses.get(name)) is None or float(mass.get("value", "0")) < LEAST_MASS_KG]
+    if not light:
+        return []
+    spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KGM2
+    return [
+        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, without which MuJoCo moves none:"
+        f" {', '.join(sorted(light))}"
+    ]
+
+
+def _links(root: ET.Element) -> list[str]:
+    return [link.get("name", "") for link in root.iter("link")]
+
+
+def _yaml_beside(path: Path) -> Beside | None:
+    """Return the tables of the YAML file with the URDF's name, if it is there and has closed loops or motors."""
+    place = path.with_suffix(".yaml")
+    if not place.is_file():
+        return None
+    text = read_file(place, f"'{place}'", _MOST_YAML_BYTES, ModelError).decode("utf-8", "replace")
+    yaml = load_extra("yaml", f"the closures in '{place}'")
+    try:
+        found = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ModelError(f"'{place}' is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(found, dict) or not found.keys() & {"closed_loop", "name_mot"}:
+        return None
+    try:
+        asked = msgspec.convert(found, Beside)
+    except msgspec.ValidationError as error:
+        raise ModelError(f"'{place}' is not what closes a URDF's loops: {error}") from error
+    for names, kinds in (("closed_loop", "type"), ("joint_name", "joint_type")):
+        count, of = len(getattr(asked, names)), len(getattr(asked, kinds))
+        if of != count and (of or kinds == "joint_type"):
+            raise ModelError(f"'{place}' has {count} entries in {names} and {of} in {kinds}; they belong together")
+    return asked
+
+
+def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
+    """Find the files of meshes beside the URDF; delete the geoms of meshes that are not there, and return a note on them."""
+    missing = []
+    for mesh in list(spec.meshes):
+        if not mesh.file:
+            continue
+        name = re.sub(r"^package:/+", "", mesh.file)
+        places = [] if folder is None else [folder / name, folder / spec.meshdir / Path(name).name, folder.parent / name]
+        found = next((place for place in places if place.is_file()), None)
+        if found is not None:
+            mesh.file = str(found.resolve())
+            continue
+        missing.append(Path(name).name)
+        for geom in [geom for geom in spec.geoms if geom.meshname == mesh.name]:
+            spec.delete(geom)
+        spec.delete(mesh)
+    remedy = 'their folder is named by <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco> in <robot>'
+    return [f"meshes that are not there are left out: {', '.join(dict.fromkeys(missing))}; {remedy}"] if missing else []
+
+
+def _body(spec: mujoco.MjSpec, name: str) -> "mujoco._specs.MjsBody":
+    body = spec.body(name)
+    if body is None:
+        names = ", ".join(one.name for one in spec.bodies if one.name)
+        raise ModelError(f"a closure names '{name}', which is no link of the URDF; links are {names}")
+    return body
+
+
+def _close(spec: mujoco.MjSpec, name: str, ends: Sequence[tuple[str, np.ndarray]], kind: "mujoco.mjtEq") -> None:
+    """Tie points (3,) of two links together: a connect, or a weld of the frames there."""
+    sites = []
+    for number, (link, place) in enumerate(ends, 1):
+        site = _body(spec, link).add_site(name=f"{name} {number}", pos=place)
+        sites.append(site.name)
+    equality = spec.add_equality(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, name1=sites[0], name2=sites[1])
+    if kind == _WELD:
+        equality.data[10] = 1.0  # MuJoCo's default of torquescale
+
+
+def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
+    """Close a loop_joint: a weld if it is fixed, a connect of its points, and one along the axis if it is a hinge."""
+    name, ends, turns = loop.get("name", "loop"), [], []
+    for tag in ("link1", "link2"):
+        end = loop.find(tag)
+        if end is None:
+            raise ModelError(f"loop_joint '{name}' has no <{tag}>")
+        ends.append((end.get("link", ""), np.array(end.get("xyz", "0 0 0").split(), dtype=float)))
+        turns.append(_rotation(np.array(end.get("rpy", "0 0 0").split(), dtype=float)))
+    kind = loop.get("type", "continuous")
+    if kind == "fixed":
+        _close(spec, name, ends, _WELD)
+        return
+    _close(spec, name, ends, _CONNECT)
+    axis = loop.find("axis")
+    if kind in ("revolute", "continuous") and axis is not None:
+        along = np.array(axis.get("xyz", "1 0 0").split(), dtype=float)
+        further = [(link, place + turn @ along * _HINGE_WIDTH_M) for (link, place), turn in zip(ends, turns, strict=True)]
+        _close(spec, f"{name} axis", further, _CONNECT)
+
+
+# The distance [m] of a hinge's two points.
+_HINGE_WIDTH_M = 0.05
+
+
+def _rotation(rpy: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) of roll, pitch and yaw [rad], about fixed axes."""
+    quaternion, turn = np.zeros(4), np.zeros(9)
+    mujoco.mju_euler2Quat(quaternion, rpy, "XYZ")
+    mujoco.mju_quat2Mat(turn, quaternion)
+    return turn.reshape(3, 3)
+
+
+def _joint(spec: mujoco.MjSpec, name: str) -> "mujoco._specs.MjsJoint":
+    joint = spec.joint(name)
+    if joint is None:
+        raise ModelError(f"no joint is named '{name}'; joints are {', '.join(one.name for one in spec.joints)}")
+    return joint
+
+
+def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
+    """Make ball joints and universal joints of hinges: SPHERICAL, or UJOINT_ with its two axes."""
+    for name, kind in types.items():
+        joint = _joint(spec, name)
+        if kind == "SPHERICAL":
+            joint.type = mujoco.mjtJoint.mjJNT_BALL
+            joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+            joint.range = (0.0, 0.0)
+        elif kind.startswith("UJOINT_") and set(kind[-2:]) <= set(_AXES):
+            body, place = joint.parent, joint.pos
+            spec.delete(joint)
+            for axis in kind[-2:]:
+                body.add_joint(name=f"{name}_{axis}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=_AXES[axis], pos=place)
+        elif kind != "FIXED":
+            raise ModelError(
+                f"joint '{name}' has the unknown type '{kind}'; legal: SPHERICAL, UJOINT_XY and its like, FIXED"
+            )
+
+
+def _drive(spec: mujoco.MjSpec, root: ET.Element, motors: Sequence[str]) -> None:
+    """Add a motor on each joint, within the effort limit that the URDF gives it."""
+    for name in motors:
+        joint = _joint(spec, name)
+        limit = root.find(f"joint[@name='{name}']/limit")
+        effort = float(limit.get("effort", "0")) if limit is not None else 0.0
+        motor = spec.add_actuator(name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        if effort > 0:
+            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-effort, effort)

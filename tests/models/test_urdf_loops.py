@@ -1,0 +1,150 @@
+"""Loops, drives and joint types of a URDF that MuJoCo's converter leaves out, on a four-bar in several dialects."""
+
+import numpy as np
+import pytest
+
+import linkplan
+from linkplan.models.errors import LinkplanError
+
+
+def link(name: str, mass: float = 0.5, *, visual: str = "") -> str:
+    inertia = f'<inertia ixx="{mass / 100}" iyy="{mass / 100}" izz="{mass / 100}" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><origin xyz="0 0 0.05"/><mass value="{mass}"/>{inertia}</inertial>' if mass else ""
+    return f'<link name="{name}">{inertial}{visual}</link>'
+
+
+def joint(name: str, parent: str, child: str, xyz: str, *, kind: str = "revolute", axis: str = "0 1 0") -> str:
+    limit = '<limit lower="-3" upper="3" effort="7" velocity="20"/>' if kind == "revolute" else ""
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="{axis}"/>{limit}</joint>'
+
+
+FOUR_BAR = "".join(
+    [
+        link("base"),
+        link("crank"),
+        link("coupler"),
+        link("rocker"),
+        joint("motor", "base", "crank", "0 0 0"),
+        joint("A", "crank", "coupler", "0 0 0.1"),
+        joint("C", "base", "rocker", "0.2 0 0"),
+    ]
+)
+FRAMES = "".join(
+    [
+        link("end_A", 0.0),
+        link("end_B", 0.0),
+        joint("end_A_frame", "coupler", "end_A", "0.2 0 0.05", kind="fixed"),
+        joint("end_B_frame", "rocker", "end_B", "0 0 0.15", kind="fixed"),
+    ]
+)
+ENDS = {"coupler": "0.2 0 0.05", "rocker": "0 0 0.15"}
+TRANSMISSION = '<transmission name="t"><joint name="motor"/><actuator name="m"/></transmission>'
+LOOP_JOINT = (
+    '<loop_joint name="B" type="continuous"><link1 link="coupler" xyz="0.2 0 0.05" rpy="0 0 0"/>'
+    '<link2 link="rocker" xyz="0 0 0.15" rpy="0 0 0"/><axis xyz="0 1 0"/></loop_joint>'
+)
+YAML = "closed_loop: [['end_A', 'end_B']]\ntype: ['3d']\nname_mot: ['motor']\n"
+
+
+def robot(*parts: str) -> str:
+    return f'<robot name="four-bar">{"".join(parts)}</robot>'
+
+
+def written(folder, text: str, yaml: str | None = None) -> str:
+    (folder / "robot.urdf").write_text(text, encoding="utf-8")
+    if yaml is not None:
+        (folder / "robot.yaml").write_text(yaml, encoding="utf-8")
+    return str(folder / "robot.urdf")
+
+
+def assert_four_bar(mechanism) -> None:
+    """The loop is closed at the points of the links, one motor drives one degree of freedom, and both can move."""
+    assert (mechanism.dof, mechanism.n_u) == (1, 1)
+    assert mechanism.effort_limit[0].tolist() == [-7.0, 7.0]
+    assert mechanism.gap_m(mechanism.home) < 1e-12
+    q = dict(zip((one.name for one in mechanism.joints), mechanism.home, strict=True))
+
+    def turned(angle: float, x: float, z: float) -> np.ndarray:
+        return np.array([np.cos(angle) * x + np.sin(angle) * z, -np.sin(angle) * x + np.cos(angle) * z])
+
+    end_of_coupler = turned(q["motor"], 0, 0.1) + turned(q["motor"] + q["A"], 0.2, 0.05)
+    end_of_rocker = np.array([0.2, 0.0]) + turned(q["C"], 0, 0.15)
+    np.testing.assert_allclose(end_of_coupler, end_of_rocker, atol=1e-10)
+
+
+def test_a_yaml_file_beside_the_urdf_closes_loops_and_names_motors(tmp_path):
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), YAML))
+    assert_four_bar(mechanism)
+    assert "closures from the YAML file beside the URDF: end_A-end_B" in mechanism.notes
+    assert "motors from the YAML file beside the URDF: motor" in mechanism.notes
+
+
+def test_a_weld_of_two_frames_of_a_plane_linkage_keeps_its_freedom_if_one_can_turn(tmp_path):
+    frames = FRAMES.replace('<joint name="end_B_frame" type="fixed">', '<joint name="end_B_frame" type="continuous">')
+    yaml = YAML.replace("3d", "6d")
+    mechanism = linkplan.load_mechanism(
+        written(tmp_path, robot(FOUR_BAR, frames.replace(link("end_B", 0.0), link("end_B", 0.1))), yaml)
+    )
+    assert (mechanism.dof, mechanism.n_u) == (1, 1)
+
+
+def test_names_of_joints_stand_for_their_frames(tmp_path):
+    yaml = YAML.replace("end_A", "end_A_frame").replace("end_B", "end_B_frame")
+    assert_four_bar(linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), yaml)))
+
+
+def test_loop_joints_are_closed_and_transmissions_driven(tmp_path):
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, LOOP_JOINT, TRANSMISSION)))
+    assert_four_bar(mechanism)
+    assert "closures from the URDF: B" in mechanism.notes
+    assert "motors from transmissions of the URDF: motor" in mechanism.notes
+
+
+def test_closing_frames_are_paired_by_their_names(tmp_path):
+    frames = FRAMES.replace("end_A", "closing_pin_1").replace("end_B", "closing_pin_2")
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, frames, TRANSMISSION)))
+    assert_four_bar(mechanism)
+    assert "closures from the URDF: closing_pin_1-closing_pin_2" in mechanism.notes
+
+
+def test_missing_meshes_are_left_out_and_named(tmp_path):
+    visual = '<collision><geometry><mesh filename="package://robot/meshes/shell.stl"/></geometry></collision>'
+    text = robot(FOUR_BAR.replace(link("crank"), link("crank", visual=visual)), FRAMES)
+    mechanism = linkplan.load_mechanism(written(tmp_path, text, YAML))
+    assert_four_bar(mechanism)
+    assert any(note.startswith("meshes that are not there are left out: shell.stl") for note in mechanism.notes)
+
+
+def test_joints_become_balls_and_universal_joints(tmp_path):
+    spherical = YAML + "joint_name: ['A', 'C']\njoint_type: ['SPHERICAL', 'UJOINT_YZ']\n"
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), spherical))
+    names = [one.name for one in mechanism.joints]
+    assert {"motor", "C_Y", "C_Z"} <= set(names)
+    assert [name for name in names if name.startswith("A_r")] == ["A_rx", "A_ry", "A_rz"]
+    assert mechanism.dof == 3  # 1 + 3 + 2 coordinates, and three equations
+
+
+def test_a_link_without_mass_gets_a_little_and_is_named(tmp_path):
+    dummy = joint("A", "crank", "dummy", "0 0 0.1") + joint("A2", "dummy", "coupler", "0 0 0", axis="0 0 1")
+    text = robot(FOUR_BAR.replace(joint("A", "crank", "coupler", "0 0 0.1"), dummy), link("dummy", 0.0), FRAMES)
+    mechanism = linkplan.load_mechanism(written(tmp_path, text, YAML))
+    assert any("links without mass get 1e-06 kg" in note and "dummy" in note for note in mechanism.notes)
+
+
+@pytest.mark.parametrize(
+    ("yaml", "words"),
+    [
+        (YAML.replace("end_B", "end_C"), ["end_C", "no link", "rocker"]),
+        (YAML.replace("'motor'", "'moter'"), ["moter", "joints are motor"]),
+        ("closed_loop: [", ["not YAML"]),
+        (YAML + "joint_name: ['A']\njoint_type: ['SCREW']\n", ["SCREW", "SPHERICAL"]),
+        (YAML.replace("['3d']", "['3d', '6d']"), ["closed_loop", "type"]),
+        ("closed_loop: 3\nname_mot: []\n", ["closed_loop"]),
+    ],
+)
+def test_a_wrong_yaml_file_is_refused_in_one_line(tmp_path, yaml, words):
+    with pytest.raises(LinkplanError) as refused:
+        linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), yaml))
+    assert all(word in str(refused.value) for word in words), str(refused.value)
+    assert "\n" not in str(refused.value)
