@@ -24,6 +24,8 @@ from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, 
 
 FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
+# A motor with a back-EMF; without inductance and the like it has no state.
+DC_MOTOR = int(mujoco.mjtDyn.mjDYN_DCMOTOR)
 # A servo's gain below this share of its nominal gain counts as zero: no ctrl then gives a prescribed effort.
 LEAST_GAIN = 1e-9
 
@@ -121,6 +123,8 @@ def _unusable_dynamics(model: mujoco.MjModel, index: int) -> str | None:
         return "its control is delayed"
     if int(model.actuator_plugin[index]) >= 0:
         return "it is a plugin"
+    if int(model.actuator_dyntype[index]) == DC_MOTOR and not model.actuator_actnum[index]:
+        return None if _is_line(model, index) else "its cogging, rate limit or temperature makes it no torque-speed line"
     if int(model.actuator_dyntype[index]) != int(mujoco.mjtDyn.mjDYN_NONE) or int(model.actuator_actnum[index]) > 0:
         dynamics = mujoco.mjtDyn(int(model.actuator_dyntype[index])).name.removeprefix("mjDYN_").lower()
         return f"it has a state of its own ({dynamics} dynamics)"
@@ -134,9 +138,10 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
         return "a plan supports joint, tendon, slider-crank and site transmissions of one force"
     if int(model.actuator_ctrlnum[index]) != 1:
         return f"it has {int(model.actuator_ctrlnum[index])} controls, where a plan has one"
-    if gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS):
+    dc_motor = int(model.actuator_dyntype[index]) == DC_MOTOR
+    if not dc_motor and (gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS)):
         return "its gain or bias is not affine"
-    if float(model.actuator_gainprm[index, 0]) == 0.0:
+    if _coefficients(model, index)[0][0] == 0.0:
         return "its gain vanishes at rest"
     if not np.any(gear_of(model, index)):
         return "its gear is zero"
@@ -162,7 +167,20 @@ def _moves(model: mujoco.MjModel, index: int) -> bool:
     return any(gains[1:]) or any(biases[1:])
 
 
+def _is_line(model: mujoco.MjModel, index: int) -> bool:
+    """Return True if a DC motor without state has no more than a resistance and a motor constant: a torque-speed line."""
+    further = (model.actuator_gainprm[index, 2:], model.actuator_biasprm[index], model.actuator_dynprm[index])
+    return not any(np.any(numbers) for numbers in further)
+
+
 def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the gains and biases on 1, length and speed: force = gains . state ctrl + biases . state.
+
+    A DC motor without state, of resistance R and constant K, gives K (ctrl - K speed) / R.
+    """
+    if int(model.actuator_dyntype[index]) == DC_MOTOR:
+        resistance, constant = (float(x) for x in model.actuator_gainprm[index, :2])
+        return (constant / resistance, 0.0, 0.0), (0.0, 0.0, -(constant**2) / resistance)
     gain, bias = model.actuator_gainprm[index, :3], model.actuator_biasprm[index, :3]
     fixed = int(model.actuator_gaintype[index]) == FIXED
     gains = tuple(float(g) if k == 0 or not fixed else 0.0 for k, g in enumerate(gain))

@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.actuation.actuators import Actuator, unusable_reason
 from linkplan.models.audit import audit
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.controls import control_excess, needed_controls
@@ -170,6 +170,7 @@ SERVOS = {
     "position of a tendon": '<position tendon="rope" kp="30" kv="1" gear="-2"/>',
     "position of a slider-crank": '<position cranksite="end" slidersite="ground" cranklength="0.6" kp="20"/>',
     "position of a site": '<position site="end" refsite="ground" gear="1 2 3 0 0 0" kp="20" kv="2"/>',
+    "DC motor": '<dcmotor joint="crank" motorconst="0.1 0.12" resistance="2" gear="3"/>',
     "affine gain": '<general joint="crank" gaintype="affine" gainprm="3 0.5 -0.2" biastype="affine" biasprm="1 -2 0.1"/>',
 }
 
@@ -188,6 +189,17 @@ def test_a_servos_ctrl_for_an_effort_gives_that_effort_in_mujoco(servo):
         mujoco.mj_forward(mechanism.model, data)
         assert abs(data.actuator_force[0] - 0.8) < ROUNDING * max(1.0, abs(data.ctrl[0]))
         assert abs(actuator.effort(float(data.ctrl[0]), length, velocity) - 0.8) < ROUNDING * max(1.0, abs(data.ctrl[0]))
+
+
+@pytest.mark.parametrize(
+    ("further", "why"),
+    [('inductance="0.01"', "state of its own"), ('cogging="0.1 6 0"', "no torque-speed line"), ("", None)],
+)
+def test_a_dc_motor_is_a_torque_speed_line_if_nothing_else_acts_in_it(further, why):
+    text = f'<dcmotor name="m" joint="crank" motorconst="0.1" resistance="2" {further}/>'
+    model = bench(text + '<motor joint="rod" ctrlrange="-3 3"/>').model
+    found = unusable_reason(model, 0)
+    assert found is None if why is None else why in found
 
 
 def test_a_servos_ctrl_is_cut_at_its_range():
