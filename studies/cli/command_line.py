@@ -142,6 +142,9 @@ def build_parser() -> Parser:
     tune.add_argument("--settling-s", type=float, metavar="T", help="longest settling to 2 %% (default: 5 / bandwidth)")
     tune.add_argument("--damping-ratio", type=float, metavar="Z", help="least of the closed loop's poles (default: 0.4)")
 
+    text = "carry efforts, inertia, friction and gains between motors and output joints across a linkage, as tables"
+    _transfer(command("transfer", text, report=True))
+
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
     view.epilog = f"keys in the window: {keys_said()}; {EPILOG}"
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
@@ -194,6 +197,24 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
     _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
+
+
+def _transfer(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
+    parser.add_argument(
+        "--joints", required=True, metavar="A,B", help="output joints, one to three, with commas between them"
+    )
+    text = "interpolation error allowed, as a share of each quantity's largest size (default: %(default)s)"
+    parser.add_argument("--tolerance", type=float, default=1e-3, metavar="E", help=text)
+    text = "the table's range of an output joint, JOINT=LOW:HIGH in degrees (default: its whole reach); may be given again"
+    parser.add_argument("--range", action="append", default=[], metavar="RANGE", help=text)
+    text = "top speeds of the motors [rad/s or m/s], one for all or with commas (default: the problem's motors)"
+    parser.add_argument("--motor-speed", metavar="W", help=text)
+    for side, other in (("joint", "motors"), ("motor", "joints")):
+        for letter, what, unit in (("kp", "stiffness", "N.m/rad"), ("kd", "damping", "N.m.s/rad")):
+            text = f"{what} of the {side}s [{unit}] to carry to the {other}, one for all or with commas"
+            parser.add_argument(f"--{side}-{letter}", metavar="K", help=text)
+    _parquet(parser, "table.csv and inverse.csv")
 
 
 def _tracker(parser: argparse.ArgumentParser) -> None:
