@@ -8,7 +8,7 @@ from linkplan.controllers.controls import keys_said
 from linkplan.models.errors import one_line
 from linkplan.studies.cli.exit_codes import BAD_INPUT
 from linkplan.studies.cli.streams import put
-from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
 
 # The shells with completion.
 SHELLS = ("bash", "zsh", "fish")
@@ -171,11 +171,14 @@ def build_parser() -> Parser:
     new.add_argument("model", metavar="MODEL", help="a built-in model or an MJCF file")
     _file(new, "the problem file to write; it must not be there (default: print it)")
 
-    export = command("export", "write a plan for other programs", output=False)
-    export.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    text = f"one of {', '.join(f'{name} ({what})' for name, what in FORMATS.items())}"
+    export = command("export", "write a plan, or a model in C, for other programs", output=False)
+    text = "a saved plan's folder, a built-in problem or a TOML file; for c also a built-in model or an MJCF file"
+    export.add_argument("plan", metavar="PLAN-or-MODEL", help=text)
+    text = f"one of {', '.join(f'{name} ({what})' for name, what in (FORMATS | FOLDER_FORMATS).items())}"
     export.add_argument("--to", required=True, metavar="FORMAT", help=text)
-    _file(export, "the file to write; it must not be there", required=True)
+    _file(export, "the file to write; it must not be there; for c a folder", required=True)
+    text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"
+    export.add_argument("--tracker", default="pd+ff", metavar="NAME", help=text)
     text = "time between samples (default: ten samples in every interval of the plan's mesh)"
     export.add_argument("--every-s", type=float, metavar="T", help=text)
     _anyway(export)
