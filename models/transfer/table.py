@@ -13,7 +13,7 @@ from linkplan.models.transfer.output_map import OutputMap, transmission
 from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, KnownPoses
 
 # The share of the reach that a table keeps from a singular pose, where G has no limit.
-_SINGULAR_MARGIN_SHARE = 0.02
+_SINGULAR_MARGIN_SHARE = 0.005
 # Beyond this multiple of the transmission at home a pose counts as singular: G grows without limit towards such a pose.
 _SINGULAR_RATIO_MULTIPLE = 10.0
 # The quantities whose interpolation keeps the tolerance. Slopes are given, and their error is measured.

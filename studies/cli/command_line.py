@@ -217,6 +217,8 @@ def _transfer(parser: argparse.ArgumentParser) -> None:
         for letter, what, unit in (("kp", "stiffness", "N.m/rad"), ("kd", "damping", "N.m.s/rad")):
             text = f"{what} of the {side}s [{unit}] to carry to the {other}, one for all or with commas"
             parser.add_argument(f"--{side}-{letter}", metavar="K", help=text)
+    text = "a plan of the same model, along which the errors of models without loops are stated"
+    parser.add_argument("--along", metavar="PLAN", help=text)
     _parquet(parser, "table.csv and inverse.csv")
 
 

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.paths import drawn, path_of
 from linkplan.planner.files.folders import plain_record, write_json, write_whole
+from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import plain
 from linkplan.reporting import Progress, listener
 from linkplan.studies.transfer.columns import arrays_of
+from linkplan.studies.transfer.serial_study import Serial
 from linkplan.studies.transfer.study import Transfer, no_load_speeds, transfer_study
-from linkplan.subjects import Subject, subject_of
+from linkplan.subjects import Subject, plan_to_track, subject_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +38,7 @@ def transfer(
     joint_kd: Gains | None = None,
     motor_kp: Gains | None = None,
     motor_kd: Gains | None = None,
+    along: Plan | None = None,
     progress: Progress | None = None,
 ) -> TransferResult:
     """Return the transfer table of output joints: what the motors and the joints are to each other across the linkage.
@@ -55,6 +58,7 @@ def transfer(
         joint_kd: joints' damping [N.m.s/rad or N.s/m], likewise.
         motor_kp: motors' stiffness to be carried to the joints.
         motor_kd: motors' damping, likewise.
+        along: a plan of the same model, along whose motion the errors of models without loops are stated.
         progress: called with lines on the progress.
 
     Raises:
@@ -80,6 +84,7 @@ def transfer(
         effort_limit=None if problem is None else np.array(problem.limits.actuators_effort),
         motor_speed=None if problem is None else no_load_speeds(problem),
         motor_speeds=() if motor_speed is None else _listed(motor_speed, "motor_speed"),
+        along=None if along is None else plan_to_track(along),
         gains={name: _listed(values, name) for name, values in gains.items() if values is not None},
         say=listener(progress),
     )
@@ -128,6 +133,37 @@ class TransferResult:
         if name not in names:
             raise ProblemError(f"unknown quantity '{name}'; legal: {', '.join(names)}")
         return grid.at(name, np.atleast_2d(np.asarray(positions, dtype=float)))
+
+    @property
+    def serial_mjcf(self) -> str:
+        """The serial equivalent as MJCF: the model without the loops, whose joints carry what the linkage reflects.
+
+        Raises:
+            LinkplanError: if the linkage has none, with the reason.
+        """
+        return self._serial().model.text
+
+    def errors_along(self, time_s: Sequence[float], position: Sequence[Sequence[float]]) -> dict[str, np.ndarray]:
+        """Return the errors of models without loops along a motion of the output joints, in N.m or N.
+
+        Args:
+            time_s: instants (n,) [s].
+            position: output positions (n, n_joints) [rad or m], interpolated by a spline of the fifth degree.
+
+        Returns:
+            Arrays (n, n_joints): "effort" that the motion needs, and the errors of the "static map" (a tree without anything
+            reflected), of the "serial equivalent", and of the "serial with table".
+        """
+        from linkplan.studies.transfer.serial_study import errors_along, motion_of_samples
+
+        table, serial = self.found.table, self._serial()
+        found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position))
+        return {"effort": found.effort, **found.named()}
+
+    def _serial(self) -> Serial:
+        if self.found.serial is None:
+            raise LinkplanError(self.found.serial_note)
+        return self.found.serial
 
     def to_dict(self) -> dict:
         """Return the record by name, in JSON types."""

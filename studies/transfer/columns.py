@@ -5,7 +5,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.transfer.polytope import (
     MOST_CORNER_MOTORS,
     effort_box,
@@ -15,8 +14,8 @@ from linkplan.models.transfer.polytope import (
     speed_alone,
     speed_box,
 )
-from linkplan.models.tree.joints import Joint
 from linkplan.studies.transfer.study import Transfer
+from linkplan.studies.transfer.units import units_of
 
 # What an array of the NPZ file is, by name; joints are in the order of the table's axes, motors in the file's order.
 MEANINGS = {
@@ -37,14 +36,13 @@ MEANINGS = {
     "motor_kd": "motor damping that gives the joints the damping asked for",
     "joint_kp": "joint stiffness that the motors' stiffness gives",
     "joint_kd": "joint damping that the motors' damping gives",
+    "inertia_rest": "inertia that the serial equivalent lacks",
+    "inertia_rest_slope": "its derivatives by the joint positions, along the last axis",
+    "damping_rest": "damping that it lacks",
+    "friction_rate": "rates of the linkage's joints with dry friction, over those of the output joints",
+    "effort_rest": "effort at rest that it lacks: weight and springs",
     "status": "0: on the map; 1: the loops do not close; 2: next to a singular pose; 100 + k: joint k is beyond its range",
 }
-
-
-def units_of(one: Joint | Actuator) -> tuple[str, str]:
-    """Return the units of position and effort of a joint or motor."""
-    turns = one.kind == "hinge" if isinstance(one, Joint) else one.unit == "N.m"
-    return ("rad", "N.m") if turns else ("m", "N")
 
 
 def arrays_of(transfer: Transfer) -> dict[str, np.ndarray]:
@@ -70,6 +68,9 @@ def arrays_of(transfer: Transfer) -> dict[str, np.ndarray]:
             found[f"motor_{letter}"] = motor_gains(ratio, np.diag(gains))
         else:
             found[f"joint_{letter}"] = joint_gains(ratio, np.diag(gains))
+    if transfer.serial is not None:
+        found |= {name: value.reshape(len(points), *value.shape[len(table.grid.axes) :])
+                  for name, value in transfer.serial.rest.items()}  # fmt: skip
     return found | {"status": flat["status"]}
 
 
@@ -123,9 +124,14 @@ def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple
     if name in ("effort_box", "effort_corners"):
         yield from _effort_columns(name, value, joints)
         return
-    power = {"inertia": ".s2", "armature": ".s2", "damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}.get(name, "")
-    plain = {"motor_position": (motors, 1, ""), "joint_position": (joints, 1, ""), "friction": (joints, 2, ""),
-             "gravity": (joints, 2, ""), "speed_alone": (joints, 1, "/s"), "speed_box": (joints, 1, "/s")}  # fmt: skip
+    power = {"inertia": ".s2", "armature": ".s2", "damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}
+    power = power.get(name.removesuffix("_slope").removesuffix("_rest"), "")
+    positions, efforts = (
+        ("joint_position", "speed_alone", "speed_box"),
+        ("friction", "gravity", "effort_rest"),
+    )
+    plain = {"motor_position": (motors, 1, "")} | dict.fromkeys(efforts, (joints, 2, ""))
+    plain |= {of: (joints, 1, "/s" if of.startswith("speed") else "") for of in positions}
     if name in plain:
         of, unit, per = plain[name]
         for k, one in enumerate(of):
@@ -137,6 +143,15 @@ def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple
         for (j, motor), (k, joint) in _pairs(motors, joints):
             for i, by in enumerate(joints):
                 yield f"dG_{motor[0]}_{joint[0]}_d_{by[0]} [{motor[1]}/{joint[1]}/{by[1]}]", value[:, j, k, i]
+    elif name == "friction_rate":
+        closed, serial = outputs.mechanism, transfer.serial.model
+        rubbing = [(closed.joints[i].name, *units_of(closed.joints[i])) for i in serial.rubbing]
+        for (j, row), (k, column) in _pairs(rubbing, joints):
+            yield f"{name}_{row[0]}_{column[0]} [{row[1]}/{column[1]}]", value[:, j, k]
+    elif name == "inertia_rest_slope":
+        for (j, row), (k, column) in _pairs(joints, joints):
+            for i, by in enumerate(joints if k >= j else ()):
+                yield f"{name}_{row[0]}_{column[0]}_d_{by[0]} [{row[2]}{power}/{column[1]}/{by[1]}]", value[:, j, k, i]
     else:
         of = motors if name.startswith("motor") else joints
         for (j, row), (k, column) in _pairs(of, of):

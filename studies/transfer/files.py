@@ -8,12 +8,16 @@ from matplotlib.figure import Figure
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.transfer.columns import columns_of, inverse_columns, npz_arrays
+from linkplan.studies.transfer.serial_study import along_columns
 from linkplan.studies.transfer.study import Transfer
 from linkplan.studies.transfer.transfer_blocks import transfer_plots
 
 
 def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> None:
-    """Write table.csv, inverse.csv, table.npz and transfer.png into a folder; with `parquet`, the tables as Parquet too."""
+    """Write table.csv, inverse.csv, table.npz, serial.xml, along.csv and transfer.png, as far as there are, into a folder.
+
+    With `parquet`, the tables are written as Parquet too.
+    """
     tables = {"table": columns_of(transfer), "inverse": inverse_columns(transfer)}
     mechanism = transfer.outputs.mechanism
     about = {"mechanism": mechanism.name, "joints": ",".join(joint.name for joint in transfer.outputs.joints)}
@@ -23,6 +27,10 @@ def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> No
         (place / f"{name}.csv").write_bytes(csv_bytes(columns))
         if parquet:
             (place / f"{name}.parquet").write_bytes(parquet_bytes(columns, about))
+    if transfer.serial is not None:
+        (place / "serial.xml").write_text(transfer.serial.model.text, encoding="utf-8")
+        if transfer.serial.errors is not None:
+            (place / "along.csv").write_bytes(csv_bytes(along_columns(transfer.serial)))
     np.savez_compressed(place / "table.npz", **npz_arrays(transfer))
     transfer_figure(transfer, place / "transfer.png")
 

@@ -9,10 +9,12 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.transfer.output_map import OutputMap, Transmission, output_map, transmission
 from linkplan.models.transfer.table import REFINED, TransferTable, transfer_table
+from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.values import number
+from linkplan.studies.transfer.serial_study import Serial, motion_of_plan, serial_of
 
 # The gains that can be carried across: their words, and where they are known.
 GAINS = {
@@ -36,12 +38,17 @@ class Carried:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Transfer:
-    """A transfer table, the linkage at home, the motors' effort limits (n_m, 2), and what is carried across."""
+    """A transfer table, the linkage at home, the motors' effort limits (n_m, 2), and what is carried across.
+
+    `serial` is the serial equivalent; None if the linkage has none, with the reason in `serial_note`.
+    """
 
     table: TransferTable
     home: Transmission
     effort_limit: np.ndarray
     carried: Carried
+    serial: Serial | None
+    serial_note: str
 
     @property
     def outputs(self) -> OutputMap:
@@ -80,6 +87,7 @@ def transfer_study(
     motor_speed: np.ndarray | None = None,
     motor_speeds: Sequence[float] = (),
     gains: Mapping[str, Sequence[float]] | None = None,
+    along: Plan | None = None,
     say: Callable[[str], None] = silent,
 ) -> Transfer:
     """Return the transfer table of output joints.
@@ -93,6 +101,7 @@ def transfer_study(
         motor_speed: top speeds of all actuators (n_u,) [rad/s or m/s], NaN where unknown.
         motor_speeds: top speeds of the table's motors, in the actuators' units; one for all, or one each.
         gains: by their name in `GAINS`, in SI; one for all, or one each.
+        along: a plan of the same model, along whose motion the serial equivalent's errors are stated.
         say: is told of the progress.
 
     Raises:
@@ -113,11 +122,17 @@ def transfer_study(
             raise ProblemError(f"a range is given for '{name}'; output joints are {', '.join(names)}")
     spans = [(ends or {}).get(name) for name in names]
     say(f"{', '.join(names)}: tables of {', '.join(one.name for one in outputs.actuators)}")
+    motion = None if along is None else motion_of_plan(along, outputs)
+    table = transfer_table(outputs, tolerance, spans)
+    limit = outputs.effort_limit if effort_limit is None else effort_limit[motors]
+    serial, note = serial_of(table, limit, motion)
     return Transfer(
-        table=transfer_table(outputs, tolerance, spans),
+        table=table,
         home=transmission(outputs, inside.home[None]),
-        effort_limit=outputs.effort_limit if effort_limit is None else effort_limit[motors],
+        effort_limit=limit,
         carried=Carried(motor_speed=speed, gains=carried),
+        serial=serial,
+        serial_note=note,
     )
 
 

@@ -7,8 +7,9 @@ from linkplan.models.transfer.table import REFINED
 from linkplan.studies.output.document import Axis, Block, Curve, Facts, Plane, Plot, Text, table_of
 from linkplan.studies.output.lines import Line, plots
 from linkplan.studies.output.numbers import rounded
-from linkplan.studies.transfer.columns import units_of
+from linkplan.studies.transfer.serial_study import error_plots, serial_blocks, serial_record
 from linkplan.studies.transfer.study import Transfer
+from linkplan.studies.transfer.units import units_of
 
 # The sentence on the direction of the map, which stands in every result.
 CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort; so motor power = joint power"
@@ -33,7 +34,8 @@ def transfer_blocks(transfer: Transfer) -> list[Block]:
         _ends_table(transfer),
         _error_table(transfer),
         *[Text(text=note, tone="note") for note in notes(transfer)],
-        *transfer_plots(transfer),
+        *serial_blocks(transfer.serial, transfer.serial_note),
+        *table_plots(transfer),
     ]
 
 
@@ -98,6 +100,8 @@ def transfer_record(transfer: Transfer) -> dict:
             "effort_box": effort_box(home.ratio, transfer.effort_limit)[0],
             **carried_gains(transfer),
         },
+        "serial": None if transfer.serial is None else serial_record(transfer.serial, transfer.outputs.mechanism),
+        "serial_note": transfer.serial_note,
         "notes": notes(transfer),
     }
 
@@ -165,6 +169,12 @@ def _error_table(transfer: Transfer):
 
 
 def transfer_plots(transfer: Transfer) -> list[Plot | Plane]:
+    """Return the curves of the table, and the errors of its serial equivalent along a motion, if there is one."""
+    serial = transfer.serial
+    return [*table_plots(transfer), *([] if serial is None or serial.errors is None else error_plots(serial))]
+
+
+def table_plots(transfer: Transfer) -> list[Plot | Plane]:
     """Return curves over each joint's range with the other outputs at home, and the polytope of efforts of two joints."""
     found: list[Plot | Plane] = []
     for k in range(len(transfer.outputs.joints)):

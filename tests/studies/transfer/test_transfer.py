@@ -67,6 +67,7 @@ def test_a_table_in_any_coordinates_is_the_same():
     np.testing.assert_allclose(tables[0].arrays["ratio"], tables[1].arrays["ratio"], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_files_hold_the_same_numbers_with_units(ankle, tmp_path):
     ankle.save(tmp_path / "tables", parquet=True)
     place = tmp_path / "tables"
