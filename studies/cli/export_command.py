@@ -23,7 +23,8 @@ def run_export(arguments: argparse.Namespace) -> int:
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
-    content = exported(plan, arguments.to, arguments.every_s)
+    joints = [] if arguments.joints is None else [name.strip() for name in arguments.joints.split(",")]
+    content = exported(plan, arguments.to, arguments.every_s, joints)
     write_new(target, content)
     said = {"file": str(target), "format": arguments.to, "bytes": len(content), "plan": plan.problem.name}
     show(arguments, said, f"{target}: {plan.problem.name}, {FORMATS[arguments.to]}")
@@ -36,6 +37,8 @@ def _export_c(arguments: argparse.Namespace) -> int:
     from linkplan.studies.export.c_blocks import cost_blocks
 
     choose("tracker for C", arguments.tracker, C_TRACKERS, ProblemError)
+    if arguments.joints is not None:
+        raise ProblemError("--joints is for ros; C code has the mechanism's own coordinates (mechanism.independent)")
     if arguments.every_s is not None:
         raise ProblemError("--every-s is for files of samples; a law in C has the instants of tracking.period_s")
     target, say = output_folder(arguments), progress(arguments)

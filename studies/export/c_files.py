@@ -87,11 +87,11 @@ def _size(place: Path, source: str, command: Sequence[str]) -> dict | None:
     """Return text and data, and the largest stack frame, of an object file; None where the compiler fails."""
     size = command[0].removesuffix("gcc") + "size"
     with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "code.o"
-        words = [*command, "-std=c99", "-c", "-fstack-usage", "-I", str(place), str(place / source), "-o", str(target)]
+        words = [*command, "-std=c99", "-c", "-fstack-usage", f"-I{place.resolve()}", str((place / source).resolve())]
         try:
-            subprocess.run(words, check=True, capture_output=True, timeout=_COMPILE_SECONDS)
-            said = subprocess.run([size, str(target)], check=True, capture_output=True, text=True, timeout=60).stdout
+            subprocess.run(words, check=True, capture_output=True, timeout=_COMPILE_SECONDS, cwd=folder)
+            target = str(Path(folder) / source.replace(".c", ".o"))
+            said = subprocess.run([size, target], check=True, capture_output=True, text=True, timeout=60).stdout
         except (OSError, subprocess.SubprocessError):
             return None
         text, data, bss = (int(word) for word in said.splitlines()[1].split()[:3])

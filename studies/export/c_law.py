@@ -93,8 +93,8 @@ def _linear(tracker: object, reference: SampledReference) -> tuple[np.ndarray, n
     return np.zeros_like(reference.effort), tracker.map @ both
 
 
-def write_law(tables: LawTables, place: Path) -> dict:
-    """Write header, source, test and CMake file into a folder, and return what the code costs."""
+def write_law(tables: LawTables, place: Path, *, compiled: bool = True) -> dict:
+    """Write header, source, test and CMake file into a folder, and return what the code costs; `compiled` measures sizes."""
     texts = {
         f"{tables.prefix}.h": _header(tables),
         f"{tables.prefix}.c": _source(tables),
@@ -113,7 +113,7 @@ def write_law(tables: LawTables, place: Path) -> dict:
         "period_s": tables.period_s,
         "operations": {"additions": n_x + n_u * n_x, "multiplications": 1 + n_u * n_x},
         "table_numbers": int(sum(x.size for x in _arrays(tables).values())),
-        "sizes": sizes(place, f"{tables.prefix}.c", tables.prefix.upper()),
+        "sizes": sizes(place, f"{tables.prefix}.c", tables.prefix.upper()) if compiled else [],
     }
 
 

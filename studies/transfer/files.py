@@ -8,13 +8,14 @@ from matplotlib.figure import Figure
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.transfer.columns import columns_of, inverse_columns, npz_arrays
+from linkplan.studies.transfer.cpp_header import cpp_header
 from linkplan.studies.transfer.serial_study import along_columns
 from linkplan.studies.transfer.study import Transfer
 from linkplan.studies.transfer.transfer_blocks import transfer_plots
 
 
 def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> None:
-    """Write table.csv, inverse.csv, table.npz, serial.xml, along.csv and transfer.png, as far as there are, into a folder.
+    """Write tables, serial.xml, along.csv, transmission.hpp and transfer.png into a folder, as far as there are any.
 
     With `parquet`, the tables are written as Parquet too.
     """
@@ -31,6 +32,7 @@ def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> No
         (place / "serial.xml").write_text(transfer.serial.model.text, encoding="utf-8")
         if transfer.serial.errors is not None:
             (place / "along.csv").write_bytes(csv_bytes(along_columns(transfer.serial)))
+    (place / "transmission.hpp").write_text(cpp_header(transfer), encoding="utf-8")
     np.savez_compressed(place / "table.npz", **npz_arrays(transfer))
     transfer_figure(transfer, place / "transfer.png")
 

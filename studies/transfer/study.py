@@ -11,9 +11,9 @@ from linkplan.models.transfer.output_map import OutputMap, Transmission, output_
 from linkplan.models.transfer.table import REFINED, TransferTable, transfer_table
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.values import number
+from linkplan.studies.export.output_joints import with_outputs
 from linkplan.studies.transfer.serial_study import Serial, motion_of_plan, serial_of
 
 # The gains that can be carried across: their words, and where they are known.
@@ -152,26 +152,3 @@ def each(values: Sequence[float], name: str, n: int) -> np.ndarray:
     if len(found) not in (1, n):
         raise ProblemError(f"{name} has one value for all or {n}, got {len(found)}")
     return np.broadcast_to(found, (n,)).astype(float)
-
-
-def with_outputs(mechanism: Mechanism, names: Sequence[str]) -> Mechanism:
-    """Return a mechanism at the same home with output joints among its independent coordinates.
-
-    Raises:
-        ModelError: for an unknown joint, or joints that cannot be coordinates at home, such as at a dead centre.
-    """
-    if not names or len(set(names)) < len(names):
-        raise ProblemError(f"output joints are one or more different joints, got {', '.join(names) or 'none'}")
-    for name in names:
-        mechanism.joint_index(name, ProblemError)
-    if {joint.name for joint in mechanism.independent_joints} >= set(names):
-        return mechanism
-    table = dict(mechanism.source) | {"independent": list(names)}
-    for unit in ("deg", "m"):
-        at = {
-            joint.name: joint.shown(position)
-            for joint, position in zip(mechanism.joints, mechanism.home.tolist(), strict=True)
-            if joint.unit == unit and joint.chart is None
-        }
-        table |= {f"home_{unit}": at} if at else {}
-    return mechanism_from_tables({"mechanism": table})

@@ -24,7 +24,7 @@ TRACKERS = ["pd", "pd+ff", "lqr", "gs-pd+ff"]
 def written(problem: str, tracker: str) -> tuple[LawTables, Path, dict]:
     tables = law_tables(optimal(problem), tracker)
     folder = Path(tempfile.mkdtemp())
-    return tables, folder, write_law(tables, folder)
+    return tables, folder, write_law(tables, folder, compiled=False)
 
 
 def efforts_in_c(tables: LawTables, folder: Path, k: np.ndarray, s: np.ndarray, v: np.ndarray, *, single: bool = False):
@@ -128,6 +128,7 @@ def test_a_tracker_that_is_no_table_is_refused():
         law_tables(optimal("knee-reach"), "ct")
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_law_of_a_saved_plan(saved_reach, tmp_path, capsys):
     folder = tmp_path / "law"
     assert main(["export", str(saved_reach), "--to", "c", "--tracker", "lqr", "--json", "-o", str(folder)]) == 0

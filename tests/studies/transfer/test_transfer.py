@@ -88,6 +88,7 @@ def test_files_hold_the_same_numbers_with_units(ankle, tmp_path):
     assert (place / "transfer.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_folder_and_a_page(tmp_path, capsys):
     folder = tmp_path / "knee"
     code, out, _ = ask(
@@ -96,7 +97,9 @@ def test_the_command_writes_a_folder_and_a_page(tmp_path, capsys):
     said = json.loads(out)
     assert (code, said["joints"], said["motors"]) == (0, ["C"], ["act_O"])
     assert said["ends"]["C"][1]["reason"] == "singular pose"
-    assert {"table.csv", "table.npz", "transfer.json", "transfer.png", "report.html"} <= {p.name for p in folder.iterdir()}
+    assert {"table.csv", "table.npz", "transfer.json", "transfer.png", "transmission.hpp", "serial.xml", "report.html"} <= {
+        p.name for p in folder.iterdir()
+    }
     assert ask(capsys, "report", str(folder), "-o", str(tmp_path / "page.html"))[0] == 0
 
 
