@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn, path_of
 from linkplan.planner.files.folders import plain_record, write_json, write_whole
 from linkplan.planner.plan import Plan
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Gains = float | Sequence[float]
+Rows = Sequence[Sequence[float]] | np.ndarray
 
 
 def transfer(
@@ -121,7 +123,7 @@ class TransferResult:
         """Every quantity over the nodes (n, ...): "joint_position", "motor_position", "ratio" (G), "inertia", ..."""
         return arrays_of(self.found)
 
-    def at(self, name: str, positions: Sequence[Sequence[float]]) -> np.ndarray:
+    def at(self, name: str, positions: Rows) -> np.ndarray:
         """Return a quantity of the table by linear interpolation, NaN off the map.
 
         Args:
@@ -143,7 +145,7 @@ class TransferResult:
         """
         return self._serial().model.text
 
-    def errors_along(self, time_s: Sequence[float], position: Sequence[Sequence[float]]) -> dict[str, np.ndarray]:
+    def errors_along(self, time_s: Sequence[float] | np.ndarray, position: Rows) -> dict[str, np.ndarray]:
         """Return the errors of models without loops along a motion of the output joints, in N.m or N.
 
         Args:
@@ -159,6 +161,25 @@ class TransferResult:
         table, serial = self.found.table, self._serial()
         found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position))
         return {"effort": found.effort, **found.named()}
+
+    def rest_effort(self, position: Rows, velocity: Rows, acceleration: Rows) -> np.ndarray:
+        """Return what the serial equivalent lacks: efforts (n, n_joints) to subtract from those on its joints, in N.m or N.
+
+        It is interpolated in the table, NaN off the map.
+
+        Args:
+            position: of the output joints (n, n_joints) [rad or m].
+            velocity: likewise, per second.
+            acceleration: likewise, per second squared.
+        """
+        serial, grid = self._serial(), self.found.table.grid
+        s, v, a = (np.atleast_2d(np.asarray(rows, dtype=float)) for rows in (position, velocity, acceleration))
+        if not s.shape == v.shape == a.shape or s.shape[1] != len(grid.axes):
+            raise ProblemError(
+                f"position, velocity and acceleration are (n, {len(grid.axes)}), got {s.shape}, {v.shape}, {a.shape}"
+            )
+        motion = OutputMotion(time_s=np.arange(float(len(s))), position=s, velocity=v, acceleration=a)
+        return rest_effort(self.found.outputs, serial.model, serial.rest, grid, motion)
 
     def _serial(self) -> Serial:
         if self.found.serial is None:

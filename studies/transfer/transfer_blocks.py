@@ -1,11 +1,13 @@
 """A transfer table as a document: the verdict, the linkage at home, the ends of the map, errors, curves and polytopes."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from linkplan.models.transfer.polytope import effort_box, effort_corners, joint_gains, motor_gains
 from linkplan.models.transfer.table import REFINED
 from linkplan.studies.output.document import Axis, Block, Curve, Facts, Plane, Plot, Text, table_of
-from linkplan.studies.output.lines import Line, plots
+from linkplan.studies.output.lines import Line, overlaid_width, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.transfer.serial_study import error_plots, serial_blocks, serial_record
 from linkplan.studies.transfer.study import Transfer
@@ -193,7 +195,8 @@ def _curves(transfer: Transfer, k: int) -> list[Plot]:
     x = np.array([joint.shown(value) for value in points[:, k]])
     found = []
     for name, title in _TITLES.items():
-        lines = _lines(transfer, name, grid.at(name, points))
+        drawn = _lines(transfer, name, grid.at(name, points))
+        lines = [replace(line, width=overlaid_width(i, len(drawn))) for i, line in enumerate(drawn)]
         of = f" over {joint.name}" + (", other outputs at home" if several else "")
         axis = Axis(label=joint.name, unit=joint.unit)
         found += plots(f"{title}{of}", _WORDS[name], axis, x, lines, group=f"transfer:{joint.name}")

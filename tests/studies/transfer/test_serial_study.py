@@ -5,6 +5,7 @@ import json
 import mujoco
 import numpy as np
 import pytest
+import scipy.interpolate
 
 import linkplan
 from linkplan.models.errors import LinkplanError
@@ -44,6 +45,17 @@ def test_errors_along_samples_shrink_from_the_static_map_to_the_table(ankle):
     rms = {name: np.sqrt(np.mean(off**2, axis=0)) for name, off in errors.items()}
     assert rms["static map"][0] > 2 * rms["serial equivalent"][0]  # of roll, dry friction of both motors cancels in part
     assert np.all(rms["serial equivalent"] > 5 * rms["serial with table"])
+
+
+def test_the_rest_is_what_the_errors_with_and_without_the_table_differ_by(ankle):
+    time = np.linspace(0, 1, 200)
+    path = np.column_stack([0.3 * np.sin(6 * time), 0.2 * np.cos(5 * time)])
+    errors = ankle.errors_along(time, path)
+    spline = scipy.interpolate.make_interp_spline(time, path, k=5)
+    rest = ankle.rest_effort(path, spline.derivative(1)(time), spline.derivative(2)(time))
+    np.testing.assert_allclose(errors["serial equivalent"] - rest, errors["serial with table"], atol=1e-12)
+    with pytest.raises(LinkplanError, match=r"are \(n, 2\)"):
+        ankle.rest_effort(path, path, path[:, :1])
 
 
 def test_a_plan_s_motion_of_the_output_has_the_slopes_of_its_positions(knee):
