@@ -15,6 +15,8 @@ import numpy as np
 _FIRST_INTERVALS = 8
 # Random points in every cell, and most of all, at which the error is measured.
 _POINTS_PER_CELL, _MOST_CHECKED = 2, 4000
+# A quantity smaller than this [SI] is zero to rounding, like the slopes of a constant ratio.
+_ZERO_SIZE = 1e-12
 
 Function = Callable[[np.ndarray], dict[str, np.ndarray]]
 
@@ -119,8 +121,8 @@ def _tensor(axes: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _size(value: np.ndarray) -> float:
-    known = np.abs(value[np.isfinite(value)])
-    return float(known.max(initial=0.0)) or 1.0
+    largest = float(np.abs(value[np.isfinite(value)]).max(initial=0.0))
+    return largest if largest > _ZERO_SIZE else 1.0
 
 
 def _halved(known, axes, k: int, values, scale, tolerance: float) -> np.ndarray:

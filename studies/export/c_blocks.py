@@ -21,9 +21,8 @@ def cost_blocks(record: dict, target: Path) -> list[Block]:
         text += f", {record['table_numbers']} numbers"
         found.append(Text(text=text))
     if not record["sizes"]:
-        found.append(
-            Text(text="flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed", tone="note")
-        )
+        text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long"
+        found.append(Text(text=text, tone="note"))
     rows = [[row["compiler"], row["real"], row["flash_bytes"], row["stack_bytes"]] for row in record["sizes"]]
     if rows:
         found.append(table_of("Object code", ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"], rows))

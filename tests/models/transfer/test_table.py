@@ -99,6 +99,13 @@ def test_a_range_inside_the_reach_is_taken_and_one_beyond_it_refused():
         transfer_table(outputs, 1e-2, ends=[(-3.0, 0.3)])
 
 
+def test_a_constant_ratio_has_no_error():
+    mechanism = load_mechanism("parallel-gripper", independent=["right_finger"])
+    table = transfer_table(output_map(mechanism, ["right_finger"]), 1e-3)
+    assert len(table.grid.axes[0]) < 40
+    assert table.grid.errors["ratio_slope"] < 1e-9
+
+
 def test_off_the_map_there_are_no_numbers_and_a_reason():
     # the five-bar's other loop opens in a part of the box that the two reaches span
     mechanism = load_mechanism("five-bar")

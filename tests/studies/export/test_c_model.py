@@ -13,10 +13,13 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.studies.cli.main import main
+from linkplan.studies.export import c_files
+from linkplan.studies.export.c_blocks import cost_blocks
 from linkplan.studies.export.c_files import write_model
 from linkplan.studies.export.c_model import ModelCode, model_code, random_states
 from linkplan.studies.export.c_operations import in_single_precision, operations
 from linkplan.studies.export.c_source import function_of, identifier
+from linkplan.studies.output.text import text_of
 from tests.support import parallel_ankle
 from tests.support.compiled import called, library, needs_gcc, symbols
 from tests.support.cortex import needs_cortex, run_on_cortex
@@ -127,6 +130,14 @@ def test_the_test_vector_passes_on_a_cortex_m4(single, tmp_path):
     code, folder, record = exported("optimus-knee")
     assert "as in Python" in run_on_cortex(folder, code.prefix, tmp_path, single=single)
     assert any(row["compiler"].startswith("arm") and row["flash_bytes"] > 1000 for row in record["sizes"])
+
+
+def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path):
+    code, _, _ = exported("optimus-knee")
+    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
+    record = write_model(code, tmp_path)
+    assert record["sizes"] == []
+    assert "too long" in text_of(cost_blocks(record, tmp_path))
 
 
 def test_operations_are_counted_and_carried_out_in_single_precision():
