@@ -137,12 +137,7 @@ def _below(model: mujoco.MjModel, body: int, bodies: set[int]) -> bool:
 
 def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjSpec:
     """Return the model without the linkage's joints, closures and motors, and with motors on the output joints."""
-    mechanism = outputs.mechanism
-    source, model = str(mechanism.source["model"]), mechanism.model
-    spec = model_spec(source, mechanism.payload)
-    if Path(source).is_file():  # absolute folders, so that the file can be moved
-        folder = Path(source).resolve().parent
-        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
+    mechanism, model, spec = outputs.mechanism, outputs.mechanism.model, _specification(outputs.mechanism)
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(mechanism.home)
     mujoco.mj_kinematics(model, data)
@@ -161,6 +156,16 @@ def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjS
             motor.ctrlrange, motor.ctrllimited = [float(low), float(high)], True
     qpos = {model.joint(j).name: data.joint(j).qpos.copy() for j in range(model.njnt) if model.joint(j).name not in removed}
     spec.add_key(name="home", qpos=np.concatenate([np.atleast_1d(x) for x in qpos.values()]))
+    return spec
+
+
+def _specification(mechanism: Mechanism) -> mujoco.MjSpec:
+    """Return the specification of a mechanism's model; folders of meshes are absolute, so that a file of it can be moved."""
+    source = str(mechanism.source["model"])
+    spec = model_spec(source, mechanism.payload)
+    if Path(source).is_file():
+        folder = Path(source).resolve().parent
+        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
     return spec
 
 
