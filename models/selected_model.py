@@ -17,23 +17,33 @@ _EXACT_DIGITS = 17
 
 
 def whole_model_text(mechanism: Mechanism) -> str:
-    """Return the MJCF text of a mechanism's model; folders of meshes are absolute, so that a file of it can be moved."""
-    source = str(mechanism.source["model"])
+    """Return the MJCF text of a mechanism's model, exact to the last digit."""
+    return exact_text(whole_spec(mechanism))
+
+
+def exact_text(spec: mujoco.MjSpec) -> str:
+    """Return a specification as MJCF text with all digits of its numbers."""
+    with _exact_numbers():
+        return spec.to_xml()
+
+
+def whole_spec(mechanism: Mechanism) -> mujoco.MjSpec:
+    """Return the specification of a mechanism's model; folders of meshes are absolute, so that a file of it can be moved."""
+    source, model = str(mechanism.source["model"]), mechanism.model
     spec = model_spec(source, mechanism.payload, mechanism.selection)
-    soft = zip(spec.equalities, mechanism.model.eq_solref, mechanism.model.eq_solimp, strict=True)
-    for equality, solref, solimp in soft:
+    for equality, solref, solimp in zip(spec.equalities, model.eq_solref, model.eq_solimp, strict=True):
         equality.solref, equality.solimp = solref, solimp
     for index in mechanism.shifted:
-        closure, name = spec.equalities[index], mechanism.model.equality(index).name or f"closure {index}"
-        for end, (body, place) in enumerate(tied_points(mechanism.model, index)):
-            spec.bodies[body].add_site(name=f"{name} anchor of end {end + 1}", pos=place)
+        closure, name = spec.equalities[index], model.equality(index).name or f"closure {index}"
+        for end, (body, place) in enumerate(tied_points(model, index), 1):
+            on = spec.body(model.body(body).name) if body else spec.worldbody
+            on.add_site(name=f"{name} anchor of end {end}", pos=place)
         closure.objtype = mujoco.mjtObj.mjOBJ_SITE
         closure.name1, closure.name2 = (f"{name} anchor of end {end}" for end in (1, 2))
     if is_file(Path(source)):
         folder = Path(source).resolve().parent
         spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
-    with _exact_numbers():
-        return spec.to_xml()
+    return spec
 
 
 @contextlib.contextmanager

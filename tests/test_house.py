@@ -24,8 +24,7 @@ ROOMS = {
         "errors", "extras", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_text",
         "model_values", "urdf", "urdf_loops", "selection",
         "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
-        "source_table", "coordinate_choice", "mechanism", "selected_model",
-        "poses",
+        "source_table", "coordinate_choice", "mechanism", "selected_model", "poses", "transfer",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "solvers", "refinement",
@@ -38,7 +37,7 @@ ROOMS = {
     ),
     "studies": (
         "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",
-        "tune", "render", "new", "export", "report", "demo", "cli",
+        "tune", "render", "new", "export", "transfer", "report", "demo", "cli",
     ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.

@@ -78,6 +78,19 @@ def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarra
     return np.einsum("kqs,ks->kq", sampled(mechanism.dynamics.velocity_map, q), v)
 
 
+def accelerations(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Return every joint's acceleration q'' = Gamma a + Gamma' v (n, n_q)."""
+    return sampled(_acceleration(mechanism), q, v, a)[:, :, 0]
+
+
+@functools.lru_cache(maxsize=16)
+def _acceleration(mechanism: Mechanism) -> ca.Function:
+    q, v, a = (ca.SX.sym(name, n) for name, n in (("q", mechanism.n_q), ("v", mechanism.dof), ("a", mechanism.dof)))
+    gamma = mechanism.dynamics.velocity_map(q)
+    rates = gamma @ v
+    return ca.Function("acceleration", [q, v, a], [ca.densify(gamma @ a + ca.jtimes(rates, q, rates))])
+
+
 def sliding_friction(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Return the dry friction (n,) [N.m or N] of a mechanism of one degree of freedom that moves through poses (n, n_q)."""
     if not any(frictions_of(mechanism.model)):

@@ -17,7 +17,9 @@ _UNITS = {
 
 
 def unit_of(head: str) -> str:
-    """Return the unit of a column by its header: for "O_deg_s" it is deg/s."""
+    """Return the unit of a column by its header: for "O_deg_s" it is deg/s, for "G_motor_knee [rad/rad]" it is rad/rad."""
+    if head.endswith("]"):
+        return head.rpartition("[")[2][:-1]
     return next((unit for ending, unit in _UNITS.items() if head.endswith(ending)), "1")
 
 

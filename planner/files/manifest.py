@@ -33,6 +33,8 @@ RECORDS = (
     "experiment.json",
     "decompose.json",
     "batch.json",
+    "transfer.json",
+    "export.json",
 )
 
 

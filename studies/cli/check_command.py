@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from linkplan.models.selection import floating_joints
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel
-from linkplan.studies.cli.common import deliver, output_folder, poses_asked, tables_of
+from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.output.document import Facts
 
@@ -22,7 +22,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
     target = output_folder(arguments)
-    name, tables, folder, is_problem = tables_of(arguments)
+    name, tables, folder, is_problem = tables_of(arguments.model, arguments.set, selection_asked(arguments))
     try:
         sections = tables if is_problem else {"mechanism": tables["mechanism"]}
         mechanism, problem, notes = mechanism_and_problem(name, sections, folder)

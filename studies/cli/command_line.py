@@ -8,7 +8,7 @@ from linkplan.controllers.controls import keys_said
 from linkplan.models.errors import one_line
 from linkplan.studies.cli.exit_codes import BAD_INPUT
 from linkplan.studies.cli.streams import put
-from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
 
 # The shells with completion.
 SHELLS = ("bash", "zsh", "fish")
@@ -144,6 +144,9 @@ def build_parser() -> Parser:
     tune.add_argument("--settling-s", type=float, metavar="T", help="longest settling to 2 %% (default: 5 / bandwidth)")
     tune.add_argument("--damping-ratio", type=float, metavar="Z", help="least of the closed loop's poles (default: 0.4)")
 
+    text = "carry efforts, inertia, friction and gains between motors and output joints across a linkage, as tables"
+    _transfer(command("transfer", text, report=True))
+
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
     view.epilog = f"keys in the window: {keys_said()}; {EPILOG}"
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
@@ -171,14 +174,19 @@ def build_parser() -> Parser:
     _selection(new)
     _file(new, "the problem file to write; it must not be there (default: print it)")
 
-    export = command("export", "write a plan for other programs", output=False)
-    export.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    text = f"one of {', '.join(f'{name} ({what})' for name, what in FORMATS.items())}"
+    export = command("export", "write a plan, or a model in C, for other programs", output=False)
+    text = "a saved plan's folder, a built-in problem or a TOML file; for c also a built-in model or an MJCF file"
+    export.add_argument("plan", metavar="PLAN-or-MODEL", help=text)
+    text = f"one of {', '.join(f'{name} ({what})' for name, what in (FORMATS | FOLDER_FORMATS).items())}"
     export.add_argument("--to", required=True, metavar="FORMAT", help=text)
-    _file(export, "the file to write; it must not be there", required=True)
+    _file(export, "the file to write; it must not be there; for c a folder", required=True)
+    export.add_argument("--joints", metavar="A,B", help="for ros: the output joints (default: the independent joints)")
+    text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"
+    export.add_argument("--tracker", default="pd+ff", metavar="NAME", help=text)
     text = "time between samples (default: ten samples in every interval of the plan's mesh)"
     export.add_argument("--every-s", type=float, metavar="T", help=text)
     _anyway(export)
+    _selection(export)
 
     text = "print the JSON Schema of problem files, for completion in editors"
     schema = command("schema", text, output=False, settings=False)
@@ -208,6 +216,27 @@ def _selection(parser: argparse.ArgumentParser) -> None:
     text = "lock a joint at an angle [deg], or a slide at a position [m]; may be given again"
     parser.add_argument("--lock", action="append", default=[], metavar="JOINT=VALUE", help=text)
     parser.add_argument("--keyframe", metavar="NAME", help='the keyframe of the home pose (default: "home")')
+
+
+def _transfer(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
+    _selection(parser)
+    parser.add_argument(
+        "--joints", required=True, metavar="A,B", help="output joints, one to three, with commas between them"
+    )
+    text = "interpolation error allowed, as a share of each quantity's largest size (default: %(default)s)"
+    parser.add_argument("--tolerance", type=float, default=1e-3, metavar="E", help=text)
+    text = "the table's range of an output joint, JOINT=LOW:HIGH in degrees (default: its whole reach); may be given again"
+    parser.add_argument("--range", action="append", default=[], metavar="RANGE", help=text)
+    text = "top speeds of the motors [rad/s or m/s], one for all or with commas (default: the problem's motors)"
+    parser.add_argument("--motor-speed", metavar="W", help=text)
+    for side, other in (("joint", "motors"), ("motor", "joints")):
+        for letter, what, unit in (("kp", "stiffness", "N.m/rad"), ("kd", "damping", "N.m.s/rad")):
+            text = f"{what} of the {side}s [{unit}] to carry to the {other}, one for all or with commas"
+            parser.add_argument(f"--{side}-{letter}", metavar="K", help=text)
+    text = "a plan of the same model, along which the errors of models without loops are stated"
+    parser.add_argument("--along", metavar="PLAN", help=text)
+    _parquet(parser, "table.csv and inverse.csv")
 
 
 def _tracker(parser: argparse.ArgumentParser) -> None:

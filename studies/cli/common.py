@@ -2,7 +2,7 @@
 
 import argparse
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -166,9 +166,10 @@ def _names(text: str | None) -> list[str]:
     return [] if text is None else names
 
 
-def tables_of(arguments: argparse.Namespace) -> tuple[str, dict, Path | None, bool]:
+def tables_of(
+    source: str, overrides: Sequence[str], selection: Mapping[str, object] | None = None
+) -> tuple[str, dict, Path | None, bool]:
     """Return name, tables and folder of a model or a problem with its options, and True for a problem."""
-    source = arguments.model
     path = Path(source)
     is_problem = source in PROBLEMS or (path.suffix == ".toml" and source not in MODELS)
     if is_problem:
@@ -176,8 +177,8 @@ def tables_of(arguments: argparse.Namespace) -> tuple[str, dict, Path | None, bo
     else:
         refuse_no_model(source, (*MODELS, *PROBLEMS))
         name, tables, folder = source, {"mechanism": {"model": source}}, None
-    set_all(tables, arguments.set)
-    tables["mechanism"] = tables.get("mechanism", {}) | selection_asked(arguments)
+    set_all(tables, overrides)
+    tables["mechanism"] = tables.get("mechanism", {}) | dict(selection or {})
     return name, tables, folder, is_problem
 
 

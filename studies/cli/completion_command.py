@@ -14,7 +14,7 @@ from linkplan.planner.keys.reading import KEYS
 from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
-from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.export.formats import FOLDER_FORMATS, FORMATS
 from linkplan.studies.frequency.method_names import METHODS
 
 # The words and the file name patterns that an argument accepts, by its name in the help.
@@ -24,6 +24,7 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "PROBLEM": (PROBLEMS, ("*.toml",)),
     "PROBLEM-or-PLAN": (PROBLEMS, ("*.toml",)),
     "PLAN": (PROBLEMS, ("*.toml",)),
+    "PLAN-or-MODEL": ((*PROBLEMS, *MODELS), ("*.toml", "*.xml", "*.mjcf")),
     "BATCH": ((), ("*.toml",)),
     "DIR": ((), ()),
     "FILE": ((), ("*",)),
@@ -33,7 +34,7 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "DESIGN": (("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol"), ()),
     "KIND": (("problem", "batch"), ()),
     "HOW": ((*METHODS, "none"), ()),
-    "FORMAT": (tuple(FORMATS), ()),
+    "FORMAT": ((*FORMATS, *FOLDER_FORMATS), ()),
     "SHELL": (SHELLS, ()),
 }
 _WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "HOW", "FORMAT", "SHELL")

@@ -1,27 +1,73 @@
 """The command `export`."""
 
 import argparse
+from pathlib import Path
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
-from linkplan.studies.cli.common import new_file, no_plan, plan_asked
+from linkplan.studies.cli.common import new_file, no_plan, output_folder, plan_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
-from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
 
 
 def run_export(arguments: argparse.Namespace) -> int:
     """Write a plan for another program; 1 if the plan has no motion."""
+    choose("format", arguments.to, (*FORMATS, *FOLDER_FORMATS), ProblemError)
+    if arguments.to in FOLDER_FORMATS:
+        return _export_c(arguments)
     from linkplan.planner.files.single_file import write_new
     from linkplan.studies.export.export import exported
 
-    choose("format", arguments.to, FORMATS, ProblemError)
     target, say = new_file(arguments), progress(arguments)
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
-    content = exported(plan, arguments.to, arguments.every_s)
+    joints = [] if arguments.joints is None else [name.strip() for name in arguments.joints.split(",")]
+    content = exported(plan, arguments.to, arguments.every_s, joints)
     write_new(target, content)
     said = {"file": str(target), "format": arguments.to, "bytes": len(content), "plan": plan.problem.name}
     show(arguments, said, f"{target}: {plan.problem.name}, {FORMATS[arguments.to]}")
     return DONE if plan.passed else NO
+
+
+def _export_c(arguments: argparse.Namespace) -> int:
+    """Write a model's dynamics or a plan's control law as C into a folder; 1 if the plan has no motion."""
+    from linkplan.planner.files.folders import write_json, write_whole
+    from linkplan.studies.export.c_blocks import cost_blocks
+
+    choose("tracker for C", arguments.tracker, C_TRACKERS, ProblemError)
+    if arguments.joints is not None:
+        raise ProblemError("--joints is for ros; C code has the mechanism's own coordinates (mechanism.independent)")
+    if arguments.every_s is not None:
+        raise ProblemError("--every-s is for files of samples; a law in C has the instants of tracking.period_s")
+    target, say = output_folder(arguments), progress(arguments)
+    said: dict = {}
+    passed = True
+    if Path(arguments.plan).is_dir() or tables_of(arguments.plan, [])[3]:
+        from linkplan.studies.export.c_law import law_tables, write_law
+
+        plan = plan_asked(arguments, say)
+        if plan.trajectory is None:
+            return no_plan(arguments, plan)
+        tables, passed = law_tables(plan, arguments.tracker), plan.passed
+
+        def write(place: Path) -> None:
+            said.update(write_law(tables, place) | {"plan": plan.problem.name})
+            write_json(place / "export.json", said)
+    else:
+        from linkplan.planner.problem.build import mechanism_from_tables
+        from linkplan.studies.export.c_files import write_model
+        from linkplan.studies.export.c_model import model_code
+
+        _, tables, folder, _ = tables_of(arguments.plan, arguments.set, selection_asked(arguments))
+        code = model_code(mechanism_from_tables(tables, folder))
+        say(f"{code.mechanism.name}: C code")
+
+        def write(place: Path) -> None:
+            said.update(write_model(code, place))
+            write_json(place / "export.json", said)
+
+    write_whole(target, write, "export.json")
+    show(arguments, said, cost_blocks(said, target))
+    return DONE if passed else NO

@@ -13,7 +13,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables, tracking_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.cli.common import deliver, output_folder, poses_asked, tables_of
+from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress
 from linkplan.studies.cli.progress import Progress
@@ -136,7 +136,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
 
 def _loop_of(arguments: argparse.Namespace) -> tuple[Problem | None, Mechanism, Tracking, np.ndarray]:
     """Return the problem or None, the mechanism, the tracking settings and the effort limits."""
-    name, tables, folder, is_problem = tables_of(arguments)
+    name, tables, folder, is_problem = tables_of(arguments.model, arguments.set, selection_asked(arguments))
     if is_problem:
         problem: Problem | None = Problem.from_tables(name, tables, folder)
         mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.actuators_effort

@@ -36,6 +36,7 @@ _MODULES = {
     "render": "render_command",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
+    "transfer": "transfer_command",
     "schema": "schema_command",
     "demo": "demo_command",
     "new": "new_command",

@@ -1,6 +1,6 @@
 """A plan's export: the content of one file."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 
 from linkplan.models.errors import LinkplanError, ProblemError
@@ -14,13 +14,14 @@ from linkplan.studies.export.ros import joint_trajectory_text
 from linkplan.studies.export.samples import Samples, samples_of
 
 
-def exported(plan: Plan, to: str, every_s: float | None = None) -> bytes:
+def exported(plan: Plan, to: str, every_s: float | None = None, joints: Sequence[str] = ()) -> bytes:
     """Return a plan as the content of a file.
 
     Args:
         plan: with a motion.
         to: one of `FORMATS`.
         every_s: the time between samples [s]; by default there are ten in each interval of the plan's mesh.
+        joints: output joints of a trajectory for ROS; by default the independent joints.
 
     Raises:
         LinkplanError: if the plan has no motion, the format is unknown, or the time between samples is invalid.
@@ -28,7 +29,10 @@ def exported(plan: Plan, to: str, every_s: float | None = None) -> bytes:
     choose("format", to, FORMATS, ProblemError)
     if plan.trajectory is None:
         raise LinkplanError(f"nothing to export, the plan has no motion: {plan.message}")
-    return _WRITERS[to](samples_of(plan, every_s))
+    if joints and to != "ros":
+        raise ProblemError(f"joints are chosen for the format ros only, got {to}")
+    samples = samples_of(plan, every_s)
+    return joint_trajectory_text(samples, joints).encode("utf-8") if joints else _WRITERS[to](samples)
 
 
 def about(plan: Plan) -> dict[str, str]:

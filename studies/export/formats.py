@@ -8,3 +8,7 @@ FORMATS = {
     "csv": "a table",
     "parquet": "a table, units in its schema",
 }
+# Formats that are folders.
+FOLDER_FORMATS = {"c": "a model's dynamics or a plan's control law in C99, a folder"}
+# The trackers that are linear laws, and so tables in C.
+C_TRACKERS = ("pd", "pd+ff", "lqr", "gs-pd+ff")

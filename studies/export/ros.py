@@ -1,22 +1,38 @@
 """A plan as a joint trajectory of ROS: the message trajectory_msgs/JointTrajectory as YAML."""
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import accelerations, sampled
+from linkplan.studies.export.output_joints import with_outputs
 from linkplan.studies.export.samples import Samples
 
 
-def joint_trajectory_text(samples: Samples) -> str:
+def joint_trajectory_text(samples: Samples, joints: Sequence[str] = ()) -> str:
     """Return the YAML of a trajectory_msgs/msg/JointTrajectory: the independent joints, in radians or metres.
 
     `effort` of a joint is the actuators' effort on that coordinate, Gamma^T B u [N.m or N]. For a motor on the joint it is
-    its torque times its gear.
+    its torque times its gear. With `joints`, these output joints stand in place of the independent ones: there are as many,
+    and the power of their efforts is that of the actuators.
+
+    Raises:
+        LinkplanError: if the joints cannot be the mechanism's coordinates.
     """
     mechanism = samples.plan.problem.mechanism
-    names = [json.dumps(joint.name, ensure_ascii=False) for joint in mechanism.independent_joints]
-    units = [f"{joint.name} [{'rad' if joint.kind == 'hinge' else 'm'}]" for joint in mechanism.independent_joints]
-    follow = [mechanism.joints[int(index)].name for index in mechanism.dependent]
+    if joints:
+        if len(joints) != mechanism.dof:
+            raise ProblemError(f"joints are {mechanism.dof}, one for each degree of freedom, got {len(joints)}")
+        shown = [mechanism.joint_index(name, ProblemError) for name in joints]
+        effort = _effort_on(with_outputs(mechanism, joints), samples, joints)
+    else:
+        shown, effort = mechanism.independent.tolist(), samples.generalised_effort()
+    names = [json.dumps(mechanism.joints[i].name, ensure_ascii=False) for i in shown]
+    units = [f"{mechanism.joints[i].name} [{'rad' if mechanism.joints[i].kind == 'hinge' else 'm'}]" for i in shown]
+    follow = [joint.name for i, joint in enumerate(mechanism.joints) if i not in shown]
     lines = [
         f"# trajectory_msgs/msg/JointTrajectory: plan {json.dumps(samples.plan.problem.name)}, {', '.join(units)}",
         *([f"# the loops give the other joints: {', '.join(follow)}"] if follow else []),
@@ -27,10 +43,10 @@ def joint_trajectory_text(samples: Samples) -> str:
         "points:",
     ]
     quantities = {
-        "positions": samples.position,
-        "velocities": samples.velocity,
-        "accelerations": samples.acceleration,
-        "effort": samples.generalised_effort(),
+        "positions": samples.q[:, shown],
+        "velocities": samples.rates[:, shown] if joints else samples.velocity,
+        "accelerations": _accelerations(samples, shown) if joints else samples.acceleration,
+        "effort": effort,
     }
     for k, time in enumerate(samples.time_s - samples.time_s[0]):
         begins = [f"{name}: [{_numbers(values[k])}]" for name, values in quantities.items()]
@@ -38,6 +54,18 @@ def joint_trajectory_text(samples: Samples) -> str:
         begins.append(f"time_from_start: {{sec: {seconds}, nanosec: {rest}}}")
         lines += [f"  {'-' if first else ' '} {text}" for first, text in zip([True, *[False] * 4], begins, strict=True)]
     return "\n".join(lines) + "\n"
+
+
+def _effort_on(outputs: Mechanism, samples: Samples, joints: Sequence[str]) -> np.ndarray:
+    """Return the actuators' effort (n, n_joints) on output joints, the coordinates of the mechanism `outputs`."""
+    order = [joint.name for joint in outputs.independent_joints]
+    maps = sampled(outputs.dynamics.effort_map, samples.q)[:, [order.index(name) for name in joints]]
+    return np.einsum("ksu,ku->ks", maps, samples.effort)
+
+
+def _accelerations(samples: Samples, shown: Sequence[int]) -> np.ndarray:
+    mechanism = samples.plan.problem.mechanism
+    return accelerations(mechanism, samples.q, samples.velocity, samples.acceleration)[:, shown]
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same 
     from linkplan.planner.problem.problem import Problem
     from linkplan.plans import Plan, Planner, plan, read_plan, solve_ocp
     from linkplan.tracking import compare, track
+    from linkplan.transfers import transfer
 
     __version__: str
 
@@ -51,6 +52,7 @@ __all__ = [
     "read_plan",
     "solve_ocp",
     "track",
+    "transfer",
     "tune",
 ]
 
@@ -68,6 +70,7 @@ _MODULES = {
     "linkplan.planner.problem.problem": ("Problem",),
     "linkplan.plans": ("Plan", "Planner", "plan", "read_plan", "solve_ocp"),
     "linkplan.tracking": ("compare", "track"),
+    "linkplan.transfers": ("transfer",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

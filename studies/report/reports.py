@@ -18,6 +18,8 @@ from linkplan.studies.report.experiment_sections import Again, experiment_sectio
 from linkplan.studies.report.loop_sections import bode_sections, tune_sections
 from linkplan.studies.report.plan_sections import plan_sections
 from linkplan.studies.report.tracking_sections import whole_comparison
+from linkplan.studies.transfer.study import Transfer
+from linkplan.studies.transfer.transfer_blocks import transfer_blocks
 from linkplan.studies.tune.tune import Tuning
 
 
@@ -95,6 +97,13 @@ def tune_report(found: Tuning, note: str | None = None) -> Report:
     """Return the report of gains for requirements."""
     verdict = found.message if note is None else f"{found.message}; {note}"
     return report_of(f"Gains for {found.mechanism.name}", verdict, found.found, tune_sections(found))
+
+
+def transfer_report(found: Transfer) -> Report:
+    """Return the report of a transfer table."""
+    joints = ", ".join(joint.name for joint in found.outputs.joints)
+    first = Section(title=f"Motors and {joints}", blocks=transfer_blocks(found)[1:])
+    return report_of(f"Transfer table of {found.outputs.mechanism.name}", found.message, found.kept, [first])
 
 
 def check_report(found: WholeCheck | RefusedModel) -> Report:

@@ -124,6 +124,31 @@ def test_ros_effort_of_a_linear_drive_is_its_force_on_the_coordinate():
     np.testing.assert_allclose(np.sum(effort * samples.velocity, axis=1), power, rtol=1e-8, atol=1e-8)
 
 
+def test_ros_on_another_joint_has_its_motion_and_the_power_of_the_motor(plan):
+    said, samples = yaml.safe_load(exported(plan, "ros", joints=["C"])), samples_of(plan)
+    assert said["joint_names"] == ["C"]
+    found = {
+        key: np.array([p[key] for p in said["points"]])[:, 0]
+        for key in ("positions", "velocities", "accelerations", "effort")
+    }
+    c = plan.problem.mechanism.joint_index("C")
+    np.testing.assert_array_equal(found["positions"], samples.q[:, c])
+    power = samples.effort[:, 0] * samples.velocity[:, 0]  # the motor sits on O
+    assert np.abs(power).max() > 100
+    assert np.abs(found["effort"] * found["velocities"] - power).max() < 1e-12 * np.abs(power).max()
+    inside = slice(10, -10)
+    slope = np.gradient(found["velocities"], samples.time_s)[inside]
+    assert np.median(np.abs(slope - found["accelerations"][inside])) < 1e-2 * np.abs(slope).max()
+
+
+@pytest.mark.parametrize(
+    ("to", "joints", "said"), [("ros", ["O", "C"], "joints are 1"), ("csv", ["C"], "ros only"), ("ros", ["Q"], "'Q'")]
+)
+def test_output_joints_that_cannot_be_are_refused(plan, to, joints, said):
+    with pytest.raises(ProblemError, match=said):
+        exported(plan, to, joints=joints)
+
+
 def test_matlab_has_each_quantity_and_its_unit_in_structs_of_one_shape(plan):
     said = scipy.io.loadmat(io.BytesIO(exported(plan, "mat")), simplify_cells=True)
     table = samples_of(plan).table

@@ -1,0 +1,197 @@
+"""Transfer tables: a linkage over the range of its output joints, and the way back from the motors' positions."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from linkplan.models.errors import ModelError
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.transfer.grid import Grid, adaptive_grid
+from linkplan.models.transfer.output_map import OutputMap, transmission
+from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, KnownPoses
+
+# The share of the reach that a table keeps from a singular pose, where G has no limit.
+_SINGULAR_MARGIN_SHARE = 0.005
+# Beyond this multiple of the transmission at home a pose counts as singular: G grows without limit towards such a pose.
+_SINGULAR_RATIO_MULTIPLE = 10.0
+# The quantities whose interpolation keeps the tolerance. Slopes are given, and their error is measured.
+REFINED = ("motor_position", "ratio", "inertia", "gravity")
+# Nodes of a table: a controller's has hundreds, and the largest measures the error that it is left with.
+MOST_NODES = 4000
+MOST_JOINTS = 3
+# Newton on the way back has arrived when the motors are this share of their range from the target; its last step squares it.
+_ARRIVED_SHARE = 1e-9
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class End:
+    """An end of a table's axis [rad or m]: the reason for it, and the distance kept from a singular pose."""
+
+    position: float
+    reason: str
+    margin: float = 0.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class TransferTable:
+    """A linkage over the range of its output joints, with the fields of `Transmission`, `pose` (n_q,) and `status`.
+
+    `ends` are those of each axis with the other outputs at home. `dead_centres` are pairs (motor, output position) at which
+    a motor of a mechanism with one output reverses while the output moves on: it has no moment arm there. `inverse` is the
+    output joints' position over the motors' positions, None where the motors do not determine it; `inverse_note` says why.
+    """
+
+    outputs: OutputMap
+    tolerance: float
+    grid: Grid
+    ends: tuple[tuple[End, End], ...]
+    dead_centres: tuple[tuple[int, float], ...]
+    inverse: Grid | None
+    inverse_note: str
+
+    @property
+    def known(self) -> np.ndarray:
+        """A mask (shape of the grid) of the nodes on the map."""
+        return self.grid.values["status"] == ON_MAP
+
+
+def transfer_table(
+    outputs: OutputMap, tolerance: float, ends: Sequence[tuple[float, float] | None] = (), most_nodes: int = MOST_NODES
+) -> TransferTable:
+    """Return the transfer table of output joints.
+
+    Args:
+        outputs: the joints and the motors that move with them.
+        tolerance: interpolation error allowed, as a share of each quantity's largest size.
+        ends: of each output joint [rad or m], inside its reach; None for the whole reach.
+        most_nodes: of the whole grid.
+
+    Raises:
+        ModelError: for more than three joints, or an end out of reach.
+    """
+    if len(outputs.columns) > MOST_JOINTS:
+        raise ModelError(f"a table has at most {MOST_JOINTS} joints, got {len(outputs.columns)}; make one for each linkage")
+    reaches = [reach(outputs.mechanism, column) for column in outputs.columns]
+    limits = tuple(_ends(outputs, k, one, ends[k] if ends else None) for k, one in enumerate(reaches))
+    poses = KnownPoses(outputs)
+
+    most = _SINGULAR_RATIO_MULTIPLE * np.abs(transmission(outputs, outputs.mechanism.home[None]).ratio).max()
+
+    def function(points: np.ndarray) -> dict[str, np.ndarray]:
+        found, status = poses.at(points)
+        quantities = asdict(transmission(outputs, found))
+        steep = np.abs(quantities["ratio"]).max(axis=(1, 2)) > most
+        status = np.where((status == ON_MAP) & steep, NEAR_SINGULAR, status)
+        values = {"pose": found, "status": status.astype(float)} | quantities
+        for name, value in values.items():
+            if name != "status":
+                value[status != ON_MAP] = np.nan
+        return values
+
+    spans = [(low.position, high.position) for low, high in limits]
+    grid = adaptive_grid(function, spans, tolerance, _refined(outputs), most_nodes)
+    inverse, note = _inverse(outputs, grid, poses, tolerance, most_nodes)
+    dead = _dead_centres(outputs, reaches[0], limits[0]) if len(reaches) == 1 else ()
+    return TransferTable(
+        outputs=outputs, tolerance=tolerance, grid=grid, ends=limits, dead_centres=dead, inverse=inverse, inverse_note=note
+    )
+
+
+def _refined(outputs: OutputMap) -> list[str]:
+    with_length = all(actuator.has_length for actuator in outputs.actuators)
+    return [name for name in REFINED if with_length or name != "motor_position"]
+
+
+def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] | None) -> tuple[End, End]:
+    """Return the ends of an axis: those asked for, or the reach less a margin to singular poses."""
+    joint, home = outputs.joints[k], float(outputs.mechanism.home[outputs.mechanism.independent[outputs.columns[k]]])
+    low, high = found.lower.position, found.upper.position
+    if found.turns_fully:  # once around
+        half = 0.5 * (high - low) / 2
+        low, high = home - half, home + half
+    width, ends = high - low, []
+    if width <= 0:
+        raise ModelError(f"joint {joint.name} cannot move from home: {found.lower.reason}; {found.upper.reason}")
+    for end, sign, position in ((found.lower, 1, low), (found.upper, -1, high)):
+        margin = _SINGULAR_MARGIN_SHARE * width if end.reason == "singular pose" else 0.0
+        ends.append(End(position=position + sign * margin, reason=end.reason, margin=margin))
+    if asked is None:
+        return ends[0], ends[1]
+    if not ends[0].position <= asked[0] < asked[1] <= ends[1].position:
+        raise ModelError(
+            f"the range of {joint.name} is inside {joint.said(ends[0].position, 6)} to {joint.said(ends[1].position, 6)}"
+            f" {joint.unit} ({ends[0].reason}; {ends[1].reason}), got {joint.said(asked[0], 6)} to {joint.said(asked[1], 6)}"
+        )
+    return End(position=asked[0], reason="asked for"), End(position=asked[1], reason="asked for")
+
+
+def _dead_centres(outputs: OutputMap, found: Reach, ends: tuple[End, End]) -> tuple[tuple[int, float], ...]:
+    """Return the pairs (place among the motors, output position) at which a motor on a joint reverses."""
+    motors = {actuator.joint: place for place, actuator in enumerate(outputs.actuators)}
+    return tuple(
+        (motors[joint], position)
+        for joint, position in found.toggles
+        if joint in motors and ends[0].position < position < ends[1].position
+    )
+
+
+def _inverse(
+    outputs: OutputMap, grid: Grid, poses: KnownPoses, tolerance: float, most_nodes: int
+) -> tuple[Grid | None, str]:
+    """Return the table of output positions over motor positions, and the reason why there is none."""
+    motor = grid.values["motor_position"].reshape(-1, len(outputs.motors))
+    if len(outputs.motors) != len(outputs.columns):
+        return None, f"{len(outputs.motors)} motors do not determine {len(outputs.columns)} joints one by one"
+    if not all(actuator.has_length for actuator in outputs.actuators):
+        return None, "a motor on a site or slider-crank has no position"
+    ratio = grid.values["ratio"].reshape(-1, len(outputs.motors), len(outputs.columns))
+    known = np.isfinite(motor).all(axis=1)
+    turn = np.linalg.det(ratio[known])
+    if turn.min() <= 0 <= turn.max():
+        return None, "a motor passes a dead centre on the way: one motor position has two joint positions"
+    start, places = grid.points[known], motor[known]
+
+    def back(points: np.ndarray) -> dict[str, np.ndarray]:
+        return {"joint_position": _joint_positions(outputs, grid, poses, (start, places), points)}
+
+    spans = list(zip(places.min(axis=0).tolist(), places.max(axis=0).tolist(), strict=True))
+    return adaptive_grid(back, spans, tolerance, ["joint_position"], most_nodes), ""
+
+
+def _joint_positions(
+    outputs: OutputMap, grid: Grid, poses: KnownPoses, known: tuple[np.ndarray, np.ndarray], wanted: np.ndarray
+) -> np.ndarray:
+    """Return the output positions (n, n_o) at which the motors are at `wanted` (n, n_m), NaN off the table.
+
+    Newton with the exact map, s <- s + G^-1 (l - l(s)), from the nearest of the `known` pairs of output and motor positions.
+    """
+    import scipy.spatial
+
+    start, places = known
+    unit = np.ptp(places, axis=0)
+    s = start[scipy.spatial.KDTree(places / unit).query(wanted / unit)[1]]
+    low, high = (np.array([axis[end] for axis in grid.axes]) for end in (0, -1))
+    rounding = 1e-9 * (high - low)
+    done = np.zeros(len(s), dtype=bool)
+    for _ in range(20):
+        active = np.flatnonzero(~done & np.isfinite(s).all(axis=1))
+        if len(active) == 0:
+            break
+        motor, ratio = _motor_positions(outputs, poses.near(s[active]))
+        off = wanted[active] - motor
+        there = np.isfinite(off).all(axis=1)
+        step = np.full(off.shape, np.nan)
+        step[there] = np.linalg.solve(ratio[there], off[there][:, :, None])[:, :, 0]
+        s[active] = np.clip(s[active] + step, low - rounding, high + rounding)
+        done[active] = np.abs(off / unit).max(axis=1) < _ARRIVED_SHARE
+    s[~done] = np.nan
+    return s
+
+
+def _motor_positions(outputs: OutputMap, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the motors' positions (n, n_m) and G (n, n_m, n_o) at poses q."""
+    dynamics, motors, columns = outputs.mechanism.dynamics, list(outputs.motors), list(outputs.columns)
+    ratio = sampled(dynamics.effort_map, q)[:, columns][:, :, motors].transpose(0, 2, 1)
+    return sampled(dynamics.actuator_length, q)[:, motors, 0], ratio

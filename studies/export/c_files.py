@@ -1,0 +1,101 @@
+"""A mechanism's C code as a folder, with its cost: operations, error in float, flash and stack where compilers exist."""
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.studies.export.c_model import ModelCode, header_text, random_states, source_text, test_text
+from linkplan.studies.export.c_operations import in_single_precision, operations
+from linkplan.studies.export.c_text import cmake_text
+
+# States at which the error of single precision is measured, and the factor from what was seen to what is stated.
+_FLOAT_STATES, _FLOAT_MARGIN = 2000, 4.0
+# The compilers that flash and stack are measured with, where they are installed: names and options.
+COMPILERS = {
+    "gcc": ["-O2"],
+    "arm-none-eabi-gcc": ["-O2", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"],
+}
+# A compiler needs seconds for a linkage, and many minutes for the 100,000 operations of a whole robot.
+_COMPILE_SECONDS, MOST_MEASURED_OPERATIONS = 120, 25_000
+
+
+def costs(code: ModelCode) -> list[dict]:
+    """Return each function's operations by kind, and the bound on its error in float as a share of its largest value."""
+    states = random_states(code.mechanism, _FLOAT_STATES, seed=2)
+    found = []
+    for one in code.interface:
+        arguments = [states[name] for name in one.inputs]
+        exact = one.function.map(_FLOAT_STATES)(*[a.T for a in arguments])
+        exact = [exact] if one.function.n_out() == 1 else list(exact)
+        worst = 0.0
+        for k, (single, double) in enumerate(zip(in_single_precision(one.function, *arguments), exact, strict=True)):
+            columns = np.array(double).reshape(one.function.size1_out(k), _FLOAT_STATES, -1).transpose(1, 2, 0)
+            wanted = columns.reshape(_FLOAT_STATES, -1)
+            worst = max(worst, float(np.abs(single - wanted).max(initial=0.0) / (np.abs(wanted).max(initial=0.0) or 1.0)))
+        found.append({"function": one.name, "operations": operations(one.function), "float_error": _FLOAT_MARGIN * worst})
+    for one in code.inner:
+        found.append({"function": f"{one.name} (in close)", "operations": operations(one.function), "float_error": None})
+    return found
+
+
+def write_model(code: ModelCode, place: Path, *, compiled: bool = True) -> dict:
+    """Write header, source, test and CMake file into a folder, and return what the code costs; `compiled` measures sizes."""
+    cost = costs(code)
+    compiled = compiled and sum(sum(row["operations"].values()) for row in cost) <= MOST_MEASURED_OPERATIONS
+    lines = [
+        "Operations of a call, and the bound on the error in float (share of the largest value, at 2000 random states):"
+    ]
+    for row in cost:
+        said = ", ".join(f"{n} {kind}" for kind, n in row["operations"].items()) or "none"
+        error = "" if row["float_error"] is None else f"; float {row['float_error']:.1e}"
+        lines.append(f"  {row['function']}: {said}{error}")
+    texts = {
+        f"{code.prefix}.h": header_text(code, lines),
+        f"{code.prefix}.c": source_text(code),
+        f"{code.prefix}_test.c": test_text(code),
+        "CMakeLists.txt": cmake_text(code.prefix),
+    }
+    for name, text in texts.items():
+        (place / name).write_text(text, encoding="utf-8")
+    return {
+        "mechanism": code.mechanism.name,
+        "format": "c",
+        "files": sorted(texts),
+        "newton_steps": code.newton_steps,
+        "functions": cost,
+        "sizes": sizes(place, f"{code.prefix}.c", code.prefix.upper()) if compiled else [],
+    }
+
+
+def sizes(place: Path, source: str, upper: str) -> list[dict]:
+    """Return flash and largest stack frame [bytes] of a source file, by compiler and precision; empty without a compiler."""
+    found = []
+    for compiler, options in COMPILERS.items():
+        if shutil.which(compiler) is None:
+            continue
+        for real, flags in (("double", []), ("float", [f"-D{upper}_FLOAT"])):
+            measured = _size(place, source, [compiler, *options, *flags])
+            if measured is not None:
+                found.append({"compiler": " ".join([compiler, *options]), "real": real, **measured})
+    return found
+
+
+def _size(place: Path, source: str, command: Sequence[str]) -> dict | None:
+    """Return text and data, and the largest stack frame, of an object file; None where the compiler fails."""
+    size = command[0].removesuffix("gcc") + "size"
+    with tempfile.TemporaryDirectory() as folder:
+        words = [*command, "-std=c99", "-c", "-fstack-usage", f"-I{place.resolve()}", str((place / source).resolve())]
+        try:
+            subprocess.run(words, check=True, capture_output=True, timeout=_COMPILE_SECONDS, cwd=folder)
+            target = str(Path(folder) / source.replace(".c", ".o"))
+            said = subprocess.run([size, target], check=True, capture_output=True, text=True, timeout=60).stdout
+        except (OSError, subprocess.SubprocessError):
+            return None
+        text, data, bss = (int(word) for word in said.splitlines()[1].split()[:3])
+        frames = [int(n) for use in Path(folder).glob("*.su") for n in re.findall(r"\t(\d+)\t", use.read_text())]
+    return {"flash_bytes": text + data, "ram_bytes": data + bss, "stack_bytes": max(frames, default=0)}

@@ -1,0 +1,222 @@
+"""`transfer`: efforts, inertia, friction and gains carried between motors and output joints across a linkage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.transfer.rest import OutputMotion, rest_effort
+from linkplan.paths import drawn, path_of
+from linkplan.planner.files.folders import plain_record, write_json, write_whole
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.values import plain
+from linkplan.reporting import Progress, listener
+from linkplan.studies.transfer.columns import arrays_of
+from linkplan.studies.transfer.serial_study import Serial
+from linkplan.studies.transfer.study import Transfer, no_load_speeds, transfer_study
+from linkplan.subjects import Subject, plan_to_track, subject_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Gains = float | Sequence[float]
+Rows = Sequence[Sequence[float]] | np.ndarray
+
+
+def transfer(
+    subject: Subject,
+    joints: Sequence[str],
+    *,
+    tolerance: float = 1e-3,
+    range_deg: Mapping[str, Sequence[float]] | None = None,
+    range_m: Mapping[str, Sequence[float]] | None = None,
+    motor_speed: Gains | None = None,
+    joint_kp: Gains | None = None,
+    joint_kd: Gains | None = None,
+    motor_kp: Gains | None = None,
+    motor_kd: Gains | None = None,
+    along: Plan | None = None,
+    progress: Progress | None = None,
+) -> TransferResult:
+    """Return the transfer table of output joints: what the motors and the joints are to each other across the linkage.
+
+    Motor velocity = G joint velocity, joint effort = G^T motor effort, so that motor power is joint power. A motor's
+    position is its gear times its joint's position, as MuJoCo's actuator length. Radians, metres and SI units throughout.
+
+    Args:
+        subject: a mechanism, a `Problem`, or the name or path of either, in any coordinates. A problem gives the effort
+            limits and the motors' top speeds.
+        joints: one to three output joints, which determine the motors. Other independent coordinates rest at home.
+        tolerance: the error allowed for linear interpolation in the table, as a share of each quantity's largest size.
+        range_deg: [low, high] [deg] of an output hinge; by default its whole reach.
+        range_m: likewise, of a slide [m].
+        motor_speed: the motors' top speeds [rad/s or m/s], one for all or one each.
+        joint_kp: joints' stiffness [N.m/rad or N/m] to be given by the motors, one for all or one each.
+        joint_kd: joints' damping [N.m.s/rad or N.s/m], likewise.
+        motor_kp: motors' stiffness to be carried to the joints.
+        motor_kd: motors' damping, likewise.
+        along: a plan of the same model, along whose motion the errors of models without loops are stated.
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: if the joints cannot be coordinates at home, such as at a dead centre, or a value is invalid.
+    """
+    if isinstance(joints, str) or not isinstance(joints, Sequence) or not all(isinstance(name, str) for name in joints):
+        raise ProblemError(f"joints are a list of names, got {joints!r}")
+    mechanism, problem = subject_of(subject)
+    gains = {"joint_kp": joint_kp, "joint_kd": joint_kd, "motor_kp": motor_kp, "motor_kd": motor_kd}
+    ends = {}
+    for key, table in (("range_deg", range_deg), ("range_m", range_m)):
+        for name, both in plain(table or {}).items():
+            joint = mechanism.joints[mechanism.joint_index(name, ProblemError)]
+            values = _listed(both, f"{key}.{name}")
+            if len(values) != 2 or joint.unit != key.removeprefix("range_"):
+                raise ProblemError(f"{key}.{name} is [low, high] of a joint in {joint.unit}, got {both!r}")
+            ends[name] = (joint.read(values[0]), joint.read(values[1]))
+    found = transfer_study(
+        mechanism,
+        list(joints),
+        tolerance=tolerance,
+        ends=ends,
+        effort_limit=None if problem is None else np.array(problem.limits.actuators_effort),
+        motor_speed=None if problem is None else no_load_speeds(problem),
+        motor_speeds=() if motor_speed is None else _listed(motor_speed, "motor_speed"),
+        along=None if along is None else plan_to_track(along),
+        gains={name: _listed(values, name) for name, values in gains.items() if values is not None},
+        say=listener(progress),
+    )
+    return TransferResult(found=found)
+
+
+def _listed(values: object, key: str) -> list[float]:
+    """Return one number or several as a list."""
+    given = plain(values)
+    given = given if isinstance(given, list) else [given]
+    if not given or any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
+        raise ProblemError(f"{key} is a number or a list of numbers, got {values!r}")
+    return [float(x) for x in given]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class TransferResult:
+    """A transfer table. `str(result)` is the report; `to_dict()` has the linkage at home, the ends of the map and errors."""
+
+    found: Transfer
+
+    @property
+    def kept(self) -> bool:
+        """Whether the table keeps the interpolation error that was asked for."""
+        return self.found.kept
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return self.found.message
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Every quantity over the nodes (n, ...): "joint_position", "motor_position", "ratio" (G), "inertia", ..."""
+        return arrays_of(self.found)
+
+    def at(self, name: str, positions: Rows) -> np.ndarray:
+        """Return a quantity of the table by linear interpolation, NaN off the map.
+
+        Args:
+            name: "motor_position", "ratio" (G), "ratio_slope", "inertia", "armature", "damping", "friction" or "gravity".
+            positions: of the output joints (n, n_joints) [rad or m].
+        """
+        grid = self.found.table.grid
+        names = [key for key in grid.values if key not in ("pose", "status")]
+        if name not in names:
+            raise ProblemError(f"unknown quantity '{name}'; legal: {', '.join(names)}")
+        return grid.at(name, np.atleast_2d(np.asarray(positions, dtype=float)))
+
+    @property
+    def serial_mjcf(self) -> str:
+        """The serial equivalent as MJCF: the model without the loops, whose joints carry what the linkage reflects.
+
+        Raises:
+            LinkplanError: if the linkage has none, with the reason.
+        """
+        return self._serial().model.text
+
+    def errors_along(self, time_s: Sequence[float] | np.ndarray, position: Rows) -> dict[str, np.ndarray]:
+        """Return the errors of models without loops along a motion of the output joints, in N.m or N.
+
+        Args:
+            time_s: instants (n,) [s].
+            position: output positions (n, n_joints) [rad or m], interpolated by a spline of the fifth degree.
+
+        Returns:
+            Arrays (n, n_joints): "effort" that the motion needs, and the errors of the "static map" (a tree without anything
+            reflected), of the "serial equivalent", and of the "serial with table".
+        """
+        from linkplan.studies.transfer.serial_study import errors_along, motion_of_samples
+
+        table, serial = self.found.table, self._serial()
+        found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position))
+        return {"effort": found.effort, **found.named()}
+
+    def rest_effort(self, position: Rows, velocity: Rows, acceleration: Rows) -> np.ndarray:
+        """Return what the serial equivalent lacks: efforts (n, n_joints) to subtract from those on its joints, in N.m or N.
+
+        It is interpolated in the table, NaN off the map.
+
+        Args:
+            position: of the output joints (n, n_joints) [rad or m].
+            velocity: likewise, per second.
+            acceleration: likewise, per second squared.
+        """
+        serial, grid = self._serial(), self.found.table.grid
+        s, v, a = (np.atleast_2d(np.asarray(rows, dtype=float)) for rows in (position, velocity, acceleration))
+        if not s.shape == v.shape == a.shape or s.shape[1] != len(grid.axes):
+            raise ProblemError(
+                f"position, velocity and acceleration are (n, {len(grid.axes)}), got {s.shape}, {v.shape}, {a.shape}"
+            )
+        motion = OutputMotion(time_s=np.arange(float(len(s))), position=s, velocity=v, acceleration=a)
+        return rest_effort(self.found.outputs, serial.model, serial.rest, grid, motion)
+
+    def _serial(self) -> Serial:
+        if self.found.serial is None:
+            raise LinkplanError(self.found.serial_note)
+        return self.found.serial
+
+    def to_dict(self) -> dict:
+        """Return the record by name, in JSON types."""
+        from linkplan.studies.transfer.transfer_blocks import transfer_record
+
+        return plain_record(transfer_record(self.found))
+
+    def save(self, folder: str | Path, *, parquet: bool = False) -> None:
+        """Write the tables (CSV, NPZ, with `parquet` Parquet too), the figure and the record into a folder, whole.
+
+        Raises:
+            LinkplanError: if the folder cannot be written, or holds what linkplan did not write.
+        """
+        from linkplan.studies.transfer.files import write_files
+
+        def write(place: Path) -> None:
+            write_json(place / "transfer.json", self.to_dict())
+            write_files(self.found, place, parquet=parquet)
+
+        write_whole(path_of(folder, "folder"), write, "transfer.json")
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Return the figure of the curves over each joint's range, saved at `path` if it is given."""
+        from linkplan.studies.transfer.files import transfer_figure
+
+        return drawn(path, lambda place: transfer_figure(self.found, place))
+
+    def __str__(self) -> str:
+        from linkplan.studies.output.text import text_of
+        from linkplan.studies.transfer.transfer_blocks import transfer_blocks
+
+        return text_of(transfer_blocks(self.found))
+
+    def __repr__(self) -> str:
+        return f"TransferResult({self.found.outputs.mechanism.name!r}: {self.message})"

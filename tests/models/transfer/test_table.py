@@ -1,0 +1,116 @@
+"""Tables on adaptive grids: the stated error, the way back, where the map ends, dead centres."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.transfer.grid import adaptive_grid, interpolated
+from linkplan.models.transfer.output_map import output_map
+from linkplan.models.transfer.table import TransferTable, transfer_table
+from tests.support import parallel_ankle, slider_crank
+
+OUTPUTS = ["ankle_pitch", "ankle_roll"]
+
+
+@functools.cache
+def ankle_table() -> TransferTable:
+    mechanism = load_mechanism(parallel_ankle.ankle_text(), independent=OUTPUTS)
+    return transfer_table(output_map(mechanism, OUTPUTS), 5e-3)
+
+
+def bump(points: np.ndarray) -> dict[str, np.ndarray]:
+    x, y = points.T
+    return {"f": np.exp(-40 * x**2) + 0.1 * y}
+
+
+def test_a_grid_is_fine_where_the_function_bends_and_keeps_its_tolerance():
+    grid = adaptive_grid(bump, [(-1, 1), (0, 1)], 1e-3, ["f"], 10_000)
+    widths = np.diff(grid.axes[0])
+    assert widths.max() > 4 * widths.min()
+    assert len(grid.axes[1]) == 9  # linear in y
+    points = np.random.default_rng(3).uniform([-1, 0], [1, 1], (5000, 2))
+    off = np.abs(interpolated(grid.axes, grid.values["f"], points) - bump(points)["f"]).max() / grid.scale["f"]
+    assert 0 < off < 1.5e-3
+    assert 0.5 * off < grid.errors["f"] < 1.5e-3
+
+
+def test_a_grid_that_may_not_grow_states_the_error_that_it_is_left_with():
+    grid = adaptive_grid(bump, [(-1, 1), (0, 1)], 1e-6, ["f"], 300)
+    assert np.prod([len(axis) for axis in grid.axes]) <= 300
+    assert grid.errors["f"] > 1e-6
+
+
+def test_the_stated_error_is_that_of_the_closed_form_between_the_nodes():
+    table = ankle_table()
+    points = np.random.default_rng(5).uniform([-0.7, -0.35], [0.5, 0.35], (400, 2))
+    exact = np.array([parallel_ankle.ratio(*s) for s in points])
+    off = np.abs(table.grid.at("ratio", points) - exact).max() / table.grid.scale["ratio"]
+    stated = table.grid.errors["ratio"]
+    assert stated < 5e-3
+    assert 0.5 * stated < off < 1.5 * stated
+
+
+def test_the_way_back_leads_from_motor_positions_to_joint_positions():
+    inverse = ankle_table().inverse
+    points = np.random.default_rng(6).uniform([-0.6, -0.3], [0.4, 0.3], (200, 2))
+    motors = np.array([[parallel_ankle.motor_angle(side, *s) for side in range(2)] for s in points])
+    back = inverse.at("joint_position", motors)
+    known = np.isfinite(back).all(axis=1)
+    assert known.mean() > 0.8  # cells at the map's edge have a corner beyond it
+    assert np.abs(back - points)[known].max() < 2 * inverse.errors["joint_position"] * inverse.scale["joint_position"]
+
+
+def test_the_map_of_a_slider_ends_at_the_crank_s_dead_centres():
+    mechanism = load_mechanism("slider-crank", home={"O": 1.0}, independent=["B"])
+    (ends,) = transfer_table(output_map(mechanism, ["B"]), 1e-2).ends
+    dead = slider_crank.ROD - slider_crank.CRANK, slider_crank.ROD + slider_crank.CRANK
+    assert [end.reason for end in ends] == ["singular pose"] * 2
+    assert ends[0].position - ends[0].margin == pytest.approx(dead[0], abs=1e-9)
+    assert ends[1].position + ends[1].margin == pytest.approx(dead[1], abs=1e-9)
+
+
+def test_a_motor_s_dead_centre_is_named_and_has_no_way_back():
+    # the slide drives: the crank turns on through the poses where the slide's rate is zero
+    text = parallel_slide_text()
+    mechanism = load_mechanism(text, home={"O": 1.0}, independent=["O"])
+    table = transfer_table(output_map(mechanism, ["O"]), 1e-2, ends=[(-1.0, 2.0)])
+    ((motor, position),) = table.dead_centres
+    assert (motor, table.inverse) == (0, None)
+    assert position == pytest.approx(0.0, abs=1e-8)
+    assert "dead centre" in table.inverse_note
+
+
+def parallel_slide_text() -> str:
+    """Return the slider-crank with its motor on the slide."""
+    from linkplan.models.catalogue import built_in_text
+    from tests.support.mechanisms import replaced
+
+    return replaced(built_in_text("slider-crank"), '<motor name="act_O" joint="O"', '<motor name="act_O" joint="B"')
+
+
+def test_a_range_inside_the_reach_is_taken_and_one_beyond_it_refused():
+    mechanism = load_mechanism("optimus-knee", independent=["C"])
+    outputs = output_map(mechanism, ["C"])
+    grid = transfer_table(outputs, 1e-2, ends=[(-0.2, 0.3)]).grid
+    assert (grid.axes[0][0], grid.axes[0][-1]) == (-0.2, 0.3)
+    with pytest.raises(Exception, match="range of C is inside"):
+        transfer_table(outputs, 1e-2, ends=[(-3.0, 0.3)])
+
+
+def test_a_constant_ratio_has_no_error():
+    mechanism = load_mechanism("parallel-gripper", independent=["right_finger"])
+    table = transfer_table(output_map(mechanism, ["right_finger"]), 1e-3)
+    assert len(table.grid.axes[0]) < 40
+    assert table.grid.errors["ratio_slope"] < 1e-9
+
+
+def test_off_the_map_there_are_no_numbers_and_a_reason():
+    # the five-bar's other loop opens in a part of the box that the two reaches span
+    mechanism = load_mechanism("five-bar")
+    table = transfer_table(output_map(mechanism, ["O1", "O2"]), 0.5, most_nodes=200)
+    status = table.grid.values["status"]
+    assert 0 < np.mean(status == 0) < 1
+    assert np.isnan(table.grid.values["ratio"][status != 0]).all()
+    assert np.isfinite(table.grid.values["ratio"][status == 0]).all()

@@ -1,0 +1,187 @@
+"""A mechanism in C against Python on ten thousand random states: double to rounding, float to the bound that is stated."""
+
+import functools
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import follow
+from linkplan.studies.cli.main import main
+from linkplan.studies.export import c_files
+from linkplan.studies.export.c_blocks import cost_blocks
+from linkplan.studies.export.c_files import write_model
+from linkplan.studies.export.c_model import ModelCode, model_code, random_states
+from linkplan.studies.export.c_operations import in_single_precision, operations
+from linkplan.studies.export.c_source import function_of, identifier
+from linkplan.studies.output.text import text_of
+from tests.support import parallel_ankle
+from tests.support.compiled import called, library, needs_gcc, symbols
+from tests.support.cortex import needs_cortex, run_on_cortex
+
+# C against CasADi, relative to the largest value: rounding in another order. Measured 3e-15.
+C_DOUBLE = 1e-12
+STATES = 10_000
+
+
+@functools.cache
+def exported(name: str) -> tuple[ModelCode, Path, dict]:
+    """Return a mechanism's code, the folder that it is written in, and its costs."""
+    code = model_code(load_mechanism(parallel_ankle.ankle_text() if name == "parallel-ankle" else name))
+    folder = Path(tempfile.mkdtemp())
+    return code, folder, write_model(code, folder, compiled=name == "optimus-knee")
+
+
+def in_python(function: ca.Function, arguments: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the outputs (n, size) of a CasADi function, columns first."""
+    n = len(arguments[0])
+    found = function.map(n)(*[a.T for a in arguments])
+    found = [found] if function.n_out() == 1 else list(found)
+    shaped = [np.array(x).reshape(function.size1_out(k), n, -1) for k, x in enumerate(found)]
+    return [x.transpose(1, 2, 0).reshape(n, -1) for x in shaped]
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar", "parallel-ankle"])
+def test_c_is_python_on_ten_thousand_random_states(name, single):
+    code, folder, record = exported(name)
+    compiled = library(folder, code.prefix, single=single)
+    states = random_states(code.mechanism, STATES, seed=11)
+    stated = {row["function"]: row["float_error"] for row in record["functions"]}
+    for one in code.interface:
+        arguments = [states[key] for key in one.inputs]
+        sizes = [one.function.numel_out(k) for k in range(one.function.n_out())]
+        found = called(getattr(compiled, one.name), arguments, sizes, single=single)
+        for wanted, values in zip(in_python(one.function, arguments), found, strict=True):
+            off = np.abs(values - wanted).max() / (np.abs(wanted).max() or 1.0)
+            assert off <= (stated[one.name] if single else C_DOUBLE), one.name
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["optimus-knee", "slider-crank"])
+def test_c_closes_the_loops_from_the_last_answer_and_says_how_well(name):
+    code, folder, _ = exported(name)
+    mechanism = code.mechanism
+    path = mechanism.home[mechanism.independent] + 0.3 * np.sin(np.linspace(0, 2 * np.pi, 200))[:, None]
+    close = library(folder, code.prefix)[f"{code.prefix}_close"]
+    import ctypes
+
+    close.restype = ctypes.c_double
+    q, gaps, poses = np.array(mechanism.home), [], []
+    for s in path:
+        s = np.array(s)
+        gaps.append(close(ctypes.c_void_p(s.ctypes.data), ctypes.c_void_p(q.ctypes.data)))
+        poses.append(q.copy())
+    assert np.ptp(poses, axis=0).max() > 0.3
+    assert np.abs(np.array(poses) - follow(mechanism, path)).max() < 1e-12
+    assert max(gaps) < 1e-14
+    far = mechanism.home[mechanism.independent] + 40.0  # out of reach of three steps, or of the knee
+    q = np.array(mechanism.home)
+    assert not close(ctypes.c_void_p(far.ctypes.data), ctypes.c_void_p(q.ctypes.data)) < 1e-6
+
+
+@needs_gcc
+def test_nothing_is_called_but_mathematical_functions():
+    for name in ("optimus-knee", "five-bar"):
+        code, folder, _ = exported(name)
+        called_names = {line.split()[-1] for line in symbols(folder, code.prefix).splitlines()}
+        assert called_names <= {"sin", "cos", "sincos", "sqrt", "tanh", "fmax", "_GLOBAL_OFFSET_TABLE_"}
+
+
+@needs_gcc
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
+@pytest.mark.slow
+def test_cmake_builds_both_precisions_and_their_tests_pass(tmp_path):
+    _, folder, _ = exported("slider-crank")
+    subprocess.run(["cmake", "-S", str(folder), "-B", str(tmp_path)], check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", str(tmp_path)], check=True, capture_output=True)
+    said = subprocess.run(["ctest"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    assert "100% tests passed, 0 tests failed out of 2" in said
+
+
+@needs_gcc
+def test_the_test_vector_notices_a_wrong_sign(tmp_path):
+    code, folder, _ = exported("slider-crank")
+    words = ["gcc", "-std=c99", "-I", str(tmp_path), "-o", str(tmp_path / "t")]
+    for name, change in (("right", False), ("wrong", True)):
+        for path in folder.glob("*.[ch]"):
+            text = path.read_text()
+            if change and path.name == f"{code.prefix}.c":
+                before, after = text.split(f"{code.prefix}_reduced_inertia", 1)
+                text = before + f"{code.prefix}_reduced_inertia" + after.replace("inertia[0]=", "inertia[0]=-", 1)
+            (tmp_path / path.name).write_text(text)
+        sources = [str(tmp_path / f"{code.prefix}{end}.c") for end in ("", "_test")]
+        subprocess.run([*words, *sources, "-lm"], check=True)
+        run = subprocess.run([str(tmp_path / "t")], capture_output=True, text=True, check=False)
+        assert (run.returncode, "inertia is off" in run.stdout) == ((1, True) if change else (0, False)), name
+
+
+@needs_cortex
+@pytest.mark.slow
+@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+def test_the_test_vector_passes_on_a_cortex_m4(single, tmp_path):
+    code, folder, record = exported("optimus-knee")
+    assert "as in Python" in run_on_cortex(folder, code.prefix, tmp_path, single=single)
+    assert any(row["compiler"].startswith("arm") and row["flash_bytes"] > 1000 for row in record["sizes"])
+
+
+def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path):
+    code, _, _ = exported("optimus-knee")
+    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
+    record = write_model(code, tmp_path)
+    assert record["sizes"] == []
+    assert "too long" in text_of(cost_blocks(record, tmp_path))
+
+
+def test_operations_are_counted_and_carried_out_in_single_precision():
+    x = ca.SX.sym("x", 2)
+    y = ca.sin(x[0]) * x[1] / (x[0] + 2) + ca.if_else(x[1] > 0, ca.sqrt(x[0]), ca.fabs(x[1]))
+    one = function_of("f", "", [("x", x)], [("y", y)])
+    counted = operations(one.function)
+    assert counted["sines and cosines"] == counted["divisions"] == counted["square roots"] == 1
+    points = np.random.default_rng(0).uniform([0.1, -1], [2, 1], (500, 2))
+    exact = np.array(one.function.map(500)(points.T))[0]
+    (single,) = in_single_precision(one.function, points)
+    off = np.abs(single[:, 0] - exact).max()
+    assert 1e-9 < off < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("a-b c", "a_b_c"), ("3rd leg", "m_3rd_leg"), ("--", "mechanism"), ("ünï", "n")]
+)
+def test_names_become_identifiers(name, found):
+    assert identifier(name) == found
+
+
+def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
+    folder = tmp_path / "code"
+    assert main(["export", "slider-crank", "--to", "c", "-o", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert "slider_crank_inverse_dynamics" in said
+    names = {path.name for path in folder.iterdir()}
+    assert {"slider_crank.c", "slider_crank.h", "slider_crank_test.c", "CMakeLists.txt", "export.json"} <= names
+    header = (folder / "slider_crank.h").read_text()
+    assert "s[0] O [rad], effort [N.m]" in header
+    assert "q[2] B [m]" in header
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["no-such-model", "--to", "c"], "unknown model 'no-such-model'"),
+        (["optimus-knee", "--to", "c++"], "unknown format 'c++'"),
+        (["knee-reach", "--to", "c", "--tracker", "mpc"], "legal: pd, pd+ff, lqr, gs-pd+ff"),
+        (["knee-reach", "--to", "c", "--every-s", "0.1"], "--every-s"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):
+    assert main(["export", *words, "-o", str(tmp_path / "x")]) == 2
+    assert said in capsys.readouterr().err.strip().splitlines()[-1]
+    assert not (tmp_path / "x").exists()
