@@ -10,10 +10,11 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
-from linkplan.studies.check.draw_mechanism import draw_poses, mark_turning
+from linkplan.studies.check.draw_mechanism import mark_turning
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure
 from linkplan.studies.output.document import Axis, Plot
+from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.lines import TIME, Line, plots
 
 if TYPE_CHECKING:

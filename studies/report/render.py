@@ -18,7 +18,7 @@ from linkplan.planner.files.single_file import write_over
 from linkplan.studies.output.document import Report
 
 # Each script uses only those before it.
-_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "player", "blocks", "main")
+_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "shapes", "animation", "player", "blocks", "main")
 # A file with these words in its first 1,000 bytes is a report, which a new one may replace.
 _OURS = b'<meta name="generator" content="linkplan">'
 

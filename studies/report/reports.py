@@ -15,6 +15,7 @@ from linkplan.studies.experiment.study import Outcome
 from linkplan.studies.output.document import Report, Section
 from linkplan.studies.report.check_sections import check_sections
 from linkplan.studies.report.experiment_sections import Again, experiment_sections, machine_section
+from linkplan.studies.report.lead import verdict_sentence
 from linkplan.studies.report.loop_sections import bode_sections, tune_sections
 from linkplan.studies.report.plan_sections import plan_sections
 from linkplan.studies.report.tracking_sections import whole_comparison
@@ -29,7 +30,8 @@ def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[
 
 def plan_report(plan: Plan) -> Report:
     """Return the report of a plan."""
-    return report_of(f"Plan {plan.problem.name}", plan.message, plan.passed, plan_sections(plan, verdict=False))
+    title, verdict = f"Plan {plan.problem.name}", verdict_sentence(plan)
+    return report_of(title, verdict, plan.passed, plan_sections(plan, verdict=False))
 
 
 def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
