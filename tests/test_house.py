@@ -24,7 +24,7 @@ ROOMS = {
         "errors", "extras", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_text",
         "model_values", "urdf",
         "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
-        "source_table", "coordinate_choice", "mechanism", "poses",
+        "source_table", "coordinate_choice", "equations", "mechanism_html", "mechanism", "poses",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "solvers", "refinement",

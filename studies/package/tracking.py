@@ -14,8 +14,9 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
-from linkplan.studies.compare.comparison_blocks import comparison_text
+from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_text
 from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.studies.output.html import html_of
 from linkplan.subjects import listed, plan_to_track, tracking_table
 
 if TYPE_CHECKING:
@@ -164,6 +165,9 @@ class TrackingResult:
         from linkplan.studies.compare.comparison_blocks import comparison_figure
 
         return drawn(path, lambda place: comparison_figure(self.comparison, place))
+
+    def _repr_html_(self) -> str:
+        return html_of(comparison_blocks(self.comparison))
 
     def __str__(self) -> str:
         return comparison_text(self.comparison)
