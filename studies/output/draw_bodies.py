@@ -1,6 +1,7 @@
 """The bodies of a mechanism in the plane of a drawing: outlines of their shapes, and sticks for bodies without geoms."""
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 
 from linkplan.models.mechanism import Mechanism
@@ -42,19 +43,21 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
         colour = colours.get(name, GREY)
         bare = not any(solid.kind == "geom" for solid in own)
         for k, alpha in enumerate(alphas):
+            if stick.fixed and k < len(alphas) - 1:
+                continue  # the ground is the same at every pose
             for solid in own:
                 points = places[k, solid.body] + solid.points @ turns[k, solid.body].T
                 near = float(np.mean(points @ towards)) / mechanism.extent_m
                 edges = outline(thickened(points @ np.stack([right, up], axis=1), solid.radius))
                 face = _PAYLOAD_COLOUR if solid.kind == "payload" else colour
-                layer = 2.5 + 0.2 * float(np.tanh(near)) - 0.001 * depth
+                layer = (2.5 if alpha == 1 else 2.0) + 0.2 * float(np.tanh(near)) - 0.001 * depth
                 _fill(axes, edges, face, float(alpha), layer)
             if bare or stick.fixed:
                 _draw_stick(axes, stick, k, colour, float(alpha), 3.0 - 0.01 * depth)
         if named:
             axes.plot([], [], color=colour, marker="^" if stick.fixed else "s", linestyle="", label=name)
     if any(solid.kind == "payload" for solid in shapes) and named:
-        axes.plot([], [], color=_PAYLOAD_COLOUR, marker="s", linestyle="", label="payload, as a uniform rod")
+        axes.plot([], [], color=_PAYLOAD_COLOUR, marker="s", linestyle="", label="payload")
 
 
 def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
@@ -80,7 +83,8 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
 
 def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> None:
     if len(edges) > 2:
-        face, line = (colour, 0.5 * alpha), (colour, alpha)
+        half = tuple(0.5 + 0.5 * part for part in to_rgb(colour))
+        face, line = (half, 1.0) if alpha == 1 else (colour, 0.5 * alpha), (colour, alpha)
         axes.add_patch(Polygon(edges, closed=True, facecolor=face, edgecolor=line, linewidth=1.0, zorder=layer))
         axes.update_datalim(edges)
         axes.autoscale_view()
