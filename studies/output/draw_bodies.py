@@ -50,7 +50,8 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
                 near = float(np.mean(points @ towards)) / mechanism.extent_m
                 edges = outline(thickened(points @ np.stack([right, up], axis=1), solid.radius))
                 face = _PAYLOAD_COLOUR if solid.kind == "payload" else colour
-                layer = (2.5 if alpha == 1 else 2.0) + 0.2 * float(np.tanh(near)) - 0.001 * depth
+                size = float(np.prod(np.ptp(edges, axis=0))) / mechanism.extent_m**2
+                layer = (2.5 if alpha == 1 else 2.0) + 0.2 * np.tanh(near) - 0.05 * np.tanh(size) - 0.001 * depth
                 _fill(axes, edges, face, float(alpha), layer)
             if bare or stick.fixed:
                 _draw_stick(axes, stick, k, colour, float(alpha), 3.0 - 0.01 * depth)
@@ -76,7 +77,7 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
             found[at].append(name)
     for at, names in found.items():
         x, y = np.array(at) * mechanism.extent_m
-        axes.plot([x], [y], marker="o", color="black", markerfacecolor="white", markersize=4, linestyle="", zorder=4)
+        axes.plot([x], [y], marker="o", color="black", markerfacecolor="white", markersize=3.2, linestyle="", zorder=4)
         words = ", ".join(filter(None, names))
         axes.annotate(words, (x, y), xytext=(5, 5), textcoords="offset points", fontsize=7.5, zorder=5)
 
