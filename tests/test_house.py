@@ -37,7 +37,7 @@ ROOMS = {
     ),
     "studies": (
         "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",
-        "tune", "render", "new", "export", "report", "demo", "cli",
+        "tune", "render", "new", "export", "report", "explore", "demo", "cli",
     ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.

@@ -40,6 +40,12 @@ def side_by_side(*columns: Sequence[Panel]) -> list[Panel]:
     return list(chain.from_iterable(zip_longest(*columns)))
 
 
+def one_screen(n_panels: int, columns: int, panel_in: tuple[float, float]) -> tuple[float, float]:
+    """Return the width and height of a panel [inch] with which a figure is at most one screen high (1,080 pixels)."""
+    rows = -(-n_panels // columns)
+    return panel_in[0], min(panel_in[1], 9.0 / max(1, rows))
+
+
 def figure_of(
     panels: Sequence[Panel],
     path: Path | None = None,

@@ -160,11 +160,14 @@ class TrackingResult:
         write_report(comparison_report(self.comparison), place)
         return place
 
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given."""
+    def plot(self, path: str | Path | None = None, *, every_joint: bool = False) -> Figure:
+        """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given.
+
+        It is at most one screen high; with `every_joint` it has all joints, dependent ones too, and all actuators.
+        """
         from linkplan.studies.compare.comparison_blocks import comparison_figure
 
-        return drawn(path, lambda place: comparison_figure(self.comparison, place))
+        return drawn(path, lambda place: comparison_figure(self.comparison, place, every_joint=every_joint))
 
     def _repr_html_(self) -> str:
         return html_of(comparison_blocks(self.comparison))
