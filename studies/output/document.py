@@ -101,9 +101,10 @@ class Axis(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Series(Struct, frozen=True, kw_only=True, eq=False):
-    """A line over the x of a plot or over its own x. `look` is "line", "dash", "dots" or "points"; `colour` counts from 0.
+    """A line over the x of a plot or over its own x. `colour` counts from 0.
 
-    Without a colour, the line has the colour of text. A line without a name has no entry in the legend.
+    `look` is "line", "dash", "dots", "points", or "steps", in which a value holds until the next x. Without a colour,
+    the line has the colour of text. A line without a name has no entry in the legend.
     """
 
     name: str

@@ -75,11 +75,11 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
         at = tuple(np.round(np.array([place @ right, place @ up]) / mechanism.extent_m, 3))
         if name not in found.setdefault(at, []):
             found[at].append(name)
-    for at, names in found.items():
+    for k, (at, names) in enumerate(sorted(found.items(), key=lambda one: one[0][::-1])):
         x, y = np.array(at) * mechanism.extent_m
         axes.plot([x], [y], marker="o", color="black", markerfacecolor="white", markersize=3.2, linestyle="", zorder=4)
         words = ", ".join(filter(None, names))
-        axes.annotate(words, (x, y), xytext=(5, 5), textcoords="offset points", fontsize=7.5, zorder=5)
+        axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), textcoords="offset points", fontsize=7.5, zorder=5)
 
 
 def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> None:

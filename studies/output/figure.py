@@ -19,6 +19,7 @@ _STYLES = {
     "dashdot": {"linestyle": "-."},
     "dots": {"linestyle": ":"},
     "points": {"linestyle": "", "marker": "o", "markersize": 4},
+    "steps": {"linestyle": "-", "drawstyle": "steps-post"},
     "cross": {"linestyle": "", "marker": "x", "markersize": 6},
     "star": {"linestyle": "", "marker": "*", "markersize": 13, "markeredgecolor": BLACK},
 }
