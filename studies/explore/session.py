@@ -18,7 +18,9 @@ from linkplan.studies.output.document import Report
 from linkplan.studies.report.reports import explored_report, plan_report
 
 # The objectives of the page, those that need neither a reference nor motors.
-OBJECTIVES = ("effort", "time", "work", "effort_rate")
+OBJECTIVES = ("effort", "time", "work")
+# Writes the problem file of a problem and returns its path.
+Save = Callable[[Problem], str]
 # Sliders of duration and payload go from a quarter to four times of what the problem has.
 _SLIDER_FACTOR = 4.0
 
@@ -57,9 +59,9 @@ class Session:
     def controls(self) -> dict:
         """Return the sliders and objectives of the page, in JSON types."""
         chosen = self.first.to_dict().get("objective", {}).get("minimize", "effort")
-        choices = [name for name in OBJECTIVES if name != "effort_rate" or self.first.mechanism.n_u]
-        known = [*choices, *([chosen] if isinstance(chosen, str) and chosen not in choices else [])]
-        return {"sliders": [asdict(one) for one in self.sliders()], "objectives": known, "objective": chosen}
+        further = [chosen] if isinstance(chosen, str) and chosen not in OBJECTIVES else []
+        objectives = [*OBJECTIVES, *further]
+        return {"sliders": [asdict(one) for one in self.sliders()], "objectives": objectives, "objective": chosen}
 
     def sliders(self) -> list[Slider]:
         """Return the sliders: start and goal of the independent joints, duration, effort limits, payload."""
@@ -152,6 +154,3 @@ def _range(joint: Joint, value: float) -> tuple[float, float]:
 
 def _about(key: str, label: str, unit: str, value: float) -> Slider:
     return Slider(key=key, label=label, unit=unit, low=value / _SLIDER_FACTOR, high=value * _SLIDER_FACTOR, value=value)
-
-
-Save = Callable[[Problem], str]
