@@ -24,8 +24,10 @@ from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
 from linkplan.models.closure.snapping import SHIFT_SHARE, apply_shifts, needless_gaps, refuse_large_gaps, shifts
 from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.digest import compiled_bytes
+from linkplan.models.equations import Equations
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.library import compile_model
+from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
@@ -53,6 +55,8 @@ class Mechanism:
     are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
     that no actuator drives and that can move while all other bodies rest, such as the spin of a rod between two ball joints.
     `notes` are remarks on the assembly. `source` is the [mechanism] table of a problem file.
+
+    `equations` has its mass matrix, bias, closure, transmission and inverse dynamics, for arrays and as CasADi functions.
     """
 
     name: str
@@ -149,6 +153,20 @@ class Mechanism:
         """Return the rows of the force [N] of closure number `closure` in `closure_names`; for a weld those of its point."""
         name = list(dict.fromkeys(gap.index for gap in self.closures))[closure]
         return next(gap.rows for gap in self.closures if gap.index == name)
+
+    @property
+    def equations(self) -> Equations:
+        """The equations of the closed chain, as functions of arrays and as CasADi functions."""
+        return Equations(
+            dynamics=self.dynamics,
+            joints=self.joints,
+            home=self.home,
+            independent=self.independent,
+            dependent=self.dependent,
+        )
+
+    def _repr_html_(self) -> str:
+        return mechanism_html(self.name, self.dof, self.joints, self.independent, self.actuators, self.closure_names)
 
     def gap_m(self, q: np.ndarray) -> float:
         """Return the largest gap [m] of any closure at pose q (n_q,); angles are multiplied by the extent."""

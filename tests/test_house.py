@@ -24,7 +24,8 @@ ROOMS = {
         "errors", "extras", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_text",
         "model_values", "urdf", "urdf_loops", "selection",
         "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
-        "source_table", "coordinate_choice", "mechanism", "selected_model", "poses", "transfer",
+        "source_table", "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses",
+        "transfer",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "solvers", "refinement",
@@ -37,7 +38,7 @@ ROOMS = {
     ),
     "studies": (
         "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",
-        "tune", "render", "new", "export", "transfer", "report", "demo", "cli",
+        "tune", "render", "new", "export", "transfer", "report", "explore", "demo", "cli",
     ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.

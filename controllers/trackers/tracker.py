@@ -25,7 +25,7 @@ class Tracker(Protocol):
         ...
 
     def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return efforts (n_u,) [N.m or N] at control instant k for measured s and v (n_s,)."""
+        """Return efforts (n_u,) [N.m or N] at instant k for measured s [rad or m] and v [rad/s or m/s], both (n_s,)."""
         ...
 
 

@@ -33,11 +33,19 @@ def read_batch(path: str | Path) -> BatchFile:
         ProblemError: for anything in the file that cannot be used.
     """
     path = Path(path)
-    tables = _batch_tables(path)
+    return batch_from(_batch_tables(path), path.parent)
+
+
+def batch_from(tables: dict, folder: Path) -> BatchFile:
+    """Return the batch of a file's tables; the problem's path is looked up in `folder` before the working folder.
+
+    Raises:
+        ProblemError: for anything in the tables that cannot be used.
+    """
     asked = read(BatchFile, tables, "")
     problem = asked.problem
     if problem not in PROBLEMS:
-        problem = str(path_beside(problem, path.parent))
+        problem = str(path_beside(problem, folder))
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
     if len(asked.case) > MAX_CASES:

@@ -11,7 +11,7 @@ from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.values import plain
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
-_SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking")
+_SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")
 _MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = ("extra_costs", "extra_limits")
@@ -19,7 +19,7 @@ _EXTRAS = ("extra_costs", "extra_limits")
 
 def refuse_unknown_arguments(said: Mapping[str, object]) -> None:
     """Refuse names that are no arguments of `replace`."""
-    legal = ("mechanism", *_MECHANISM, *_MOTION, "minimize", *_SECTIONS, *_EXTRAS, "name")
+    legal = ("mechanism", *_MECHANISM, *_MOTION, "minimize", *_SECTIONS, "reserve", *_EXTRAS, "name")
     for key in said:
         if key not in legal:
             raise ProblemError(f"unknown argument '{key}' of replace{nearest(key, legal)}; arguments are {', '.join(legal)}")
@@ -32,6 +32,8 @@ def fill(tables: Tables, said: Mapping[str, object]) -> None:
         tables["objective"] = _updated(tables.get("objective", {}), {"minimize": said["minimize"]})
     sections = {key: value for key, value in said.items() if key in _SECTIONS}
     kept = _updated(tables, sections)
+    if "reserve" in said:
+        kept["limits"] = _updated(kept.get("limits", {}), {"reserve": said["reserve"]})
     tables.clear()
     tables.update(kept)
 

@@ -55,11 +55,13 @@ class Problem:
         limits: `effort`, `range_deg`, `speed_deg_s`, `effort_rate`, `power_w`, `closure_force`, each by name, and
             `singular_margin`, `contacts`; `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes
             {"along": points, "radius_m": r}, one or a list by site. By default the model's own.
+        reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
         mesh: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`.
         solver: `starts`, `compile`, `max_time_s`.
         tracking: `kp`, `kd`, `period_s`, `delay_periods`, `duration_s` and the weights of LQR.
+        robust, imperfections: as in files: {"payload_factor": [0.8, 1.2]}, {"delay_periods": [0.5, 2.0]} for `experiment`.
         extra_costs: a list of `ExtraCost`, running costs in addition to `minimize`, or the whole objective if that is {}.
         extra_limits: a list of `ExtraLimit`, limits at every instant.
         name: of the problem in messages, tables and files; by default the mechanism's name with the kind of motion.
@@ -102,6 +104,7 @@ class Problem:
         duration_s: float | str | None = None,
         minimize: str | ByName | None = None,
         limits: Mapping | None = None,
+        reserve: float | None = None,
         waypoints: Sequence[Mapping] | None = None,
         start_m: ByName | None = None,
         goal_m: ByName | None = None,
@@ -119,6 +122,8 @@ class Problem:
         mesh: Mapping | None = None,
         solver: Mapping | None = None,
         tracking: Mapping | None = None,
+        robust: Mapping | None = None,
+        imperfections: Mapping | None = None,
         extra_costs: Sequence[ExtraCost] | None = None,
         extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
@@ -140,6 +145,7 @@ class Problem:
         duration_s: float | str | None = None,
         minimize: str | ByName | None = None,
         limits: Mapping | None = None,
+        reserve: float | None = None,
         waypoints: Sequence[Mapping] | None = None,
         start_m: ByName | None = None,
         goal_m: ByName | None = None,
@@ -153,6 +159,8 @@ class Problem:
         mesh: Mapping | None = None,
         solver: Mapping | None = None,
         tracking: Mapping | None = None,
+        robust: Mapping | None = None,
+        imperfections: Mapping | None = None,
         extra_costs: Sequence[ExtraCost] | None = None,
         extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
@@ -173,10 +181,13 @@ class Problem:
         reference: Mapping | None = None,
         duration_s: float | None = None,
         limits: Mapping | None = None,
+        reserve: float | None = None,
         motors: Mapping[str, Mapping] | None = None,
         mesh: Mapping | None = None,
         solver: Mapping | None = None,
         tracking: Mapping | None = None,
+        robust: Mapping | None = None,
+        imperfections: Mapping | None = None,
         extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
     ) -> Problem:
@@ -241,8 +252,8 @@ class Problem:
     ) -> Problem:
         """Return the problem of tables and extra costs and limits, with a builder's arguments in place of their values."""
         arguments.fill(tables, said)
-        extras = extras | arguments.given_extras(said)
-        return cls.from_tables(arguments.checked_name(name), tables, None, mechanism, **extras)._in_reach()
+        every = extras | arguments.given_extras(said)
+        return cls.from_tables(arguments.checked_name(name), tables, None, mechanism, **every)._in_reach()
 
     def start_pose(self) -> np.ndarray:
         """Return the closed pose (n_q,) at the start.
@@ -261,9 +272,8 @@ class Problem:
     @property
     def adrift(self) -> np.ndarray:
         """A mask (n_s,) of coordinates with a free final value: passive degrees of freedom that the goal does not name."""
-        passive = np.isin(self.mechanism.independent, self.mechanism.passive_dofs)
-        passive[list(self.motion.goal_named)] = False
-        return passive
+        named = np.isin(np.arange(self.mechanism.dof), list(self.motion.goal_named))
+        return np.isin(self.mechanism.independent, self.mechanism.passive_dofs) & ~named
 
     @property
     def free_spins(self) -> np.ndarray:
@@ -285,10 +295,8 @@ class Problem:
     @property
     def not_honoured(self) -> tuple[str, ...]:
         """Phrases on what plans neglect of the model; they say so if it makes plans wrong."""
-        found = audit(self.mechanism.model)
-        return tuple(
-            f"left out of the plan, which makes it false: {one.text}" if one.falsifies else one.text for one in found
-        )
+        false = "left out of the plan, which makes it false: "
+        return tuple(f"{false if one.falsifies else ''}{one.text}" for one in audit(self.mechanism.model))
 
     def to_dict(self) -> dict:
         """Return a copy of the problem as the tables of a problem file, without extra costs and limits."""
@@ -322,9 +330,8 @@ class Problem:
             LinkplanError: for an invalid key or value.
         """
         tables = self.to_dict()
-        before = copy.deepcopy(tables["mechanism"])
         arguments.apply_settings(tables, settings)
-        mechanism = self.mechanism if tables["mechanism"] == before else None
+        mechanism = self.mechanism if tables["mechanism"] == self.source["mechanism"] else None
         return self.from_tables(self.name, tables, None, mechanism, **self._extras())._in_reach()
 
     def _extras(self) -> dict:

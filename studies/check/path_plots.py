@@ -10,10 +10,11 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
-from linkplan.studies.check.draw_mechanism import draw_poses, mark_turning
+from linkplan.studies.check.draw_mechanism import mark_turning
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure
 from linkplan.studies.output.document import Axis, Plot
+from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.lines import TIME, Line, plots
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ _OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still"
 
 def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) -> None:
     """Draw a path: the mechanism at seven poses, and the plots of its quantities."""
-    from linkplan.studies.output.figure import figure_of
+    from linkplan.studies.output.figure import figure_of, one_screen
 
     poses = path.poses[np.linspace(0, len(path.poses) - 1, num=7).astype(int)]
     if path.coordinate is not None:
@@ -36,7 +37,8 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) 
     if path.coordinate is not None:
         panels[1:] = [_marked(plot, path.mechanism, reaches[path.coordinate]) for plot in panels[1:]]
     title = f"{path.mechanism.name}: along {path.title}, at rest"
-    figure_of(panels, saved, title=title, columns=2, panel_in=(5.3, 3.3))
+    columns = 2 if len(panels) <= 6 else 4
+    figure_of(panels, saved, title=title, columns=columns, panel_in=one_screen(len(panels), columns, (5.3, 3.3)))
 
 
 def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
@@ -45,7 +47,7 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each coordinate also has
     a figure loop-N.png.
     """
-    from linkplan.studies.output.figure import figure_of
+    from linkplan.studies.output.figure import figure_of, one_screen
 
     reaches, mechanism = found.reaches[:3], found.mechanism
     panels: list = []
@@ -53,10 +55,12 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
         swept = measure(mechanism, can.poses, "reach", coordinate=can.coordinate)
         panels.append(lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can)))
         panels += [_marked(plot, mechanism, can) for plot in path_plots(swept) if plot.title.startswith(_OF_REACH)]
-        panels += [None] * (len(panels) % 2)
+        panels += [None] * (-len(panels) % (2 if len(reaches) <= 1 else 4))
     names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
     others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"
-    return figure_of(panels, path, title=f"{mechanism.name}{others}", columns=2, panel_in=(5.3, 3.6))
+    columns = 2 if len(reaches) <= 1 else 4  # the panels of a coordinate fill a row
+    size = one_screen(len(panels), columns, (5.3, 3.6))
+    return figure_of(panels, path, title=f"{mechanism.name}{others}", columns=columns, panel_in=size)
 
 
 def _marked(plot: Plot, mechanism: Mechanism, can: Reach) -> Callable[..., None]:

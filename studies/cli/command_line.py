@@ -168,6 +168,13 @@ def build_parser() -> Parser:
     )
     report.add_argument("-o", "--output", metavar="FILE", default="report.html", help="default: %(default)s")
 
+    text = "vary a problem by sliders on a page of this machine: the certified plan and its tracking follow"
+    explore = command("explore", text, output=False)
+    explore.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
+    _selection(explore)
+    _file(explore, "the problem file that the page's button writes; it must not be there (default: problem.toml)")
+    explore.add_argument("--port", type=int, default=0, metavar="N", help="of 127.0.0.1 (default: a free one)")
+
     text = "write a first problem file for a mechanism: a motion that it can make, every option in comments"
     new = command("new", text, output=False, settings=False)
     new.add_argument("model", metavar="MODEL", help="a built-in model or an MJCF file")

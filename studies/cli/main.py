@@ -43,6 +43,7 @@ _MODULES = {
     "export": "export_command",
     "completion": "completion_command",
     "report": "report_command",
+    "explore": "explore_command",
 }
 
 
@@ -158,6 +159,8 @@ def _interrupted(before: _CommandState) -> int:
         and os.path.isdir(f"{before.target.rstrip('/')}.unfinished")
     ):
         what = f"what is done is in '{before.target.rstrip('/')}.unfinished', and the same command goes on from it"
+    elif before.command == "explore":
+        what = "the page is no longer served; problem files that it saved stay"
     refuse(before.command, f"interrupted; {what}")
     return SIGNAL_BASE + (ended_by() or signal.SIGINT)
 

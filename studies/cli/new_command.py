@@ -2,7 +2,6 @@
 
 import argparse
 
-from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.studies.cli.common import new_file, refuse_no_model, selection_asked
@@ -13,24 +12,18 @@ from linkplan.studies.cli.printing import progress, show
 def run_new(arguments: argparse.Namespace) -> int:
     """Write a problem file for a mechanism; 1 if no motion was found for it."""
     from linkplan.planner.files.single_file import write_new
-    from linkplan.studies.new.first_motion import first_motion, model_beside
-    from linkplan.studies.new.problem_text import problem_text
+    from linkplan.studies.new.first_motion import first_motion
+    from linkplan.studies.new.problem_file import file_tables, first_text
 
     target, say = new_file(arguments), progress(arguments)
     if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
         raise ProblemError(f"'{arguments.model}' is already a problem; new takes the model of a mechanism")
     refuse_no_model(arguments.model)
     found = first_motion({"model": arguments.model} | selection_asked(arguments), say)
-    tables = found.tables
-    if arguments.model not in MODELS:
-        tables = tables | {"mechanism": tables["mechanism"] | {"model": model_beside(arguments.model, target)}}
+    tables = file_tables(found, arguments.model, target)
     file = "problem.toml" if target is None else target.name
-    begin = [
-        f"linkplan plan {file} -o planned".ljust(42) + "plans it, certifies it between the nodes and saves it",
-        "linkplan compare planned -o compared".ljust(42) + "tracks it in MuJoCo by PD, PD + feedforward and LQR",
-        "",
-    ]
-    text = problem_text(found.mechanism, tables, found.description, begin)
+    steps = (f"linkplan plan {file} -o planned", "linkplan compare planned -o compared")
+    text = first_text(found, tables, steps)
     if target is not None:
         write_new(target, text.encode("utf-8"))
     verdict = "planned" if found.planned else f"NOT planned: {found.why}"

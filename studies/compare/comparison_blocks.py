@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.controllers.rollout import Rollout
-from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record
+from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record, tracking_reference
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import text_of
@@ -30,25 +31,38 @@ def comparison_text(comparison: Comparison) -> str:
     return text_of(comparison_blocks(comparison))
 
 
-def comparison_figure(comparison: Comparison, path: Path | None = None) -> "Figure":
+def comparison_figure(comparison: Comparison, path: Path | None = None, *, every_joint: bool = False) -> "Figure":
     """Return the figure of every tracker's motion, error and effort, saved at `path` if given.
 
-    It shows the motion and error of every independent joint, the motion of every dependent joint and the effort of every
-    actuator. The left column has the runs as modelled, the right column those with the mismatch.
+    It is at most one screen high, with the two independent joints and the two actuators that have the largest errors and
+    efforts; with `every_joint` it has all joints, dependent ones too, and all actuators. The left column has the runs as
+    modelled, the right column those with the mismatch.
     """
-    from linkplan.studies.output.figure import figure_of, side_by_side
+    from linkplan.studies.output.figure import figure_of, one_screen, side_by_side
 
     mechanism, cases = comparison.plan.problem.mechanism, cases_of(comparison)
+    most = max(mechanism.dof, mechanism.n_u) if every_joint else 2
+    runs_of_all = [run for _, runs in cases for run in runs.values()]
+    chosen = largest(np.max([np.abs(run.error).max(axis=0) for run in runs_of_all], axis=0), most)
+    pushed = largest(np.max([np.abs(run.applied).max(axis=0) for run in runs_of_all], axis=0), most)
     columns = [
         [
-            *joint_plots(comparison, runs, range(mechanism.dof)),
-            *follower_plots(comparison, runs),
-            *effort_plots(comparison, runs, range(mechanism.n_u)),
+            *joint_plots(comparison, runs, chosen),
+            *(follower_plots(comparison, runs) if every_joint else []),
+            *site_plots(comparison, runs),
+            *effort_plots(comparison, runs, pushed),
         ]
         for _, runs in cases
     ]
     title = f"{comparison.plan.problem.name}: {'; '.join(title for title, _ in cases)}"
-    return figure_of(side_by_side(*columns), path, title=title, columns=len(cases), panel_in=(5.8, 2.6))
+    panels, size = side_by_side(*columns), (5.8, 2.6)
+    size = size if every_joint else one_screen(len(panels), len(cases), size)
+    return figure_of(panels, path, title=title, columns=len(cases), panel_in=size)
+
+
+def largest(sizes: np.ndarray, most: int) -> list[int]:
+    """Return the indices of the `most` largest sizes (n,), in ascending order."""
+    return sorted(np.argsort(np.nan_to_num(sizes, nan=np.inf), kind="stable")[::-1][:most].tolist())
 
 
 def cases_of(comparison: Comparison) -> list[tuple[str, Mapping[str, Rollout]]]:
@@ -136,6 +150,20 @@ def effort_plots(comparison: Comparison, runs: Mapping[str, Rollout], pushed: Se
         efforts = {name: run.applied[:, j] for name, run in runs.items()}
         title = f"Effort of {actuators[j].name}"
         found += _plots(comparison, runs, title, "effort", actuators[j].unit, efforts, limits=ends)
+    return found
+
+
+def site_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]:
+    """Return the plots of the distances of the problem's sites from their planned places, in millimetres."""
+    mechanism, found = comparison.plan.problem.mechanism, []
+    for name, index in comparison.plan.problem.sites.items():
+        planned = places_of(mechanism, index, tracking_reference(comparison.plan).pose)
+        errors = {
+            key: 1e3
+            * np.linalg.norm(places_of(mechanism, index, np.nan_to_num(run.pose)) - planned[: len(run.pose)], axis=1)
+            for key, run in runs.items()
+        }
+        found += _plots(comparison, runs, f"Distance of {name} from the plan", "distance", "mm", errors)
     return found
 
 

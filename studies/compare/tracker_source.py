@@ -4,13 +4,16 @@ import ast
 import contextlib
 import hashlib
 import importlib
+import inspect
 import os
+import pickle
 import socket
 import sys
 from collections.abc import Iterator, Mapping
 from importlib.machinery import PathFinder
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 from linkplan.models.errors import LinkplanError, ProblemError
 
@@ -67,6 +70,24 @@ def source_hash(text: str) -> str:
     for name, path in sorted(source_files(module_of(text)).items()):
         digest.update(f"\n{name}\n".encode() + path.read_bytes())
     return digest.hexdigest()
+
+
+def object_hash(given: object) -> str:
+    """Return the hash of a tracker given as an object: of its source text, its values, or its name if both are unknown.
+
+    It tells a changed tracker when an unfinished experiment is continued, as far as Python knows the object.
+    """
+    digest = hashlib.sha256()
+    for look in (lambda: inspect.getsource(_maker_of(given)), lambda: pickle.dumps(given), lambda: repr(_maker_of(given))):
+        with contextlib.suppress(Exception):  # a user's object may refuse anything
+            text = look()
+            digest.update(text if isinstance(text, bytes) else text.encode())
+    return digest.hexdigest()
+
+
+def _maker_of(given: object) -> Any:
+    """Return a class or function itself, or the class of an object."""
+    return given if isinstance(given, type) or inspect.isroutine(given) else type(given)
 
 
 def refuse_other_sources(hashes: Mapping[str, str]) -> None:

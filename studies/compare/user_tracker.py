@@ -3,9 +3,10 @@
 import contextlib
 import functools
 import importlib
+import pickle
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
@@ -109,6 +110,39 @@ def _forget_older(text: str) -> None:
 def _object_of(module: str, name: str) -> Any:
     look_here()
     return functools.reduce(getattr, name.split("."), importlib.import_module(module))
+
+
+def name_of(given: object) -> str:
+    """Return the name in an experiment of a tracker given as an object, a class or a function: "own:" and its own name.
+
+    Raises:
+        ProblemError: if it is none of these, or its name has characters that no name may have.
+    """
+    if not (isinstance(given, type) or callable(given) or _is_law(given)):
+        raise ProblemError(
+            f"a tracker is one of {', '.join(TRACKERS)}, an object, a class or a function; got {_text_of(given)}"
+        )
+    names = [getattr(given, key, None) for key in ("name", "__name__")]
+    name = next((one for one in names if isinstance(one, str) and one.strip()), type(given).__name__)
+    if not name.isprintable() or len(name) > _LONGEST_NAME:
+        raise ProblemError(f"a tracker's name has at most {_LONGEST_NAME} printable characters, got {_text_of(name)!r}")
+    return f"own:{name}"
+
+
+def refuse_unpicklable(given: Mapping[str, TrackerLike]) -> None:
+    """Refuse trackers, by name, that other processes cannot be given.
+
+    Raises:
+        ProblemError: with the name of the first one that cannot be pickled.
+    """
+    for name, one in given.items():
+        try:
+            pickle.dumps(one)
+        except Exception as error:
+            raise ProblemError(
+                f"tracker '{name}' cannot be sent to other processes; use workers=1 or define it in a module:"
+                f" {_text_of(error)}"
+            ) from error
 
 
 def trackers_named(text: str) -> list[TrackerLike]:

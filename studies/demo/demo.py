@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.folders import write_json, write_whole
@@ -48,6 +49,7 @@ ANGLES_DEG = (-49.07, -20.0, 3.6, 30.0, 56.27)
 
 Say = Callable[[str], None]
 Sections = list[Section]
+STORY = "knee-reach"  # the plan that the page tells
 
 
 def demo(target: Path, say: Say) -> tuple[dict, list[Block]]:
@@ -72,20 +74,65 @@ def _write(place: Path, say: Say) -> dict:
     compared, summary = _comparisons(place, said, plans, say)
     loops = _loops(place, said, say)
     document = _document(place, said, plans["knee-sine"], say)
-    overview = _overview(said, plans)
-    source = Section(title="The source document, as printed and mended", blocks=document)
-    planned = [
-        section
-        for name in PLANNED
-        for section in (*compared.get(name, []), *plan_sections(plans[name], animated=name not in compared))
-    ]
     say("report")
     verdict = f"{len(plans)} plans, all certified; {len(compared)} comparisons; {len(LOOPS)} feedback loops"
     passed = all(plan.certificate.passed for plan in plans.values())
-    report = report_of("linkplan on the Optimus knee", verdict, passed, [overview, *checks, *planned, *loops, source])
+    overview = _overview(said, plans)
+    sections = [*_story(plans, compared, loops), overview, *_further(plans, compared, loops, checks), _appendix(document)]
+    report = report_of("linkplan on the Optimus knee", verdict, passed, sections)
     save_report(report, place, page=True)
     write_json(place / "demo.json", said)
     return said | {"blocks": [*overview.blocks, *summary, *document]}
+
+
+def _story(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Sections]) -> Sections:
+    """Return the open sections of the page: one motion of one mechanism, how it is tracked, and its feedback loop."""
+    plan = plans[STORY]
+    intro = Text(
+        text=(
+            "The Optimus knee is a four-bar linkage: a motor at O turns the crank, and the shank hangs on the crank. The"
+            " plan swings the shank from bent to straight with the least effort, within the motor's limit. Below, trackers"
+            " follow it in MuJoCo, and the feedback loop of the first gains is analysed. Folded sections hold the rest."
+        )
+    )
+    first, *rest = plan_sections(plan)
+    planned = [
+        replace(first, title="The swing of the shank", blocks=[intro, *first.blocks]),
+        rest[0],
+        *map(_folded, rest[1:]),
+    ]
+    tracked, *over_time = compared[STORY]
+    tracked = replace(tracked, title="The swing as tracked in MuJoCo")
+    loop, *details = loops[0]
+    return [*planned, tracked, *map(_folded, over_time), loop, *map(_folded, details)]
+
+
+def _further(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Sections], checks: Sections) -> Sections:
+    """Return the folded sections of the other plans, comparisons and loops, and of the checks."""
+    found = []
+    for name in PLANNED:
+        if name != STORY:
+            both = [*plan_sections(plans[name], animated=name not in compared), *compared.get(name, [])]
+            found += [_folded(section) if section.depth == 1 else section for section in both]
+    others = [section for sections in loops[1:] for section in sections]
+    return [*found, *(_folded(section) if section.depth == 1 else section for section in (*others, *checks))]
+
+
+def _appendix(document: list[Block]) -> Section:
+    explained = Text(
+        text=(
+            "The knee comes from a document with a MuJoCo model and an experiment: a sinusoid under PD with two gain sets."
+            " In the printed model the loop is open at the start pose, the links touch one another, and a joint stop forbids"
+            " a part of the sinusoid. The corrected model is optimus-knee. KD = 10 every 0.1 ms is unstable on both models,"
+            " because the sampled damping exceeds its limit of about 2 J / T."
+        )
+    )
+    title = "Appendix: the experiment of the source document, as printed and corrected"
+    return Section(title=title, blocks=[explained, *document], folded=True)
+
+
+def _folded(section: Section) -> Section:
+    return replace(section, folded=True)
 
 
 def _overview(said: dict, plans: dict[str, Plan]) -> Section:
@@ -101,7 +148,8 @@ def _overview(said: dict, plans: dict[str, Plan]) -> Section:
         for name, plan in plans.items()
     ]
     infeasible = Text(text=f"An infeasible problem: {said['infeasible']['message']}.")
-    return Section(title="Overview", blocks=[table_of("Plans within the effort limit", heads, rows), infeasible])
+    table = table_of("Plans within the effort limit", heads, rows)
+    return Section(title="Further motions of the knee", blocks=[table, infeasible])
 
 
 def _checks(place: Path, said: dict, say: Say) -> Sections:
@@ -155,7 +203,7 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
     return sections, texts
 
 
-def _loops(place: Path, said: dict, say: Say) -> Sections:
+def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
     mechanism = load_mechanism("optimus-knee")
     joint = mechanism.independent_joints[0]
     said["bode"], sections = [], []
@@ -174,13 +222,13 @@ def _loops(place: Path, said: dict, say: Say) -> Sections:
         said["bode"].append(bode_record(study))
         write_json(folder / "bode.json", said["bode"][-1])
         save_bode(study, folder)
-        sections += bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms")
+        sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
             marked = [(f"the document's KP = {g.kp:g}, KD = {g.kd:g}", g.kp, g.kd) for g in LOOPS[:2]]
             said["stability_map"], blocks = map_record(found), map_blocks(found, marked)
             figure_of(panels_of(blocks), place / "stability_map.png", columns=2, panel_in=(6.5, 5.0))
-            sections.append(Section(title="Stability map", blocks=blocks, depth=2))
+            sections[0].append(Section(title="Stability map", blocks=blocks, depth=2))
     return sections
 
 

@@ -9,7 +9,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
-from linkplan.studies.check.draw_mechanism import draw_poses
+from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.drawing import outside_legend, page
 
 # A built-in problem for every built-in mechanism that has one.

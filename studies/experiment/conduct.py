@@ -5,6 +5,7 @@ import functools
 import hashlib
 import socket
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from linkplan.models.errors import LinkplanError, PlanFileError
@@ -12,6 +13,7 @@ from linkplan.models.reading import read_file
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources
+from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.experiment.block import block_count, run_block, samples_of
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of
 from linkplan.studies.experiment.laws import unbatched_notes
@@ -29,6 +31,7 @@ def conduct(
     folder: Path,
     settings: Settings,
     sources: Mapping[str, str],
+    own: Mapping[str, TrackerLike],
     plan: Callable[[], Plan],
     engine: Engine,
     say: Say,
@@ -41,6 +44,7 @@ def conduct(
         folder: the folder of parts, locked by this process.
         settings: of the experiment.
         sources: hashes of the source files of users' trackers.
+        own: trackers given as Python objects, by their names in the settings.
         plan: makes the plan if the folder has none yet.
         engine: runs the blocks.
         say: receives progress messages.
@@ -55,12 +59,12 @@ def conduct(
         keep_plan(folder, plan())
     folder = folder.resolve()
     written = _hash_of(folder / PLAN)
-    experiment = _opened(folder, settings, written)
+    experiment = replace(_opened(folder, settings, written), own=own)
     for line in unbatched_notes(experiment):
         say(line)
     there = done(folder)
     progress = Progress(experiment.n, sum(len(samples_of(block, experiment)) for block in there), "samples", say)
-    work = functools.partial(_work, folder, settings, written, sources, threads, batch)
+    work = functools.partial(_work, folder, settings, written, sources, own, threads, batch)
     todo = [block for block in range(block_count(experiment)) if block not in there]
     with contextlib.closing(streamed(engine, work, todo, say)) as results:
         for block, columns in results:
@@ -88,6 +92,7 @@ def _work(
     settings: Settings,
     written: str,
     sources: Mapping[str, str],
+    own: Mapping[str, TrackerLike],
     threads: int,
     batch: int | None,
     block: int,
@@ -99,4 +104,4 @@ def _work(
             f"a worker on {socket.gethostname()} does not see '{folder}': all workers must share the disk of the results"
         )
     refuse_other_sources(sources)
-    return run_block(_opened(folder, settings, written), block, threads or share, batch)
+    return run_block(replace(_opened(folder, settings, written), own=own), block, threads or share, batch)

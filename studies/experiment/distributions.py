@@ -62,6 +62,7 @@ def _distribution(results: Mapping[str, np.ndarray], trackers: Sequence[str], na
                 name=tracker,
                 x=rounded(np.concatenate([x[shown][:1], x[last], [high]]), log=log),
                 y=rounded(np.concatenate([[0.0], share[last], share[-1:]])),
+                look="steps",
                 colour=tracker_colour(tracker, k + 3),
                 width=overlaid_width(k, len(known)),
             )

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from linkplan.planner.plan_folder import versions
 from linkplan.planner.problem.imperfections import ImperfectionFactors, imperfections_of
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
-from linkplan.studies.compare.user_tracker import known_tracker
+from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.experiment.defaults import default_imperfections
 from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES
 from linkplan.studies.experiment.layout import layout_of
@@ -84,7 +84,8 @@ class Experiment:
     """Trackers of one plan on n machines.
 
     `values` (n, d): values of the section's factors in a problem file's units. `draws` (n,): number of each machine's noise
-    draw. `scheme`: the scheme of a sensitivity design, or None.
+    draw. `scheme`: the scheme of a sensitivity design, or None. `own`: trackers given as Python objects, by their names in
+    the settings.
     """
 
     plan: Plan
@@ -96,6 +97,7 @@ class Experiment:
     reference: SampledReference
     loop: ControlLoop
     yardstick: Yardstick
+    own: Mapping[str, TrackerLike] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

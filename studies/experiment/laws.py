@@ -46,7 +46,8 @@ def law_of(name: str, experiment: Experiment) -> AnyTracker:
     plan, reference = experiment.plan, experiment.reference
     if name in TRACKERS:
         return build_tracker(name, plan, reference)
-    asked, mechanism = tracker_named(name), plan.problem.mechanism
+    asked = experiment.own[name] if name in experiment.own else tracker_named(name)
+    mechanism = plan.problem.mechanism
 
     def made() -> Tracker | TrackerWithMemory:
         law = users_tracker(asked, mechanism, reference)

@@ -23,7 +23,7 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
     if not 0 <= sample < experiment.n:
         raise ProblemError(f"samples of this experiment are from 0 to {experiment.n - 1}, got {sample}")
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
-    law = law_of(known_tracker(tracker), experiment)
+    law = law_of(tracker if tracker in experiment.own else known_tracker(tracker), experiment)
     plant = MujocoPlant(mechanism=mechanism, loop=experiment.loop)
     ensemble = simulate(plant, law, reference, [experiment.machine(sample)])
     if ensemble.done[0] == 0:

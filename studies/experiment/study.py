@@ -15,7 +15,8 @@ from linkplan.planner.files.folders import check_target, plain_record, write_jso
 from linkplan.planner.files.json_record import read_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import write_plan
-from linkplan.studies.compare.tracker_source import refuse_other_sources, source_hash
+from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
+from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.experiment.conduct import conduct
 from linkplan.studies.experiment.design import LATIN_HYPERCUBE, replicate_of
 from linkplan.studies.experiment.experiment import (
@@ -75,6 +76,7 @@ def run_experiment(
     engine: Engine = here,
     threads: int = 0,
     batch: int | None = None,
+    own: Mapping[str, TrackerLike] | None = None,
 ) -> Outcome:
     """Return an experiment's outcome, and write it into a folder if one is given.
 
@@ -88,18 +90,21 @@ def run_experiment(
         engine: runs the blocks.
         threads: simulator threads of each block; 0 for the engine's default.
         batch: most simulations stepped together.
+        own: trackers given as Python objects, by their names in the settings.
 
     Raises:
         PlanFileError: if the folder holds something else, or cannot be written.
         LinkplanError: for a plan that cannot be simulated.
     """
     load_extra("pyarrow.parquet", "experiment")  # refused before anything is planned
-    sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS}
-    asked = asked_record(source, digest, settings, sources)
+    objects = own or {}
+    sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS and name not in objects}
+    written = {name: object_hash(given) for name, given in objects.items()}
+    asked = asked_record(source, digest, settings, sources | written)
 
     def carried_out(folder: Path) -> Outcome:
         with working(folder, asked, "an experiment"):
-            experiment = conduct(folder, settings, sources, plan, engine, say, threads, batch)
+            experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads, batch)
             write_results(folder, folder / RESULTS, experiment)
             outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
             (folder / RESULTS).unlink()

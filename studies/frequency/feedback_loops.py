@@ -237,6 +237,12 @@ class FeedbackLoop:
         C[:, : self.gain.shape[1]] = self.gain
         return control.StateSpace(A, B, C, 0, self.timing.period_s)
 
+    def closed_system(self) -> control.StateSpace:
+        """Return the closed loop from commands added to the law's to the state x, as python-control's state space."""
+        late = (self.A, self.B) if self.kind == CONTINUOUS else augmented(self.A, self.B, self.B_late, self.timing)
+        C = np.eye(self.gain.shape[1], len(late[0]))
+        return control.StateSpace(self.matrix, late[1], C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
+
     def plant(self, frequency_hz: np.ndarray) -> np.ndarray:
         """Return G (n, 2 n_s, n_u), commands to the state, at frequencies [Hz].
 

@@ -101,9 +101,10 @@ class Axis(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Series(Struct, frozen=True, kw_only=True, eq=False):
-    """A line over the x of a plot or over its own x. `look` is "line", "dash", "dots" or "points"; `colour` counts from 0.
+    """A line over the x of a plot or over its own x. `colour` counts from 0.
 
-    Without a colour, the line has the colour of text. A line without a name has no entry in the legend.
+    `look` is "line", "dash", "dots", "points", or "steps", in which a value holds until the next x. Without a colour,
+    the line has the colour of text. A line without a name has no entry in the legend.
     """
 
     name: str
@@ -220,13 +221,35 @@ class Bars(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
     note_name: str = ""
 
 
+class Shape(Struct, frozen=True, kw_only=True, eq=False):
+    """A convex shape in the frame of its body: points, flat, thickened by `radius` [m].
+
+    In a plane the points are the corners of its outline in their order. In space, `faces` are the indices of each face's
+    corners, counterclockwise seen from outside. `look` is "geom", "payload" or "arm".
+    """
+
+    points: Numbers
+    radius: float = 0.0
+    faces: Sequence[Sequence[int]] = ()
+    look: str = "geom"
+
+
 class Body(Struct, frozen=True, kw_only=True, eq=False):
-    """A body of an animation: its pins at every frame, flat: (n_frames, n_pins * dimension) [m]."""
+    """A body of an animation: its pins at every frame, flat: (n_frames, n_pins * dimension) [m], and its shapes.
+
+    `places` has the body's frame at every frame of the animation, or once for a body at rest: position [m], then cosine and
+    sine of its angle in a plane, or its quaternion in space. Bodies of larger `depth` [m] are nearer to the eye.
+    `sites` are points in the body's frame by name.
+    """
 
     name: str
     fixed: bool
     n_pins: int
     points: Sequence[Numbers]
+    places: Sequence[Numbers] = ()
+    shapes: Sequence[Shape] = ()
+    sites: Sequence[tuple[str, Numbers]] = ()
+    depth: float = 0.0
 
 
 class Mark(Struct, frozen=True, kw_only=True, eq=False):
@@ -262,8 +285,8 @@ class Ghost(Struct, frozen=True, kw_only=True, eq=False):
 class Animation(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """A mechanism in motion over times (n_frames,) [`unit`]: in its plane (`dimension` 2) or in space (3).
 
-    `labels` are the joints' names and positions, (n_frames, dimension) each; `paths` are the positions of named sites;
-    `axes` are the names of the two directions of the plane.
+    `labels` are the names and positions of pins and sites, (n_frames, dimension) each; `paths` are the positions of named
+    sites; `axes` are the names of the two directions of the plane. `floors` are the heights of horizontal planes [m].
     """
 
     title: str
@@ -279,6 +302,7 @@ class Animation(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=Tr
     planned: str = "planned"
     period: float | None = None
     unit: str = "s"
+    floors: Numbers = ()
 
 
 class Code(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
@@ -292,7 +316,10 @@ Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Cod
 
 
 class Section(Struct, frozen=True, kw_only=True, eq=False):
-    """Blocks under a title. A section of `depth` 2 belongs to the last section of depth 1. A folded one opens on demand."""
+    """Blocks under a title. A section of `depth` 2 belongs to the last section of depth 1.
+
+    A folded section opens on demand, together with the deeper sections after it.
+    """
 
     title: str
     blocks: Sequence[Block]

@@ -1,4 +1,4 @@
-"""A plan over time: its plots, and its figure with the paths of the sites that its problem names."""
+"""A plan over time: its plots, and its figure with the mechanism or the paths of the sites that its problem names."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.lines import TIME, Line, plots
@@ -17,14 +18,20 @@ if TYPE_CHECKING:
 
 def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
     """Return the figure of a plan's positions, speeds and efforts, saved at `path` if it is given."""
+    from linkplan.studies.output.draw_bodies import draw_poses
     from linkplan.studies.output.draw_sites import draw_sites
     from linkplan.studies.output.figure import figure_of, side_by_side
 
-    drawn = time_plots(plan, motion_of(plan))
+    motion = motion_of(plan)
+    drawn = time_plots(plan, motion)
     shown = [*drawn["position"], *drawn["speed"], *drawn["effort"]]
-    columns = [shown, [lambda axes: draw_sites(axes, plan)]] if plan.problem.sites else [shown]
+    poses = motion.pose[np.linspace(0, len(motion.pose) - 1, 5).astype(int)]
+
+    def mechanism(axes) -> None:
+        draw_sites(axes, plan) if plan.problem.sites else draw_poses(axes, plan.problem.mechanism, poses)
+
     title = f"{plan.problem.name}: {plan.message}"
-    return figure_of(side_by_side(*columns), path, title=title, columns=len(columns), panel_in=(7.0, 2.7))
+    return figure_of(side_by_side(shown, [mechanism]), path, title=title, columns=2, panel_in=(6.2, 2.7))
 
 
 def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
@@ -82,6 +89,7 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
         "dependent position": over_time(
             "Position of the dependent joints", "position", joints(dependent, motion.pose, limits.position, "")
         ),
+        "site": plots("Sites", "place", TIME, time, _site_lines(plan, motion), group=group, period=period),
         "speed": over_time(
             "Speed of the independent joints", "speed", joints(independent, motion.rates, limits.speed, "/s")
         ),
@@ -92,3 +100,14 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
         "power": over_time("Mechanical power of the actuators", "power", powers),
         "force": over_time("Force of the closures", "closure force", forces),
     }
+
+
+def _site_lines(plan: Plan, motion: Motion) -> list[Line]:
+    """Return the moving coordinates of the sites that a problem names, in millimetres."""
+    mechanism, lines = plan.problem.mechanism, []
+    for name, index in plan.problem.sites.items():
+        places = places_of(mechanism, index, motion.pose)
+        for axis, values in zip("xyz", places.T, strict=True):
+            if np.ptp(values) > 1e-6 * mechanism.extent_m:
+                lines.append(Line(name=f"{name}, {axis}", values=1e3 * values, unit="mm"))
+    return lines

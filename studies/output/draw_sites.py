@@ -4,18 +4,19 @@ import numpy as np
 
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.skeleton import body_name, sticks, view
+from linkplan.models.poses.skeleton import sticks, view
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.studies.output.directions import direction_name
-from linkplan.studies.output.drawing import GREY, SERIES, outside_legend
+from linkplan.studies.output.draw_bodies import draw_bodies
+from linkplan.studies.output.drawing import SERIES, outside_legend
 
 
 def draw_sites(axes, plan: Plan) -> None:
     """Draw the paths of the sites that a problem names, with the forbidden regions shaded.
 
-    The mechanism is grey at start and end. A point is shaded if it is forbidden at every depth of the path.
+    The mechanism is pale at start and end. A point is shaded if it is forbidden at every depth of the path.
     """
     mechanism, motion = plan.problem.mechanism, plan.trajectory
     q = follow(mechanism, motion.position_at(motion.dense_times(10)), motion.start_pose)
@@ -23,16 +24,8 @@ def draw_sites(axes, plan: Plan) -> None:
     across = np.cross(right, up)
     flat = np.stack([right, up], axis=1)
     drawn = sticks(mechanism, q[[0, -1]])
-    for stick in drawn:
-        for pins in stick.pins:
-            look = {"marker": "^", "linestyle": ""} if stick.fixed else {"marker": "o", "linewidth": 2.0}
-            axes.plot(pins[:, 0], pins[:, 1], color=GREY, alpha=0.35, markersize=4, **look)
+    draw_bodies(axes, mechanism, q[[0, -1]], np.full(2, 0.35), named=False)
     paths = {name: places_of(mechanism, index, q) for name, index in plan.problem.sites.items()}
-    for name, path in paths.items():  # a line from the body's first pin, because a stick may end at the centre of mass
-        body = body_name(mechanism.model, int(mechanism.model.site_bodyid[plan.problem.sites[name]]))
-        for pins in (stick.pins for stick in drawn if stick.body == body and not stick.fixed):
-            for k, end in enumerate((0, -1)):
-                axes.plot(*np.vstack([pins[k, :1], path[end] @ flat]).T, color=GREY, alpha=0.35, linewidth=2.0)
     seen = np.vstack([stick.pins.reshape(-1, 2) for stick in drawn] + [path @ flat for path in paths.values()])
     low, high = seen.min(axis=0), seen.max(axis=0)
     margin = 0.12 * max(float((high - low).max()), 1e-3)

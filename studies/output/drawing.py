@@ -61,9 +61,12 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
 
 
 def _few_ticks(axes) -> None:
-    """Label a logarithmic axis of less than two decades at 1, 2 and 5 only: more labels would overlap."""
+    """Widen an axis of a constant, and label a logarithmic axis of less than two decades at 1, 2 and 5 only."""
     for axis in (axes.xaxis, axes.yaxis):
         low, high = sorted(axis.get_view_interval())
+        size = max(abs(low), abs(high))
+        if high - low < 1e-6 * size:  # a constant: rounding errors are not resolved
+            axis.axes.set(**{f"{axis.axis_name}lim": (low - 0.1 * size, high + 0.1 * size)})
         if axis.get_scale() == "log" and high < 80 * low:
             axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
             axis.set_minor_formatter(FuncFormatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else ""))

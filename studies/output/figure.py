@@ -19,6 +19,7 @@ _STYLES = {
     "dashdot": {"linestyle": "-."},
     "dots": {"linestyle": ":"},
     "points": {"linestyle": "", "marker": "o", "markersize": 4},
+    "steps": {"linestyle": "-", "drawstyle": "steps-post"},
     "cross": {"linestyle": "", "marker": "x", "markersize": 6},
     "star": {"linestyle": "", "marker": "*", "markersize": 13, "markeredgecolor": BLACK},
 }
@@ -38,6 +39,12 @@ def panels_of(blocks: Sequence[Block]) -> list[Panel]:
 def side_by_side(*columns: Sequence[Panel]) -> list[Panel]:
     """Return the panels of several columns, row by row."""
     return list(chain.from_iterable(zip_longest(*columns)))
+
+
+def one_screen(n_panels: int, columns: int, panel_in: tuple[float, float]) -> tuple[float, float]:
+    """Return the width and height of a panel [inch] with which a figure is at most one screen high (1,080 pixels)."""
+    rows = -(-n_panels // columns)
+    return panel_in[0], min(panel_in[1], 9.0 / max(1, rows))
 
 
 def figure_of(

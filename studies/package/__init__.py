@@ -22,14 +22,18 @@ if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same 
     from linkplan.decompositions import decompose
     from linkplan.experiments import experiment
     from linkplan.loops import bode, tune
+    from linkplan.many import batch
     from linkplan.mechanisms import check, load_mechanism
     from linkplan.models.errors import LinkplanError
+    from linkplan.models.mechanism import Mechanism
     from linkplan.planner.ode.problem import OdeProblem
     from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
     from linkplan.planner.problem.problem import Problem
     from linkplan.plans import Plan, Planner, plan, read_plan, solve_ocp
+    from linkplan.starting import new
     from linkplan.tracking import compare, track
     from linkplan.transfers import transfer
+    from linkplan.writing import export, render, report
 
     __version__: str
 
@@ -37,19 +41,25 @@ __all__ = [
     "ExtraCost",
     "ExtraLimit",
     "LinkplanError",
+    "Mechanism",
     "OdeProblem",
     "Plan",
     "Planner",
     "Problem",
     "Tracker",
+    "batch",
     "bode",
     "check",
     "compare",
     "decompose",
     "experiment",
+    "export",
     "load_mechanism",
+    "new",
     "plan",
     "read_plan",
+    "render",
+    "report",
     "solve_ocp",
     "track",
     "transfer",
@@ -63,14 +73,18 @@ _MODULES = {
     "linkplan.decompositions": ("decompose",),
     "linkplan.experiments": ("experiment",),
     "linkplan.loops": ("bode", "tune"),
+    "linkplan.many": ("batch",),
     "linkplan.mechanisms": ("check", "load_mechanism"),
     "linkplan.models.errors": ("LinkplanError",),
+    "linkplan.models.mechanism": ("Mechanism",),
     "linkplan.planner.ode.problem": ("OdeProblem",),
     "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
     "linkplan.planner.problem.problem": ("Problem",),
     "linkplan.plans": ("Plan", "Planner", "plan", "read_plan", "solve_ocp"),
+    "linkplan.starting": ("new",),
     "linkplan.tracking": ("compare", "track"),
     "linkplan.transfers": ("transfer",),
+    "linkplan.writing": ("export", "render", "report"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

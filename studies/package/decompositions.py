@@ -14,7 +14,8 @@ from linkplan.planner.problem.values import whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study
-from linkplan.studies.decompose.decomposition_blocks import decomposition_text
+from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_text
+from linkplan.studies.output.html import html_of
 from linkplan.subjects import listed, plan_to_track, with_imperfections
 
 if TYPE_CHECKING:
@@ -70,6 +71,9 @@ class DecompositionResult:
         from linkplan.studies.decompose.decomposition_blocks import decomposition_figure
 
         return drawn(path, lambda place: decomposition_figure(self.decomposition, place))
+
+    def _repr_html_(self) -> str:
+        return html_of(decomposition_blocks(self.decomposition))
 
     def __str__(self) -> str:
         return decomposition_text(self.decomposition)

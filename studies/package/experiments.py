@@ -18,13 +18,15 @@ from linkplan.paths import drawn, path_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import whole
 from linkplan.reporting import Progress, listener
+from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
 from linkplan.studies.experiment.experiment import Settings, plan_digest
-from linkplan.studies.experiment.experiment_blocks import outcome_text
+from linkplan.studies.experiment.experiment_blocks import outcome_blocks, outcome_text
 from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.sensitivity_blocks import sensitivity_text
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
+from linkplan.studies.output.html import html_of
 from linkplan.studies.tasks.cluster import cluster as at_address
 from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 from linkplan.subjects import listed, plan_to_track, with_imperfections
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 
 def experiment(
     plan: Plan,
-    trackers: Sequence[str] = TRACKERS,
+    trackers: Sequence[TrackerLike] = TRACKERS,
     *,
     samples: int = 200,
     imperfections: Mapping | None = None,
@@ -54,7 +56,9 @@ def experiment(
 
     Args:
         plan: with a motion.
-        trackers: built-in names, and your own as "module:object" or by the name that an installed package gives them.
+        trackers: built-in names, and your own: as objects, classes or functions as for `track`, as "module:object", or by
+            the name that an installed package gives them. The results call an object "own:" and its name. With several
+            workers an object must be picklable.
         samples: number of machines; for a grid, the levels determine it.
         imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
             default table (docs/experiments.md).
@@ -74,14 +78,18 @@ def experiment(
         LinkplanError: if the plan has no motion, an argument is invalid, or the folder has other files.
     """
     plan_to_track(plan)
-    listed(trackers, "names")
+    listed(trackers, "names, objects, classes or functions")
+    own = {name_of(one): one for one in trackers if not isinstance(one, str)}
+    names = tuple(one if isinstance(one, str) else name_of(one) for one in trackers)
     whole(workers, "workers", 1, MOST_WORKERS)
     whole(threads, "threads", 0, 10_000)
     if cluster is not None and workers != 1:
         raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
+    if own and (workers > 1 or cluster is not None):
+        refuse_unpicklable(own)
     given = with_imperfections(plan, imperfections)
     settings = Settings(
-        trackers=tuple(trackers),
+        trackers=names,
         samples=samples,
         seed=seed,
         design=design,
@@ -94,7 +102,7 @@ def experiment(
     say = listener(progress)
     engine = processes(workers) if cluster is None else at_address(cluster)
     outcome = run_experiment(
-        source, plan_digest(given), lambda: given, settings, target, say, engine=engine, threads=threads
+        source, plan_digest(given), lambda: given, settings, target, say, engine=engine, threads=threads, own=own
     )
     return ExperimentResult(outcome=outcome)
 
@@ -132,6 +140,9 @@ class ExperimentResult:
         title = f"{one.plan.problem.name}: {summary.samples} machines"
         names, found = one.settings.trackers, self.outcome.population
         return drawn(path, lambda place: experiment_figure(found, names, summary.metrics, title, place))
+
+    def _repr_html_(self) -> str:
+        return html_of(outcome_blocks(self.outcome))
 
     def __str__(self) -> str:
         return outcome_text(self.outcome)

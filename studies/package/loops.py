@@ -20,16 +20,18 @@ from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.problem.values import number, plain
 from linkplan.reporting import Progress, listener
-from linkplan.studies.bode.bode import BodeStudy, bode_study
+from linkplan.studies.bode.bode import BodePoint, BodeStudy, bode_study
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
-from linkplan.studies.frequency.feedback_loops import operating_point
+from linkplan.studies.frequency.feedback_loops import QUANTITIES, operating_point
+from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
 from linkplan.subjects import Subject, poses_of, subject_of, tracking_table
 
 if TYPE_CHECKING:
+    import control
     from matplotlib.figure import Figure
 
 
@@ -184,6 +186,60 @@ class BodeResult:
         """The verdict in a sentence."""
         return self.study.message
 
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """The names of the analysed poses, for `lti` and `frd`."""
+        return tuple(dict.fromkeys(entry.point.name for entry in self.study.points))
+
+    def lti(self, pose: str | None = None, *, closed: bool = False) -> control.StateSpace:
+        """Return the sampled loop at a pose as python-control's state space, with its period as `dt` [s].
+
+        The open loop is broken at the actuators: from commands u (n_u,) [N.m or N] to the law's output K x (n_u,) of the
+        linearised plant. The closed loop goes from commands added to the law's to the state x = (s, s') (2 n_s,) [rad or m,
+        and per second], with past commands as further states.
+
+        Args:
+            pose: one of `poses`; by default the first one.
+            closed: whether the loop is closed.
+
+        Raises:
+            LinkplanError: for an unknown pose.
+        """
+        loop = self._entry(pose, None).sampled
+        return loop.closed_system() if closed else loop.system()
+
+    def frd(
+        self, quantity: str = "loop", pose: str | None = None, *, joint: str | None = None, measured: bool = False
+    ) -> control.FrequencyResponseData:
+        """Return a response at a pose as python-control's frequency response data, over frequencies in rad/s.
+
+        Args:
+            quantity: "plant", "loop", "sensitivity", "complementary", "control", "reference" or "reference+ff"; angles are
+                in radians.
+            pose: one of `poses`; by default the first one.
+            joint: of the loop; by default the first independent joint.
+            measured: whether the response is the one measured in MuJoCo, instead of the prediction.
+
+        Raises:
+            LinkplanError: for an unknown name, or a response that was not measured.
+        """
+        entry = self._entry(pose, joint)
+        choose("response", quantity, QUANTITIES, ProblemError)
+        if measured:
+            if quantity not in entry.measured:
+                known = ", ".join(entry.measured) or "none"
+                raise ProblemError(f"no '{quantity}' was measured at {entry.point.name}; measured: {known}")
+            return entry.measured[quantity].frd()
+        frequency_hz = frequency_grid(self.study.settings.period_s)[:-1]  # below the Nyquist frequency
+        return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()
+
+    def _entry(self, pose: str | None, joint: str | None) -> BodePoint:
+        """Return the loop of a joint at a pose."""
+        joints = [one.name for one in self.study.mechanism.independent_joints]
+        at = choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError)
+        channel = joints.index(choose("independent joint", joints[0] if joint is None else str(joint), joints, ProblemError))
+        return next(entry for entry in self.study.points if entry.point.name == at and entry.channel == channel)
+
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
         from linkplan.studies.bode.bode_report import bode_record
@@ -206,6 +262,12 @@ class BodeResult:
         name = choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError)
         entries = [entry for entry in self.study.points if entry.channel == names.index(name)]
         return drawn(path, lambda place: bode_figure(self.study, entries, place))
+
+    def _repr_html_(self) -> str:
+        from linkplan.studies.bode.bode_blocks import summary
+        from linkplan.studies.output.html import html_of
+
+        return html_of(summary(self.study))
 
     def __str__(self) -> str:
         from linkplan.studies.bode.bode_report import bode_text

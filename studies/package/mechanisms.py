@@ -137,6 +137,11 @@ class CheckResult:
         found = self.found.found
         return drawn(path, lambda place: inspection_figure(found, place))
 
+    def _repr_html_(self) -> str:
+        from linkplan.studies.output.html import html_of
+
+        return html_of(self.found.blocks())
+
     def __str__(self) -> str:
         return self.found.text()
 

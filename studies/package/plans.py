@@ -7,14 +7,19 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.models.errors import ProblemError
+import numpy as np
+
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.extras import load_extra
 from linkplan.paths import drawn, path_of
 from linkplan.planner import plan as planned
 from linkplan.planner import plan_folder
-from linkplan.planner.files.folders import write_whole
+from linkplan.planner.files.columns import csv_bytes
+from linkplan.planner.files.folders import plain_record, write_json, write_whole
 from linkplan.planner.motion_step import NextMotion
+from linkplan.planner.ode import plan as ode_planned
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
+from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
@@ -22,6 +27,7 @@ from linkplan.planner.replan import Replanner
 from linkplan.reporting import LOG, Progress, listener
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.figure import Figure
 
 
@@ -75,15 +81,15 @@ def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
 
     Returns:
         A plan with `status`, `message`, `objective`, `objective_error` (its estimated error), `duration_s` [s],
-        `certificate`, `require()` and `trajectory`. The methods `state_at(t)` and `effort_at(t)` of the trajectory return
-        states (n, n_x) and efforts (n, n_u) at times (n,).
+        `certificate`, `require()`, `plot()`, `to_frame()`, `save()` and `trajectory`. The methods `state_at(t)` and
+        `effort_at(t)` of the trajectory return states (n, n_x) and efforts (n, n_u) at times (n,), in the problem's units.
 
     Raises:
         LinkplanError: if `problem` is not an `OdeProblem`.
     """
     if not isinstance(problem, OdeProblem):
         raise ProblemError(f"solve_ocp takes an OdeProblem, got {problem!r}")
-    return plan_ode(problem, listener(progress))
+    return OdePlan.of(plan_ode(problem, listener(progress)))
 
 
 class Planner:
@@ -180,10 +186,96 @@ class Plan(planned.Plan):
         """Return the record of plan.json: status, message, certificate, history, problem, versions; units in names."""
         return plan_folder.record(self)
 
+    def _repr_html_(self) -> str:
+        from linkplan.studies.output.html import html_of
+        from linkplan.studies.output.plan_blocks import plan_blocks
+
+        return html_of(plan_blocks(self))
+
     def __str__(self) -> str:
         from linkplan.studies.output.plan_blocks import plan_text
 
         return plan_text(self)
+
+
+class OdePlan(ode_planned.OdePlan):
+    """The solution of an `OdeProblem`, or the reason why there is none; states and efforts are in the problem's units."""
+
+    __slots__ = ()
+
+    @classmethod
+    def of(cls, plan: ode_planned.OdePlan) -> OdePlan:
+        """Return the planner's solution with these members."""
+        return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
+
+    def sample(self, time_s: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """Return columns (n,) by name: time [s], states and efforts, at times (n,) [s] or ten in each interval.
+
+        Raises:
+            LinkplanError: if there is no motion.
+        """
+        if self.trajectory is None:
+            raise LinkplanError(f"no motion to sample: {self.message}")
+        time = self.trajectory.dense_times(10) if time_s is None else np.atleast_1d(np.asarray(time_s, dtype=float))
+        columns = {"time [s]": time}
+        for names, values in (
+            (self.problem.states, self.trajectory.state_at(time)),
+            (self.problem.efforts, self.trajectory.effort_at(time)),
+        ):
+            columns |= {str(name): values[:, k] for k, name in enumerate(names)}
+        return columns
+
+    def to_frame(self, time_s: np.ndarray | None = None) -> pandas.DataFrame:
+        """Return `sample` as a pandas table, with a row for each time.
+
+        Raises:
+            MissingPackageError: if pandas is not installed.
+            LinkplanError: if there is no motion.
+        """
+        return load_extra("pandas", "OdePlan.to_frame").DataFrame(self.sample(time_s))
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Return the figure of states and efforts over time, saved at `path` if it is given.
+
+        Raises:
+            LinkplanError: if there is no motion.
+        """
+        from linkplan.studies.output.draw_ode import ode_figure
+
+        columns = self.sample()
+        limits = dict(zip(map(str, self.problem.states), self.problem.state_limit, strict=True))
+        limits |= dict(zip(map(str, self.problem.efforts), self.problem.effort_limit, strict=True))
+        n_x = self.problem.n_x
+        return drawn(path, lambda place: ode_figure(f"{self.problem.name}: {self.message}", columns, n_x, limits, place))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the solution as a folder, whole or not at all, and return its path: ode.json, trajectory.csv, plan.png.
+
+        Raises:
+            LinkplanError: if there is no motion, the folder has other files, or it cannot be written.
+        """
+        target, columns = path_of(folder, "folder"), self.sample()
+
+        def write(place: Path) -> None:
+            write_json(place / "ode.json", self.to_dict())
+            (place / "trajectory.csv").write_bytes(csv_bytes(columns))
+            self.plot(place / "plan.png")
+
+        write_whole(target, write, "ode.json")
+        return target
+
+    def to_dict(self) -> dict:
+        """Return name, status, message, objective, its estimated error and duration [s], in JSON types."""
+        values = {"status": self.status, "message": self.message, "objective": self.objective}
+        return plain_record(
+            {"name": self.problem.name, **values, "objective_error": self.objective_error, "duration_s": self.duration_s}
+        )
+
+    def _repr_html_(self) -> str:
+        from linkplan.studies.output.document import Facts
+        from linkplan.studies.output.html import html_of
+
+        return html_of([Facts(rows=[(key, f"{value}") for key, value in self.to_dict().items()])])
 
 
 def _problem(problem: object) -> Problem:

@@ -14,8 +14,9 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
-from linkplan.studies.compare.comparison_blocks import comparison_text
+from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_text
 from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.studies.output.html import html_of
 from linkplan.subjects import listed, plan_to_track, tracking_table
 
 if TYPE_CHECKING:
@@ -159,11 +160,17 @@ class TrackingResult:
         write_report(comparison_report(self.comparison), place)
         return place
 
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given."""
+    def plot(self, path: str | Path | None = None, *, every_joint: bool = False) -> Figure:
+        """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given.
+
+        It is at most one screen high; with `every_joint` it has all joints, dependent ones too, and all actuators.
+        """
         from linkplan.studies.compare.comparison_blocks import comparison_figure
 
-        return drawn(path, lambda place: comparison_figure(self.comparison, place))
+        return drawn(path, lambda place: comparison_figure(self.comparison, place, every_joint=every_joint))
+
+    def _repr_html_(self) -> str:
+        return html_of(comparison_blocks(self.comparison))
 
     def __str__(self) -> str:
         return comparison_text(self.comparison)

@@ -1,16 +1,20 @@
-"""Pictures drawn by Matplotlib, without OpenGL: the skeleton from the same direction, without perspective."""
+"""Pictures drawn by Matplotlib, without OpenGL: geoms and skeleton from the same direction, without perspective."""
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Circle, Polygon
 
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.hulls import outline, thickened
+from linkplan.models.poses.solids import geom_solids
 from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of
-from linkplan.studies.render.scenes import Scene
-from linkplan.studies.render.shapes import Shape
+from linkplan.studies.render.scenes import Figure, Scene, body_colours, place_bodies
+from linkplan.studies.render.shapes import GHOST, Shape
 
 _DOTS_PER_INCH = 100.0
 
@@ -25,11 +29,12 @@ class FlatPainter:
     middle: np.ndarray
     scale: float
     size: tuple[int, int]
+    mechanism: Mechanism | None = None  # whose geoms are drawn
 
     def paint(self, picture: Scene) -> np.ndarray:
         """Return a scene as an image (height, width, 3) of bytes."""
         width, height = self.size
-        figure = Figure(figsize=(width / _DOTS_PER_INCH, height / _DOTS_PER_INCH), dpi=_DOTS_PER_INCH, facecolor="white")
+        figure = Canvas(figsize=(width / _DOTS_PER_INCH, height / _DOTS_PER_INCH), dpi=_DOTS_PER_INCH, facecolor="white")
         canvas = FigureCanvasAgg(figure)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         half = np.array(self.size) / (2 * self.scale)
@@ -38,6 +43,8 @@ class FlatPainter:
         axes.set_axis_off()
         for layer, shapes in enumerate((*((*one.ground, *one.shapes) for one in picture.figures), picture.efforts)):
             self._add(axes, shapes, layer)
+        for layer, figure in enumerate(picture.figures):
+            self._add_geoms(axes, figure, layer)
         canvas.draw()
         return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:height, :width, :3])
 
@@ -52,12 +59,35 @@ class FlatPainter:
         colours = [rod.rgba for rod in rods]
         axes.add_collection(LineCollection(lines, linewidths=widths, colors=colours, capstyle="round", zorder=2.5 + layer))
 
+    def _add_geoms(self, axes, figure: Figure, layer: int) -> None:
+        """Draw the outlines of the geoms, those that are far first and all behind the skeleton."""
+        mechanism = self.mechanism
+        if mechanism is None:
+            return
+        data, colours = mujoco.MjData(mechanism.model), body_colours(mechanism)
+        place_bodies(mechanism.model, data, figure.qpos)
+        found = []
+        for solid in geom_solids(mechanism):
+            if solid.body == 0 and figure.ghost:
+                continue
+            points = data.xpos[solid.body] + solid.points @ np.array(data.xmat[solid.body]).reshape(3, 3).T
+            colour = GHOST if figure.ghost else (*colours[solid.body][:3], 0.45 * figure.alpha)
+            flat = np.stack([points @ self.right, points @ self.up], axis=1)
+            found.append((float(np.mean(points @ self.sight)), outline(thickened(flat, solid.radius)), colour))
+        for _, edges, colour in sorted(found, key=lambda one: -one[0]):
+            if len(edges) > 2:
+                axes.add_patch(Polygon(edges, facecolor=colour, edgecolor=(*colour[:3], 2 * colour[3]), zorder=1.5 + layer))
+
     def _flat(self, point: np.ndarray) -> tuple[float, float]:
         return float(point @ self.right), float(point @ self.up)
 
 
 def flat_painter(
-    points: np.ndarray, direction: tuple[float, float], size: tuple[int, int], head: float = FOOT_MARGIN
+    points: np.ndarray,
+    direction: tuple[float, float],
+    size: tuple[int, int],
+    head: float = FOOT_MARGIN,
+    mechanism: Mechanism | None = None,
 ) -> FlatPainter:
     """Return the painter that sees all points (n, 3) [m] along an azimuth and elevation [rad].
 
@@ -66,6 +96,7 @@ def flat_painter(
         direction: azimuth and elevation.
         size: of the pictures, width and height [px].
         head: the free share of the picture's height at the top.
+        mechanism: whose geoms are drawn; without it, pictures have skeletons only.
     """
     right, up, sight = axes_of(*direction)
     flat = np.stack([points @ right, points @ up], axis=1)
@@ -73,4 +104,4 @@ def flat_painter(
     extent = np.maximum(high - low, 1e-6 * max(1e-6, float((high - low).max())))
     scale = float(np.min(np.array([1 - 2 * SIDE_MARGIN, 1 - head - FOOT_MARGIN]) * size / extent))
     middle = 0.5 * (low + high) + np.array([0.0, 0.5 * (head - FOOT_MARGIN) * size[1] / scale])
-    return FlatPainter(right=right, up=up, sight=sight, middle=middle, scale=scale, size=size)
+    return FlatPainter(right=right, up=up, sight=sight, middle=middle, scale=scale, size=size, mechanism=mechanism)

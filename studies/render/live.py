@@ -9,6 +9,7 @@ import numpy as np
 from linkplan.controllers.controls import Controls
 from linkplan.controllers.playback import Rows, Shown
 from linkplan.models.poses.skeleton import pins_in_space
+from linkplan.models.poses.solids import solids
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.compare import lqr_settings, tracking_reference
@@ -17,7 +18,7 @@ from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, framed, own_direction
 from linkplan.studies.render.motion import Motion, tracked_motion
 from linkplan.studies.render.mujoco_painter import add_figure, add_shapes
-from linkplan.studies.render.scenes import Figure, all_points, body_colours, place_bodies, rod_radius
+from linkplan.studies.render.scenes import Figure, all_points, beside_geoms, body_colours, place_bodies, rod_radius
 from linkplan.studies.render.shapes import bones, ghostly
 
 
@@ -60,12 +61,14 @@ def shown(motion: Motion, words: Callable[[int], Rows]) -> Shown:
     mechanism, model = motion.mechanism, motion.mechanism.model
     colours, radius, size = body_colours(mechanism), rod_radius(mechanism), mechanism.extent_m
     own, planned = ({b: p for b, p in pins_in_space(mechanism, q).items() if b} for q in (motion.pose, motion.reference))
+    beside = [solid for solid in solids(mechanism) if solid.kind != "geom"]
     data, option = mujoco.MjData(model), mujoco.MjvOption()
     towards = -axes_of(*own_direction(model))[2]
 
     def decorate(scene, k: int, ghost: bool) -> None:
-        """Add the skeleton, the ghost and the efforts of instant k."""
+        """Add the skeleton, the payload, the ghost and the efforts of instant k."""
         add_shapes(scene, bones({body: pins[k] for body, pins in own.items()}, radius, colours))
+        add_shapes(scene, beside_geoms(mechanism, motion.pose[k : k + 1], colours, beside)[0])
         place_bodies(model, data, mechanism.qpos_of(motion.pose[k]))
         for actuator, share in zip(mechanism.actuators, motion.shares[k], strict=True):
             add_shapes(scene, effort_shapes(model, data, actuator, float(share), size, towards))

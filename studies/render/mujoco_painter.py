@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, one_line
+from linkplan.models.poses.solids import visible_geoms
 from linkplan.studies.render.framing import Eye
 from linkplan.studies.render.gl import context_class
-from linkplan.studies.render.scenes import Figure, Scene, bounded_geoms, place_bodies, visible_geoms
+from linkplan.studies.render.scenes import Figure, Scene, bounded_geoms, place_bodies
 from linkplan.studies.render.shapes import GHOST, Shape
 
 _MOVING = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)

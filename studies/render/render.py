@@ -88,7 +88,7 @@ def _painter(motion: Motion, camera: Camera, settings: RenderSettings, gl: GL) -
     model, size, points = motion.mechanism.model, settings.size, all_points(motion, camera.direction)
     head = head_share(motion, size)
     if gl.name is None:
-        yield flat_painter(points, camera.direction, size, head).paint
+        yield flat_painter(points, camera.direction, size, head, motion.mechanism).paint
         return
     from linkplan.studies.render.mujoco_painter import mujoco_painter
 

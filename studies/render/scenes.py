@@ -1,6 +1,7 @@
 """The contents of a picture at an instant: the mechanism, the ghost of the plan, and the efforts."""
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -8,10 +9,11 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import pins_in_space
+from linkplan.models.poses.solids import Solid, body_frames, solids, visible_geoms
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
 from linkplan.studies.render.motion import Motion
-from linkplan.studies.render.shapes import Shape, bones, faded, ghostly, series_colour
+from linkplan.studies.render.shapes import PAYLOAD, Shape, bones, faded, ghostly, series_colour
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -31,12 +33,6 @@ class Scene:
 
     figures: tuple[Figure, ...]
     efforts: tuple[Shape, ...]
-
-
-def visible_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Return the mask (n_geom,) of visible geoms: neither transparent nor in groups that MuJoCo's viewer hides."""
-    matte = np.where(model.geom_matid >= 0, 1.0, model.geom_rgba[:, 3])
-    return (matte > 0) & (model.geom_group < 3)
 
 
 def plain_geoms(model: mujoco.MjModel) -> np.ndarray:
@@ -79,7 +75,24 @@ def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[Shape, ...]
     pins, colours = pins_in_space(mechanism, poses), body_colours(mechanism)
     pins.pop(0, None)
     radius = rod_radius(mechanism)
-    return [bones({body: points[k] for body, points in pins.items()}, radius, colours) for k in range(len(poses))]
+    extra = beside_geoms(mechanism, poses, colours, [solid for solid in solids(mechanism) if solid.kind != "geom"])
+    return [
+        (*bones({body: points[k] for body, points in pins.items()}, radius, colours), *extra[k]) for k in range(len(poses))
+    ]
+
+
+def beside_geoms(
+    mechanism: Mechanism, poses: np.ndarray, colours: dict[int, tuple[float, ...]], shown: Sequence[Solid]
+) -> list[tuple[Shape, ...]]:
+    """Return solids that are no geoms of the model, the payload and arms to sites, at each of the poses (n, n_q)."""
+    places, turns = body_frames(mechanism, poses)
+    found = []
+    for place, turn in zip(places, turns, strict=True):
+        ends = [place[solid.body] + solid.points[[0, -1]] @ turn[solid.body].T for solid in shown]
+        looks = [PAYLOAD if solid.kind == "payload" else tuple(colours[solid.body]) for solid in shown]
+        rods = zip(ends, shown, looks, strict=True)
+        found.append(tuple(Shape(start=a, end=b, radius=solid.radius, rgba=look) for (a, b), solid, look in rods))
+    return found
 
 
 def ground_pins(mechanism: Mechanism) -> tuple[Shape, ...]:
@@ -154,6 +167,7 @@ def all_points(motion: Motion, direction: tuple[float, float]) -> np.ndarray:
     instants = np.unique(np.linspace(0, len(motion.time_s) - 1, num=60).astype(int))
     poses = np.vstack([motion.pose[instants], motion.reference[instants]])
     points = [points.reshape(-1, 3) for points in pins_in_space(mechanism, poses).values()]
+    points += [end[None] for shapes in skeletons(mechanism, poses) for shape in shapes for end in (shape.start, shape.end)]
     moves = model.body_weldid[model.geom_bodyid] != 0
     shown = visible_geoms(model) & bounded_geoms(model)
     data, size, towards = mujoco.MjData(model), mechanism.extent_m, -axes_of(*direction)[2]

@@ -1,4 +1,4 @@
-"""The animation of a mechanism: its bodies as sticks, drawn in a plane if all of them move in parallel planes."""
+"""The animation of a mechanism: its bodies with their shapes, drawn in a plane if all of them move parallel to it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,11 +8,12 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.joint_frames import joint_frames
-from linkplan.models.poses.skeleton import Stick, sticks, view
+from linkplan.models.poses.skeleton import view
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.output.directions import direction_name
-from linkplan.studies.output.document import Animation, Body, Ghost
+from linkplan.studies.output.document import Animation, Ghost
 from linkplan.studies.output.numbers import rounded, times
+from linkplan.studies.report.bodies import Drawing, bodies_of, cut_pin_labels, drawing_of, floors_of
 from linkplan.studies.report.drives import drives_of
 
 
@@ -29,7 +30,7 @@ def frames_of(mechanism: Mechanism, runs: int = 1) -> int:
 
     The page interpolates linearly between frames. An animation has at most about 120,000 numbers, to keep the page small.
     """
-    numbers_per_frame = 9 * mechanism.model.nbody * runs
+    numbers_per_frame = 13 * mechanism.model.nbody * runs
     return int(np.clip(120_000 // numbers_per_frame, 41, 201))
 
 
@@ -64,15 +65,10 @@ def animation(
         planned: name of the solid drawing in the legend.
         unit: of `time_s`, if it is another quantity than time.
     """
-    drawn = sticks(mechanism, poses)
     right, up = view(mechanism.model)
-    flat = _is_flat(mechanism, drawn, np.cross(right, up))
-    frame = np.stack([right, up]) if flat else np.eye(3)
-    joints = joint_frames(mechanism, poses)
-    names = [joint_label(mechanism.model, index) for index in range(mechanism.model.njnt)]
+    drawing = drawing_of(mechanism, poses, (right, up))
+    frame, flat = drawing.frame, drawing.flat
     places = {name: places_of(mechanism, index, poses) @ frame.T for name, index in (sites or {}).items()}
-    labels = [(name, rounded(joints.anchors[:, k] @ frame.T)) for k, name in enumerate(names)]
-    labels += [(name, rounded(place)) for name, place in places.items()]
     drives = [] if effort is None else drives_of(mechanism, poses, effort, effort_limit, frame)
     return Animation(
         title=title,
@@ -80,33 +76,31 @@ def animation(
         dimension=2 if flat else 3,
         axes=(direction_name(right), direction_name(up)),
         times=times(time_s),
-        bodies=_bodies(drawn, frame),
+        bodies=bodies_of(drawing, poses),
         ghosts=[
             Ghost(
                 name=name,
-                bodies=_bodies(sticks(mechanism, run.poses), frame),
+                bodies=bodies_of(drawing, run.poses, shaped=False),
                 drives=drives_of(mechanism, run.poses, run.effort, effort_limit, frame),
             )
             for name, run in (ghosts or {}).items()
         ],
         drives=drives,
-        labels=labels,
+        labels=_labels(drawing, poses, places),
         paths=[(name, rounded(place)) for name, place in places.items()],
         planned=planned,
         period=period,
         unit=unit,
+        floors=floors_of(mechanism) if not flat or abs(up[2] - 1) < 1e-9 else [],
     )
 
 
-def _is_flat(mechanism: Mechanism, drawn: tuple[Stick, ...], across: np.ndarray) -> bool:
-    """Tell if every pin keeps its depth along the motion, to a millionth of the mechanism's extent."""
-    return all(float(np.ptp(stick.places @ across, axis=0).max()) <= 1e-6 * mechanism.extent_m for stick in drawn)
-
-
-def _bodies(drawn: tuple[Stick, ...], frame: np.ndarray) -> list[Body]:
-    found = []
-    for stick in drawn:
-        points = stick.places @ frame.T
-        flat = points.reshape(len(points), -1)
-        found.append(Body(name=stick.body, fixed=stick.fixed, n_pins=points.shape[1], points=rounded(flat)))
-    return found
+def _labels(drawing: Drawing, poses: np.ndarray, places: Mapping[str, np.ndarray]) -> list[tuple[str, list]]:
+    """Return the names of joints, cut pins and named sites with their positions; one name at one place appears once."""
+    mechanism = drawing.mechanism
+    anchors = joint_frames(mechanism, poses).anchors @ drawing.frame.T
+    named = [(joint_label(mechanism.model, k), anchors[:, k]) for k in range(mechanism.model.njnt)]
+    found: dict[tuple, tuple[str, list]] = {}
+    for name, at in (*named, *cut_pin_labels(drawing, poses), *places.items()):
+        found.setdefault((name, *np.round(at[0] / mechanism.extent_m, 4)), (name, rounded(at)))
+    return list(found.values())

@@ -14,6 +14,7 @@ from linkplan.studies.output.motion import motion_of
 from linkplan.studies.output.plan_blocks import facts, solves
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
+from linkplan.studies.report.lead import lead_facts, verdict_sentence
 from linkplan.studies.report.phase import phase_plane
 from linkplan.studies.report.robust_sections import robust_section
 
@@ -32,14 +33,14 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
         animated: whether the motion is animated; False if a comparison animates it.
         verdict: whether the first section starts with the verdict; False if the page's header shows it.
     """
-    title, first = f"Plan: {plan.problem.name}", _verdict(plan, said=verdict)
+    title, first, about = f"Plan: {plan.problem.name}", _verdict(plan, said=verdict), _about(plan)
     if plan.trajectory is None or plan.certificate is None:
-        return [Section(title=title, blocks=[*first, _solves(plan), *_problem(plan)], depth=depth)]
+        return [Section(title=title, blocks=[*first, about, *_notes(plan), _solves(plan), *_problem(plan)], depth=depth)]
     try:
         motion = motion_of(plan)
     except AssemblyError as error:
         lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
-        return [Section(title=title, blocks=[*first, lost, *_problem(plan)], depth=depth)]
+        return [Section(title=title, blocks=[*first, about, *_notes(plan), lost, *_problem(plan)], depth=depth)]
     group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
     over_time = [plot for of in time_plots(plan, motion, group, period).values() for plot in of]
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
@@ -47,24 +48,31 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
     below = depth + 1
     robust = robust_section(plan, motion, group, period, depth=below)
     return [
-        Section(title=title, blocks=[*first, *seen], depth=depth),
+        Section(title=title, blocks=[*first, *seen, lead_facts(plan, motion), *_notes(plan)], depth=depth),
         Section(title="Motion and effort", blocks=over_time, depth=below),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
         *([] if robust is None else [robust]),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=below),
         Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=below),
-        Section(title="Problem", blocks=_problem(plan), depth=below),
+        Section(title="Problem", blocks=[about, *_problem(plan)], depth=below),
     ]
 
 
 def _verdict(plan: Plan, *, said: bool) -> list[Block]:
+    message = verdict_sentence(plan)
+    return [Text(text=message[:1].upper() + message[1:], tone="good" if plan.passed else "bad")] if said else []
+
+
+def _notes(plan: Plan) -> list[Text]:
+    return [Text(text=text, tone="note") for text in (*plan.problem.notes, *not_honoured(plan))]
+
+
+def _about(plan: Plan) -> Facts:
+    """Return the facts of a plan's problem, and of its motion if it has one."""
     problem = plan.problem
-    message = plan.message[:1].upper() + plan.message[1:]
     rows = [("mechanism", _mechanism_said(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
     known = facts(plan) if plan.trajectory is not None and plan.certificate is not None else []
-    notes = [Text(text=text, tone="note") for text in (*problem.notes, *not_honoured(plan))]
-    message_too = [Text(text=message, tone="good" if plan.passed else "bad")] if said else []
-    return [*message_too, Facts(rows=[*rows, *known]), *notes]
+    return Facts(rows=[*rows, *known])
 
 
 def _mechanism_said(plan: Plan) -> str:

@@ -18,7 +18,7 @@ from linkplan.planner.files.single_file import write_over
 from linkplan.studies.output.document import Report
 
 # Each script uses only those before it.
-_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "player", "blocks", "main")
+_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "shapes", "animation", "player", "blocks", "main")
 # A file with these words in its first 1,000 bytes is a report, which a new one may replace.
 _OURS = b'<meta name="generator" content="linkplan">'
 
@@ -28,16 +28,17 @@ def document_json(report: Report) -> bytes:
     return msgspec.json.encode(report, enc_hook=lambda value: value.item())  # numpy's numbers
 
 
-def report_html(report: Report) -> str:
-    """Return the HTML of a report.
+def report_html(report: Report, served: str = "") -> str:
+    """Return the HTML of a report; `served` is a further program for a page that its own server answers.
 
     The page contains the document as JSON with "<" escaped, so that no name can end a script. The page shows it as text.
     """
     said = document_json(report).decode()
-    program = '"use strict";\n' + "\n".join(_resource(f"{name}.js") for name in _PROGRAM)
+    program = '"use strict";\n' + "\n".join(_resource(f"{name}.js") for name in _PROGRAM) + served
     uplot = _resource("uplot.min.js")
     scripts = {"uplot": uplot, "program": program}
     allowed = " ".join(f"'sha256-{_hash(f'{chr(10)}{text}{chr(10)}')}'" for text in scripts.values())
+    allowed += "; connect-src 'self'" if served else ""
     parts = {
         "allowed": allowed,
         "title": html.escape(report.title),

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+from msgspec.structs import replace
+
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import versions
 from linkplan.studies.bode.bode import BodeStudy
@@ -12,12 +14,13 @@ from linkplan.studies.decompose.decompose import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
 from linkplan.studies.experiment.experiment_blocks import tube_text
 from linkplan.studies.experiment.study import Outcome
-from linkplan.studies.output.document import Report, Section
+from linkplan.studies.output.document import Animation, Report, Section
 from linkplan.studies.report.check_sections import check_sections
 from linkplan.studies.report.experiment_sections import Again, experiment_sections, machine_section
+from linkplan.studies.report.lead import verdict_sentence
 from linkplan.studies.report.loop_sections import bode_sections, tune_sections
 from linkplan.studies.report.plan_sections import plan_sections
-from linkplan.studies.report.tracking_sections import whole_comparison
+from linkplan.studies.report.tracking_sections import comparison_sections, whole_comparison
 from linkplan.studies.transfer.study import Transfer
 from linkplan.studies.transfer.transfer_blocks import transfer_blocks
 from linkplan.studies.tune.tune import Tuning
@@ -31,7 +34,8 @@ def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[
 
 def plan_report(plan: Plan) -> Report:
     """Return the report of a plan."""
-    return report_of(f"Plan {plan.problem.name}", plan.message, plan.passed, plan_sections(plan, verdict=False))
+    title, verdict = f"Plan {plan.problem.name}", verdict_sentence(plan)
+    return report_of(title, verdict, plan.passed, plan_sections(plan, verdict=False))
 
 
 def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
@@ -42,6 +46,16 @@ def comparison_report(comparison: Comparison, document: Section | None = None) -
     verdict += f", {', '.join(lost)} NOT" if lost else ""
     sections = [*whole_comparison(comparison), *([] if document is None else [document])]
     return report_of(f"Trackers on {comparison.plan.problem.name}", verdict, bool(stable), sections)
+
+
+def explored_report(plan: Plan, comparison: Comparison) -> Report:
+    """Return the report of an explored plan: its tracked motion with the facts of the plan, then the plan's sections."""
+    first, *rest = plan_sections(plan, verdict=False)
+    moving, *tables = comparison_sections(comparison)[0].blocks
+    blocks = [moving if isinstance(block, Animation) else block for block in first.blocks]
+    tracked = Section(title="Tracking", blocks=tables, depth=2)
+    title, verdict = f"Plan {plan.problem.name}", verdict_sentence(plan)
+    return report_of(title, verdict, plan.passed, [replace(first, blocks=blocks), rest[0], tracked, *rest[1:]])
 
 
 def replay_report(comparison: Comparison, sample: Mapping) -> Report:

@@ -7,7 +7,15 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.compare.compare import Comparison, tracking_reference
-from linkplan.studies.compare.comparison_blocks import cases_of, comparison_blocks, effort_plots, gap_plots, joint_plots
+from linkplan.studies.compare.comparison_blocks import (
+    cases_of,
+    comparison_blocks,
+    effort_plots,
+    gap_plots,
+    joint_plots,
+    largest,
+    site_plots,
+)
 from linkplan.studies.output.document import Block, Section, Text
 from linkplan.studies.report.animation import Run, animation, frames_of
 from linkplan.studies.report.plan_sections import group_of, plan_sections
@@ -66,10 +74,11 @@ def _run(run: Rollout, frames: np.ndarray) -> Run:
 def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout], *, depth: int) -> list[Section]:
     """Return the plots over time: joints and actuators with the largest figures, and the others in a folded section."""
     mechanism = comparison.plan.problem.mechanism
-    chosen = _largest(np.max([np.abs(run.error).max(axis=0) for run in runs.values()], axis=0))
-    pushed = _largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0))
+    chosen = largest(np.max([np.abs(run.error).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
+    pushed = largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
     others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
-    blocks = [*joint_plots(comparison, runs, chosen), *effort_plots(comparison, runs, pushed), *gap_plots(comparison, runs)]
+    blocks = [*joint_plots(comparison, runs, chosen), *site_plots(comparison, runs)]
+    blocks += [*effort_plots(comparison, runs, pushed), *gap_plots(comparison, runs)]
     found = [Section(title=f"Over time: {title}", blocks=[*_left_out(mechanism, *others), *blocks], depth=depth)]
     if any(others):
         blocks = [*joint_plots(comparison, runs, others[0]), *effort_plots(comparison, runs, others[1])]
@@ -86,8 +95,3 @@ def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> 
         " folded section below."
     )
     return [Text(text=said, tone="note")]
-
-
-def _largest(sizes: np.ndarray) -> list[int]:
-    """Return the indices of the largest sizes, in ascending order."""
-    return sorted(np.argsort(np.nan_to_num(sizes, nan=np.inf))[::-1][:_MAX_JOINTS_SHOWN].tolist())

@@ -29,7 +29,8 @@ def tune_figure(tuning: Tuning, path: Path | None = None) -> Figure:
             if np.isfinite(limit) and limit > 0:
                 axis.axhline(limit, color=GREY, linestyle="--", label=what)
             axis.set_ylabel(label)
-            axis.set_ylim(bottom=0.0)
+            known = [*values[np.isfinite(values)], limit if np.isfinite(limit) else 0.0]
+            axis.set_ylim(0.0, 1.12 * max(known) or 1.0)  # all points are inside
         outside_legend(axes[0, 0])
         axes[-1, 0].set_xlabel(f"{joint.name} [{joint.unit}]")
         axes[0, 0].set_title(f"{tuning.mechanism.name}: {tuning.message}", fontsize=10, pad=24, wrap=True)

@@ -168,7 +168,7 @@ def test_a_figure_is_returned_and_saved_where_a_path_is_given(plan, tmp_path):
     figure = plan.plot(tmp_path / "plan.png")
     assert isinstance(figure, Figure)
     assert (tmp_path / "plan.png").is_file()
-    position, speed, effort = figure.axes
+    position, speed, effort = (axes for axes in figure.axes if axes.get_xlabel() == "time [s]")
     drawn = position.lines[0].get_ydata()
     assert [drawn[0], drawn[-1]] == pytest.approx([-49.07, 56.27])
     assert "deg/s" in speed.get_ylabel()

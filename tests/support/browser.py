@@ -38,9 +38,9 @@ class Opened:
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(path.as_uri())
 
-    def ask(self, script: str):
-        """Return what an expression is on the page."""
-        return self.page.evaluate(script)
+    def ask(self, script: str, *given):
+        """Return what an expression is on the page, or what a function on the page gives for an argument."""
+        return self.page.evaluate(script, *given)
 
     def build(self) -> None:
         """Build all plots, those far below the window too, and let two frames pass."""

@@ -39,7 +39,7 @@ def labels(figure: Figure) -> list[tuple[str, str]]:
     return [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes]
 
 
-def pixels_of(path: Path, colour: str, region: tuple[slice, slice]) -> int:
-    """Return how many pixels of a picture's region (rows, columns) have a colour."""
+def pixels_of(path: Path, colour: str, region: tuple[slice, slice], same: float = _SAME) -> int:
+    """Return how many pixels of a picture's region (rows, columns) have a colour, each part to `same`."""
     picture = matplotlib.image.imread(path)[..., :3][region]
-    return int(np.sum(np.all(np.abs(picture - np.array(to_rgb(colour))) <= _SAME, axis=2)))
+    return int(np.sum(np.all(np.abs(picture - np.array(to_rgb(colour))) <= same, axis=2)))

@@ -1,5 +1,7 @@
 // A mechanism in motion on a canvas: flat in its plane, or in space, turned by dragging.
 
+const BODY_COLOURS = 10;
+
 const ARC = 24; // pixels
 const SWEEP = (3 * Math.PI) / 4; // of the arc at the limit
 
@@ -18,7 +20,7 @@ function frameAt(times, time) {
 
 /** Return a value, or a row of values, between two frames. */
 function mixed(rows, frame) {
-  const one = rows[frame.at];
+  const one = rows[Math.min(frame.at, rows.length - 1)];
   const other = rows[Math.min(frame.at + 1, rows.length - 1)];
   if (!Array.isArray(one)) return one + frame.share * (other - one);
   return one.map((x, k) => x + frame.share * (other[k] - x));
@@ -39,13 +41,18 @@ class View {
     this.pitch = 0.35;
     const low = [Infinity, Infinity, Infinity];
     const high = [-Infinity, -Infinity, -Infinity];
+    const widen = (point, radius = 0) =>
+      point.forEach((x, k) => {
+        low[k] = Math.min(low[k], x - radius);
+        high[k] = Math.max(high[k], x + radius);
+      });
     const rows = [block.bodies, ...block.ghosts.map((ghost) => ghost.bodies)].flat().flatMap((body) => body.points);
-    for (const row of [...rows, ...block.paths.map((path) => path[1].flat())]) {
-      for (const point of triples(row, block.dimension)) {
-        point.forEach((x, k) => {
-          low[k] = Math.min(low[k], x);
-          high[k] = Math.max(high[k], x);
-        });
+    for (const row of [...rows, ...block.paths.map((path) => path[1].flat())]) triples(row, block.dimension).forEach((point) => widen(point));
+    for (const body of block.bodies) {
+      for (let at = 0; at < body.places.length; at += Math.ceil(body.places.length / 40)) {
+        const place = placed(body, { at, share: 0 }, block.dimension);
+        for (const shape of body.shapes) triples(shape.points, block.dimension).forEach((point) => widen(place(point), shape.radius));
+        for (const [, point] of body.sites) widen(place(point));
       }
     }
     this.middle = low.map((x, k) => (Number.isFinite(x) ? (x + high[k]) / 2 : 0));
@@ -68,6 +75,13 @@ class View {
     const [right, away] = [c * x + s * y, -s * x + c * y];
     const up = Math.cos(this.pitch) * z + Math.sin(this.pitch) * away;
     return [right * this.scale, -up * this.scale];
+  }
+
+  /** Return the pixel of a place in space [m], and how near it is to the eye [px]. */
+  seen(point) {
+    const [x, y, z] = point.map((value, k) => value - this.middle[k]);
+    const away = Math.cos(this.yaw) * y - Math.sin(this.yaw) * x;
+    return [...this.at(point), (Math.sin(this.pitch) * z - Math.cos(this.pitch) * away) * this.scale];
   }
 
   /** Return the pixel of a place [m]. */
@@ -194,13 +208,58 @@ function drawLoad(ctx, view, mark, frame, dimension, share, ends, colour) {
   ctx.fill();
 }
 
+/** Return the sites of moving bodies that have no path of their own: [name, body, point]. */
+function sitesOf(block) {
+  const named = new Set(block.paths.map(([name]) => name));
+  return block.bodies.flatMap((body) => body.sites.filter(([name]) => !named.has(name)).map(([name, point]) => [name, body, point]));
+}
+
+/** Draw sites as diamonds, and the paths of those that move as dots. */
+function drawSites(ctx, view, block, frame) {
+  for (const [, body, point] of sitesOf(block)) {
+    ctx.strokeStyle = theme.colour("soft");
+    ctx.lineWidth = 1;
+    if (!body.fixed) {
+      ctx.setLineDash([1, 4]);
+      ctx.beginPath();
+      block.times.forEach((_, at) => ctx.lineTo(...view.at(placed(body, { at, share: 0 }, block.dimension)(point))));
+      ctx.stroke();
+      ctx.setLineDash([]);
+    }
+    const [x, y] = view.at(placed(body, frame, block.dimension)(point));
+    ctx.fillStyle = theme.colour("paper");
+    ctx.beginPath();
+    for (const [dx, dy] of [[4, 0], [0, 4], [-4, 0], [0, -4]]) ctx.lineTo(x + dx, y + dy);
+    ctx.closePath();
+    ctx.fill();
+    ctx.stroke();
+  }
+}
+
+/** Draw pins as rings. */
+function drawPins(ctx, view, block, frame) {
+  const named = new Set(block.paths.map(([name]) => name));
+  for (const [name, places] of block.labels) {
+    if (named.has(name)) continue;
+    const place = mixed(places, frame);
+    ctx.beginPath();
+    ctx.arc(...view.at([place[0], place[1], place[2] ?? 0]), 3.2, 0, 2 * Math.PI);
+    ctx.fillStyle = theme.colour("paper");
+    ctx.strokeStyle = theme.colour("ink");
+    ctx.lineWidth = 1.4;
+    ctx.fill();
+    ctx.stroke();
+  }
+}
+
 /** Write names beside their places, below one another where places fall together. */
 function drawNames(ctx, view, block, frame) {
   ctx.font = "12px system-ui, sans-serif";
   const taken = [];
-  for (const [name, places] of block.labels) {
-    const place = mixed(places, frame);
-    let [x, y] = view.at([place[0], place[1], block.dimension === 3 ? place[2] : 0]);
+  const sites = sitesOf(block).map(([name, body, point]) => [name, placed(body, frame, block.dimension)(point)]);
+  for (const [name, place] of [...block.labels.map(([name, places]) => [name, mixed(places, frame)]), ...sites]) {
+    if (!name) continue;
+    let [x, y] = view.at([place[0], place[1], place[2] ?? 0]);
     [x, y] = [x + 9, y - 9];
     const width = ctx.measureText(name).width;
     if (x + width > ctx.canvas.clientWidth - 4) x -= width + 18; // to the left of its place, at the right edge
@@ -220,20 +279,43 @@ function drivesShown(block, shown) {
   return ghost && ghost.drives.length ? ghost.drives : block.drives;
 }
 
+/** Draw the bodies with their shapes: the ghost behind them, the nearest last. */
+function drawBodies(ctx, view, block, frame, ghost) {
+  const moving = block.bodies.filter((body) => !body.fixed);
+  const colours = new Map(block.bodies.map((body) => [body, (shape) => shapeColour(shape, moving.indexOf(body))]));
+  if (!view.flat) {
+    const pieces = block.bodies.filter((body) => body.shapes.length).flatMap((body) => body.shapes.flatMap((shape) => piecesOf(view, shape, placed(body, frame, 3), colours.get(body)(shape))));
+    paintPieces(ctx, pieces);
+  } else {
+    const shaped = block.bodies.filter((body) => body.shapes.length);
+    for (const body of ghost ? shaped : []) {
+      const other = ghost.bodies.find((one) => one.name === body.name);
+      if (!body.fixed && other) drawFlatGhost(ctx, view, body.shapes, placed(other, frame, 2));
+    }
+    const ordered = shaped.reverse().sort((a, b) => a.depth - b.depth);
+    for (const body of ordered) drawFlatShapes(ctx, view, body, placed(body, frame, 2), colours.get(body));
+  }
+  for (const body of [...moving].reverse()) {
+    if (!isShaped(body)) drawBody(ctx, view, body, frame, block.dimension, theme.colour(`c${moving.indexOf(body) % BODY_COLOURS}`), 4);
+  }
+}
+
 /** Draw one frame of an animation on a canvas of width and height [px]. */
 function drawFrame(ctx, view, block, time, shown) {
   const frame = frameAt(block.times, within(block, time));
+  const [width, height] = [ctx.canvas.clientWidth, ctx.canvas.clientHeight];
+  const n = block.bodies.filter((body) => !body.fixed).length;
+  for (const floor of block.floors) drawFloor(ctx, view, floor, width);
   for (const [index, [, places]] of block.paths.entries()) {
-    ctx.strokeStyle = theme.series(index + 3);
-    ctx.lineWidth = 1.2;
+    ctx.strokeStyle = theme.colour(`c${(n + index) % BODY_COLOURS}`);
+    ctx.lineWidth = 1.6;
     ctx.beginPath();
     for (const place of places) ctx.lineTo(...view.at([place[0], place[1], block.dimension === 3 ? place[2] : 0]));
     ctx.stroke();
   }
-  const moving = block.bodies.filter((body) => !body.fixed);
-  for (const body of [...moving].reverse()) drawBody(ctx, view, body, frame, block.dimension, theme.series(moving.indexOf(body)), 4);
-  for (const body of block.bodies) if (body.fixed) drawBody(ctx, view, body, frame, block.dimension, theme.colour("fixed"), 4);
   const ghost = block.ghosts.find((one) => one.name === shown.ghost);
+  drawBodies(ctx, view, block, frame, ghost);
+  for (const body of block.bodies) if (body.fixed) drawBody(ctx, view, body, frame, block.dimension, theme.colour("fixed"), 4);
   if (ghost) {
     ctx.globalAlpha = 0.9;
     ctx.setLineDash([5, 4]);
@@ -241,6 +323,9 @@ function drawFrame(ctx, view, block, time, shown) {
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
   }
+  drawSites(ctx, view, block, frame);
+  drawPins(ctx, view, block, frame);
   for (const drive of drivesShown(block, shown)) drawDrive(ctx, view, drive, frame, block.dimension);
   if (shown.names) drawNames(ctx, view, block, frame);
+  drawScale(ctx, view, width, height);
 }

@@ -12,7 +12,7 @@ const SHOW = {
   code: showCode,
 };
 
-/** Return a section's element; plots stand beside one another where there is room. A folded one opens by its title. */
+/** Return a section's element; plots stand beside one another where there is room, facts beside the animation before them. A folded one opens by its title. */
 function showSection(section, id) {
   const heading = make(section.depth > 1 ? "h3" : "h2", {}, section.title);
   const blocks = [];
@@ -27,6 +27,7 @@ function showSection(section, id) {
     const small = ["plot", "plane", "bars"].includes(block.kind);
     if (small && blocks.length && blocks.at(-1).classList.contains("grid")) blocks.at(-1).append(show(block));
     else if (small) blocks.push(make("div", { class: "grid" }, show(block)));
+    else if (block.kind === "facts" && blocks.length && blocks.at(-1).classList.contains("animation")) blocks.push(make("div", { class: "lead" }, blocks.pop(), show(block)));
     else if (SHOW[block.kind]) blocks.push(show(block));
   }
   const attributes = { id, class: `depth-${section.depth}` };
@@ -42,19 +43,29 @@ function hintOf(report) {
   return blocks.some((block) => block.kind === "plot" && block.group) ? `${moves[0].toUpperCase()}${moves.slice(1)}` : "";
 }
 
-/** Open the folded section that the address names, if it does. */
+/** Open the folded section that the address names, and those around it. */
 function openNamed() {
   const named = document.getElementById(location.hash.slice(1));
-  const folded = named ? named.querySelector("details") : null;
-  if (!folded) return;
-  folded.open = true;
+  if (!named) return;
+  const folded = [named.querySelector("details"), named.parentElement.closest("details")].filter((one) => one !== null);
+  if (!folded.length) return;
+  for (const one of folded) one.open = true;
   named.scrollIntoView();
 }
 addEventListener("hashchange", openNamed);
 
 function showReport(report) {
   const ids = report.sections.map((_, k) => `section-${k + 1}`);
-  const links = report.sections.map((section, k) => make("a", { href: `#${ids[k]}`, class: `depth-${section.depth}` }, section.title));
+  const main = make("main", {});
+  const links = [];
+  let [host, below] = [main, Infinity]; // where sections go, and above which depth
+  report.sections.forEach((section, k) => {
+    if (section.depth <= below) [host, below] = [main, Infinity];
+    const shown = showSection(section, ids[k]);
+    host.append(shown);
+    if (host === main) links.push(make("a", { href: `#${ids[k]}`, class: `depth-${section.depth}` }, section.title));
+    if (section.folded && host === main) [host, below] = [shown.querySelector("details"), section.depth];
+  });
   const button = make("button", { type: "button", class: "theme" }, "Light or dark");
   button.addEventListener("click", () => theme.set(theme.dark() ? "light" : "dark"));
   const tone = report.passed === null ? "" : report.passed ? "good" : "bad";
@@ -62,7 +73,6 @@ function showReport(report) {
   head.append(make("p", { class: `verdict ${tone}` }, report.verdict));
   head.append(make("p", { class: "hint keys" }, hintOf(report)));
   const nav = make("nav", { "aria-label": "contents" }, ...links);
-  const main = make("main", {}, ...report.sections.map((section, k) => showSection(section, ids[k])));
   const versions = Object.entries(report.versions).map(([name, version]) => `${name} ${version}`);
   main.append(make("footer", {}, `Made by ${versions.join(", ")}.`));
   document.body.append(make("div", { class: "page" }, nav, make("div", { class: "column" }, head, main)));

@@ -1,6 +1,7 @@
 // The animation's canvas with what plays it: play and pause, the instant, the speed, names, the ghost.
 
 const SPEEDS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2];
+const MOST_NAMES = 16; // more names of pins are written on demand
 const SHOWN_S = 4; // a motion is shown in about as many seconds
 
 /** Return the figure of an animation. */
@@ -12,7 +13,7 @@ function showAnimation(block) {
   const timed = block.unit === "s";
   cursor.speed = wanted;
   if (timed) cursor.speed = SPEEDS.reduce((best, one) => (Math.abs(Math.log(one / wanted)) < Math.abs(Math.log(best / wanted)) ? one : best));
-  const shown = { names: false, ghost: block.ghosts.length ? block.ghosts[0].name : "" };
+  const shown = { names: block.labels.length <= MOST_NAMES, ghost: block.ghosts.length ? block.ghosts[0].name : "" };
   const canvas = make("canvas", { class: "stage", role: "img", "aria-label": `${block.title}, drawn in motion` });
   const button = make("button", { type: "button", class: "play", onclick: () => cursor.toggle() }, "Play");
   const bar = make("input", { type: "range", min: 0, max: 1000, value: 0, "aria-label": "instant of the motion" });
@@ -25,7 +26,7 @@ function showAnimation(block) {
   const efforts = make("p", { class: "efforts" });
   const speed = make("select", { "aria-label": "speed", onchange: (event) => (cursor.speed = Number(event.target.value)) });
   for (const one of SPEEDS) speed.append(make("option", { value: one, selected: one === cursor.speed }, `${one} of real time`));
-  const names = make("input", { type: "checkbox" });
+  const names = make("input", { type: "checkbox", checked: shown.names });
   const controls = make("div", { class: "controls" }, button, bar, clock, timed ? make("label", {}, "speed ", speed) : null, make("label", {}, names, " names"));
   const figure = make("figure", { class: "animation" }, make("figcaption", {}, block.title), canvas, controls, efforts, keyOf(block));
   if (block.ghosts.length) {
@@ -83,10 +84,13 @@ function effortSaid(drive, frame, planned) {
 /** Return what the drawing's lines and signs mean. */
 function keyOf(block) {
   const moving = block.bodies.filter((body) => !body.fixed);
-  const swatches = moving.slice(0, 12).map((body, k) => make("li", {}, make("span", { class: `sign c${k % 7}` }, "━"), body.name));
-  if (moving.length > 12) swatches.push(make("li", {}, `and ${moving.length - 12} more bodies`));
+  const swatches = moving.slice(0, BODY_COLOURS).map((body, k) => make("li", {}, make("span", { class: `sign c${k % BODY_COLOURS}` }, "■"), body.name));
+  if (moving.length > BODY_COLOURS) swatches.push(make("li", {}, `and ${moving.length - BODY_COLOURS} more bodies`));
+  if (block.bodies.some((body) => body.shapes.some((shape) => shape.look === "payload"))) swatches.push(make("li", {}, make("span", { class: "sign payload" }, "■"), "payload, as a uniform rod"));
   if (block.ghosts.length) swatches.push(make("li", {}, make("span", { class: "sign ghost" }, "╌"), `ghost: as tracked; solid: ${block.planned}`));
-  block.paths.forEach(([name], k) => swatches.push(make("li", {}, make("span", { class: `sign c${(k + 3) % 7}` }, "─"), `path of ${name}`)));
+  block.paths.forEach(([name], k) => swatches.push(make("li", {}, make("span", { class: `sign c${(moving.length + k) % BODY_COLOURS}` }, "─"), `path of ${name}`)));
+  const sites = sitesOf(block);
+  if (sites.length) swatches.push(make("li", {}, make("span", { class: "sign" }, "◇"), sites.some(([, body]) => !body.fixed) ? "site, its path dotted" : "site"));
   const seen = block.dimension === 3 ? "drag to turn" : `seen with ${block.axes[0]} to the right and ${block.axes[1]} up`;
   const shapes = new Set(block.drives.flatMap((drive) => drive.marks.map((mark) => mark.shape)));
   const words = [["arc", "arcs"], ["arrow", "arrows"], ["line", "lines"]].filter(([shape]) => shapes.has(shape)).map(([, word]) => word);

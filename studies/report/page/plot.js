@@ -128,7 +128,7 @@ function seriesOf(one, dots) {
     stroke: colour,
     width: points ? 0 : one.width,
     dash: dashes(one.look),
-    paths: points ? () => null : undefined,
+    paths: points ? () => null : one.look === "steps" ? uPlot.paths.stepped({ align: 1 }) : undefined,
     points: points ? { show: true, size: 6, stroke: colour, fill: colour } : { show: false },
     value: (u, v) => {
       if (!dots) return said(v);

@@ -60,7 +60,8 @@ def test_a_run_is_saved_with_units_in_its_heads_as_csv_and_npz(tmp_path):
 
 def test_the_figure_has_every_joint_and_every_actuator():
     comparison = compared("five-bar")
-    figure = comparison_figure(comparison)
+    assert comparison_figure(comparison).get_size_inches()[1] * 110 <= 1080
+    figure = comparison_figure(comparison, every_joint=True)
     drawn = {axes.get_title(): axes for axes in figure.axes}
     motions = [f"{joint}, desired and tracked" for joint in ("O1", "O2")]
     errors = [f"Size of the error of {joint}" for joint in ("O1", "O2")]

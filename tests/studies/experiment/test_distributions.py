@@ -14,6 +14,7 @@ def drawn(values: list[float], unit: str):
 def test_a_curve_begins_at_no_machine_and_failures_never_arrive():
     (plot,) = drawn([3.0, 1.0, np.nan, 2.0], "deg")
     (line,) = plot.series
+    assert line.look == "steps"  # of one machine after the other
     assert (line.x[0], line.y[0]) == (1, 0)
     assert list(zip(line.x, line.y, strict=True))[1:4] == [(1, 25), (2, 50), (3, 75)]
     assert max(line.y) == 75

@@ -64,8 +64,10 @@ def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():
     assert inside == [True, False, True]
 
 
-def test_a_plan_without_sites_has_no_panel_of_them():
-    assert len(plan_figure(many()).axes) == 6  # a panel each of hinges and of slides
+def test_a_plan_without_sites_is_drawn_beside_its_curves():
+    axes = plan_figure(many()).axes
+    assert sum(bool(one.get_ylabel()) for one in axes) == 7  # a panel each of hinges and of slides, and the mechanism
+    assert sum(one.get_ylabel() == "z [m]" for one in axes) == 1
 
 
 def test_a_plan_s_page_has_every_coordinate_s_position_speed_and_effort_in_its_unit(tmp_path, monkeypatch):
@@ -91,8 +93,8 @@ def test_a_plan_s_page_has_every_coordinate_s_position_speed_and_effort_in_its_u
         "effort [N.m]": (n_hinges, effort),
         "effort [N]": (len(KINDS) - n_hinges, effort),
     }
-    panels = {axes.get_ylabel(): axes for axes in saved["plan.png"].axes}
-    assert set(panels) == set(shown)
+    panels = {axes.get_ylabel(): axes for axes in saved["plan.png"].axes if axes.get_xlabel() in ("", "time [s]")}
+    assert {label for label in panels if label} == set(shown)
     assert panels["effort [N.m]"].get_xlabel() == "time [s]"
     for label, (n, expected) in shown.items():
         drawn = curves(panels[label])
@@ -107,3 +109,28 @@ def test_more_coordinates_than_colours_are_told_apart_by_their_styles():
 
     looks = [tuple(line_style(k).values()) for k in range(len(KINDS))]
     assert len(set(looks)) == len(KINDS)
+
+
+def test_an_axis_of_a_constant_shows_no_rounding_errors():
+    from linkplan.studies.output.drawing import page
+
+    with page(None) as axes:
+        axes[0, 0].plot([0.0, 1.0, 2.0], [3.79e-4, 3.79e-4 * (1 + 1e-15), 3.79e-4])
+    low, high = axes[0, 0].get_ylim()
+    assert low < 3.6e-4
+    assert high > 4.0e-4
+
+
+def test_the_names_of_pins_are_those_of_joints_and_closures():
+    from linkplan.models.mechanism import load_mechanism
+    from linkplan.studies.output.draw_bodies import draw_poses
+    from linkplan.studies.output.drawing import page
+
+    mechanism = load_mechanism("optimus-knee", payload="shank")
+    with page(None) as axes:
+        draw_poses(axes[0, 0], mechanism, np.stack([mechanism.home, mechanism.home]))
+    assert {text.get_text() for text in axes[0, 0].texts} == {"O", "A", "B", "C"}
+    assert axes[0, 0].get_legend_handles_labels()[1] == ["ground", "crank", "coupler", "rocker", "payload"]
+    rod = max((patch.get_xy() for patch in axes[0, 0].patches), key=lambda xy: np.ptp(xy, axis=0).max())
+    reach = np.linalg.norm(rod - mechanism.model.body("thigh").pos[[0, 2]], axis=1).max()  # to the foot of the shank
+    assert reach == pytest.approx(0.2 + 0.5 * np.sqrt(12 * 0.05 / 4), rel=0.01)

@@ -9,8 +9,8 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.render.efforts import effort_shapes, load_shares
 from linkplan.studies.render.framing import own_direction
-from linkplan.studies.render.scenes import all_points, body_colours, film_scenes, place_bodies, stroboscopic_scene
-from linkplan.studies.render.shapes import GHOST, load_colour
+from linkplan.studies.render.scenes import all_points, body_colours, film_scenes, place_bodies, skeletons, stroboscopic_scene
+from linkplan.studies.render.shapes import GHOST, PAYLOAD, load_colour
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.pictures import N, rods, waved
 from tests.support.tolerances_planner import ROUNDING
@@ -181,3 +181,13 @@ def test_the_picture_holds_all_that_moves_at_every_instant():
         for which in (0, -1):
             ends = rods(scene, which).reshape(-1, 3)
             assert np.all((ends >= low - 1e-4) & (ends <= high + 1e-4))
+
+
+def test_the_payload_hangs_where_its_mass_is():
+    mechanism = load_mechanism("optimus-knee", payload="shank")
+    poses = np.stack([mechanism.home, mechanism.home])
+    (rod,) = (shape for shape in skeletons(mechanism, poses)[1] if shape.rgba == PAYLOAD)
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = mechanism.qpos_of(mechanism.home)
+    mujoco.mj_kinematics(mechanism.model, data)
+    np.testing.assert_allclose(0.5 * (rod.start + rod.end), data.body("linkplan_payload").xipos, atol=1e-9)

@@ -130,12 +130,53 @@ def test_the_ghost_is_drawn_and_can_be_left_out(browser, path):
     assert picture(opened) != drawn
 
 
-def test_names_are_written_on_demand(browser, path):
+def test_names_can_be_left_out(browser, path):
     opened = Opened(browser, path)
     opened.build()
     drawn = picture(opened)
-    opened.page.locator(".controls input[type=checkbox]").first.check()
+    opened.page.locator(".controls input[type=checkbox]").first.uncheck()
     assert picture(opened) != drawn
+
+
+def painted(opened, colour: str) -> int:
+    """Return how many pixels of the first animation are filled as shapes of a colour of the style sheet are."""
+    opened.page.locator(".controls input[type=checkbox]").first.uncheck()
+    return opened.ask(
+        """(name) => { const stage = document.querySelector('canvas.stage');
+        const want = blended(theme.colour(name), theme.colour('paper'), 0.45).match(/[0-9]+/g).map(Number);
+        const all = stage.getContext('2d').getImageData(0, 0, stage.width, stage.height).data;
+        let n = 0;
+        for (let k = 0; k < all.length; k += 4) n += want.every((x, i) => Math.abs(all[k + i] - x) < 3) && all[k + 3] > 250;
+        return n; }""",
+        colour,
+    )
+
+
+def test_the_shank_and_the_links_are_solid(browser, tmp_path):
+    write_report(plan_report(optimal("knee-reach")), tmp_path / "knee.html")
+    opened = Opened(browser, tmp_path / "knee.html")
+    opened.build()
+    shown = opened.ask("SHOW && document.querySelectorAll('.lead .facts dt').length")
+    assert shown == 4  # peak effort, least margin, duration, objective
+    assert opened.page.locator(".lead .stage").bounding_box()["y"] < 400
+    assert painted(opened, "payload") > 2000  # a rod of more than 200 px by more than 10
+    assert painted(opened, "c0") > 200
+
+
+def test_a_folded_section_holds_the_deeper_sections_after_it(browser, tmp_path):
+    line = Plot(title="p", group="", x_axis=TIME, y_axis=TIME, x=[0, 1], series=[Series(name="s", y=[0, 1])])
+    sections = [
+        Section(title="outer", blocks=[line], folded=True),
+        Section(title="inner", blocks=[line], depth=2),
+        Section(title="next", blocks=[line]),
+    ]
+    write_report(report_of("folded", "", None, sections), tmp_path / "folded.html")
+    opened = Opened(browser, tmp_path / "folded.html")
+    assert not opened.page.get_by_role("heading", name="inner").is_visible()
+    assert opened.page.get_by_role("heading", name="next").is_visible()
+    assert opened.page.locator("nav a").all_inner_texts() == ["outer", "next"]
+    opened.page.get_by_role("link", name="outer").click()
+    assert opened.page.get_by_role("heading", name="inner").is_visible()
 
 
 @pytest.mark.parametrize("width", [400, 700, 1400])

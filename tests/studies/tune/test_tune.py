@@ -10,6 +10,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
+from linkplan.studies.tune.draw_tune import tune_figure
 from linkplan.studies.tune.tune import Wanted, tune
 from linkplan.studies.tune.tune_report import motor_gains, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
@@ -161,3 +162,13 @@ def test_poles_of_a_second_order_system_have_its_damping_ratio_and_settle_with_i
     np.testing.assert_allclose(damping_ratio(poles), [0.6, 1.0], rtol=1e-12)
     np.testing.assert_allclose(settling_time_s(poles, 1e-3), np.log(50.0) / np.array([3.0, 2.0]), rtol=1e-9)
     assert np.isinf(settling_time_s(np.array([1.01]), 1e-3))
+
+
+def test_all_points_of_the_figure_are_inside_its_axes():
+    figure = tune_figure(tuned("shank", "pd", 30.0, 60.0, 1e-3, 1))
+    for axes in figure.axes:
+        for line in axes.lines:
+            values = np.asarray(line.get_ydata(), dtype=float)
+            low, high = axes.get_ylim()
+            assert (values >= low).all()
+            assert (values <= low + 0.95 * (high - low)).all(), axes.get_ylabel()

@@ -1,0 +1,66 @@
+"""The command `explore`."""
+
+import argparse
+from pathlib import Path
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.files.tables import read_tables
+from linkplan.planner.problem.problem import Problem
+from linkplan.studies.cli.common import new_file, refuse_no_model, selection_asked, set_all
+from linkplan.studies.cli.exit_codes import DONE
+from linkplan.studies.cli.printing import flush_streams, progress, show
+
+
+def run_explore(arguments: argparse.Namespace) -> int:
+    """Serve the page of a problem's sliders until Ctrl-C."""
+    from linkplan.studies.explore.server import Server
+    from linkplan.studies.explore.session import Session
+
+    target, say = new_file(arguments), progress(arguments)
+    if not 0 <= arguments.port <= 65535:
+        raise ProblemError(f"--port is from 0 to 65535, got {arguments.port}")
+    session = Session(first=_problem(arguments, say))
+    saved: list[str] = []
+
+    def save(problem: Problem) -> str:
+        return _save(problem, Path("problem.toml") if target is None else target, saved)
+
+    try:
+        server = Server(session, save, arguments.port)
+    except OSError as error:
+        raise ProblemError(f"port {arguments.port} of 127.0.0.1 cannot be used: {error.strerror or error}") from error
+    with server:
+        said = {"problem": session.first.name, "address": server.address}
+        show(arguments, said, f"open {server.address} in a browser; Ctrl-C ends")
+        flush_streams()  # the address is read while the command runs
+        server.serve_forever()
+    return DONE
+
+
+def _problem(arguments: argparse.Namespace, say) -> Problem:
+    """Return the problem of a file or a built-in name, or the first motion of a model."""
+    if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
+        name, tables, folder = read_tables(arguments.model)
+    else:
+        from linkplan.studies.new.first_motion import first_motion
+        from linkplan.studies.new.problem_file import file_tables
+
+        refuse_no_model(arguments.model)
+        say(f"looking for a first motion of {arguments.model}")
+        found = first_motion({"model": arguments.model} | selection_asked(arguments), say)
+        if not found.planned:
+            raise ProblemError(f"no first motion of '{arguments.model}' was found: {found.why}")
+        name, tables, folder = f"{found.mechanism.name}-first", file_tables(found, arguments.model, None), None
+    set_all(tables, arguments.set)
+    return Problem.from_tables(name, tables, folder)
+
+
+def _save(problem: Problem, target: Path, saved: list[str]) -> str:
+    """Write a problem file; one that this page has written before is replaced, any other file is refused."""
+    from linkplan.planner.files.single_file import write_new, write_over
+
+    write = write_over if str(target) in saved else write_new
+    write(target, problem.to_toml().encode("utf-8"))
+    saved.append(str(target))
+    return str(target)

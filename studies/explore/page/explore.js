@@ -1,0 +1,90 @@
+// The sliders above a report: a moved slider asks for a new plan, and the page shows it.
+
+const explored = { busy: false, due: false, values: {}, objective: null };
+
+async function ask(path, body) {
+  const options = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
+  const response = await fetch(path, options);
+  if (!response.ok) throw new Error(await response.text());
+  return response.json();
+}
+
+/** Show another report in place of the page's. */
+function showAgain(report) {
+  const before = Cursor.active;
+  const at = before && before.high > 0 ? before.time / before.high : 0;
+  document.querySelector(".page").remove();
+  Cursor.all.clear();
+  Cursor.active = null;
+  theme.listeners.length = whenSeen.all.length = whenSized.all.length = 0;
+  const top = scrollY;
+  showReport(report);
+  scrollTo(0, top);
+  if (Cursor.active) Cursor.active.move(at * Cursor.active.high);
+}
+
+/** Plan at the present values; while a plan is made, only the last change waits. */
+async function planAgain(said) {
+  explored.due = true;
+  if (explored.busy) return;
+  explored.busy = true;
+  while (explored.due) {
+    explored.due = false;
+    said.textContent = "planning ...";
+    try {
+      const answer = await ask("plan", { values: explored.values, objective: explored.objective });
+      if (answer.refused) said.textContent = answer.refused;
+      else {
+        showAgain(answer.document);
+        said.textContent = `${answer.said.message}; planned in ${said2(answer.said.plan_s)}, with tracking ${said2(answer.said.all_s)}`;
+      }
+    } catch (error) {
+      said.textContent = `no answer: ${error.message}`;
+    }
+  }
+  explored.busy = false;
+}
+
+function said2(seconds) {
+  return `${Math.round(1000 * seconds)} ms`;
+}
+
+async function showSliders() {
+  const controls = await ask("controls");
+  const said = make("output", { class: "said", role: "status" }, "move a slider");
+  const rows = controls.sliders.map((slider) => {
+    explored.values[slider.key] = slider.value;
+    const shown = make("output", {}, `${said1(slider.value)} ${slider.unit}`);
+    const input = make("input", { type: "range", min: slider.low, max: slider.high, step: "any", value: slider.value, "aria-label": slider.label, "data-key": slider.key });
+    input.addEventListener("input", () => {
+      explored.values[slider.key] = Number(Number(input.value).toPrecision(6));
+      shown.textContent = `${said1(explored.values[slider.key])} ${slider.unit}`;
+      planAgain(said);
+    });
+    return make("label", {}, make("span", {}, slider.label), input, shown);
+  });
+  const choice = make("select", { "aria-label": "objective" });
+  for (const name of controls.objectives) choice.append(make("option", { value: name, selected: name === controls.objective }, name));
+  choice.addEventListener("change", () => {
+    explored.objective = choice.value;
+    planAgain(said);
+  });
+  const save = make("button", { type: "button" }, "Save problem file");
+  save.addEventListener("click", async () => {
+    try {
+      const answer = await ask("save", {});
+      said.textContent = answer.refused ?? `saved ${answer.saved}`;
+    } catch (error) {
+      said.textContent = `no answer: ${error.message}`;
+    }
+  });
+  const form = make("form", { class: "explore", "aria-label": "sliders" }, ...rows, make("label", {}, make("span", {}, "objective"), choice), save, said);
+  form.addEventListener("submit", (event) => event.preventDefault());
+  document.body.prepend(form);
+}
+
+function said1(value) {
+  return said(value, 4);
+}
+
+showSliders();

@@ -1,0 +1,156 @@
+"""An explored problem: its sliders, and the report of the plan at their values."""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.tree.joints import Joint
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.values import number
+from linkplan.planner.replan import Replanner
+from linkplan.studies.compare.compare import Comparison, compare
+from linkplan.studies.output.document import Report
+from linkplan.studies.report.reports import explored_report, plan_report
+
+# The objectives of the page, those that need neither a reference nor motors.
+OBJECTIVES = ("effort", "time", "work")
+# Writes the problem file of a problem and returns its path.
+Save = Callable[[Problem], str]
+# Sliders of duration and payload go from a quarter to four times of what the problem has.
+_SLIDER_FACTOR = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slider:
+    """A number that the page varies: its key, label, unit, range and present value."""
+
+    key: str
+    label: str
+    unit: str
+    low: float
+    high: float
+    value: float
+
+
+@dataclass(eq=False, kw_only=True)
+class Session:
+    """A problem with the planner that follows its sliders. Mutable: it keeps the last solution and the last problem.
+
+    Requests of several threads wait for each other.
+    """
+
+    first: Problem
+    tracker: str = "pd+ff"
+    planner: Replanner = field(default_factory=Replanner)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def __post_init__(self) -> None:
+        if self.first.motion.kind != "reach":
+            raise ProblemError(
+                f"explore takes a reach, a motion from a start to a goal, got a {self.first.motion.kind} motion"
+            )
+        self.current = self.first
+
+    def controls(self) -> dict:
+        """Return the sliders and objectives of the page, in JSON types."""
+        chosen = self.first.to_dict().get("objective", {}).get("minimize", "effort")
+        further = [chosen] if isinstance(chosen, str) and chosen not in OBJECTIVES else []
+        objectives = [*OBJECTIVES, *further]
+        return {"sliders": [asdict(one) for one in self.sliders()], "objectives": objectives, "objective": chosen}
+
+    def sliders(self) -> list[Slider]:
+        """Return the sliders: start and goal of the independent joints, duration, effort limits, payload."""
+        problem = self.first
+        motion = problem.to_dict()["motion"]
+        found = []
+        for end in ("start", "goal"):
+            for joint in problem.mechanism.independent_joints:
+                value = motion.get(f"{end}_{joint.unit}", {}).get(joint.name)
+                if value is not None:
+                    low, high = _range(joint, float(value))
+                    key = f"{end}_{joint.unit}.{joint.name}"
+                    found.append(
+                        Slider(key=key, label=f"{end} {joint.name}", unit=joint.unit, low=low, high=high, value=float(value))
+                    )
+        if isinstance(motion.get("duration_s"), int | float):
+            found.append(_about("duration_s", "duration", "s", float(motion["duration_s"])))
+        if np.isfinite(problem.limits.effort).any():
+            found.append(Slider(key="effort_percent", label="effort limits", unit="%", low=10.0, high=100.0, value=100.0))
+        if problem.mechanism.payload is not None:
+            found.append(_about("payload_kg", "payload", "kg", problem.mechanism.payload.mass_kg))
+        return found
+
+    def problem_at(self, values: Mapping[str, object], objective: str | None) -> Problem:
+        """Return the problem at values of the sliders by key.
+
+        Raises:
+            LinkplanError: for an unknown key, a value outside its slider, or values that make no problem.
+        """
+        known = {slider.key: slider for slider in self.sliders()}
+        settings: dict[str, object] = {}
+        for key, given in values.items():
+            if key not in known:
+                raise ProblemError(f"unknown slider '{key}'; sliders are {', '.join(known)}")
+            value, slider = number(given, key), known[key]
+            if not slider.low <= value <= slider.high:
+                raise ProblemError(f"{key} is from {slider.low:g} to {slider.high:g} {slider.unit}, got {value:g}")
+            settings |= self._setting(key, value, slider)
+        if objective is not None:
+            settings["objective.minimize"] = objective
+        if objective == "time":
+            settings["motion.duration_s"] = "free"
+        return self.first.with_settings(settings)
+
+    def _setting(self, key: str, value: float, slider: Slider) -> dict[str, object]:
+        """Return the settings of a slider's value, none if it is where it was."""
+        if value == slider.value and key in ("effort_percent", "payload_kg"):
+            return {}
+        if key == "effort_percent":
+            pairs = zip(self.first.mechanism.actuators, self.first.limits.actuators_effort.tolist(), strict=True)
+            return {f"limits.effort.{one.name}": [value / 100.0 * low, value / 100.0 * high] for one, (low, high) in pairs}
+        if key == "payload_kg":
+            payload = self.first.mechanism.payload
+            return {"mechanism.payload": payload.scaled(value / payload.mass_kg).table()}
+        return {f"motion.{key}": value}
+
+    def report(self, values: Mapping[str, object], objective: str | None) -> tuple[Report, dict]:
+        """Return the report at values of the sliders, and the verdict with the times that plan and tracking took [s].
+
+        Raises:
+            LinkplanError: if the values make no problem.
+        """
+        with self.lock:
+            problem, begun = self.problem_at(values, objective), time.monotonic()
+            plan = self.planner.plan(problem)
+            planned = time.monotonic() - begun
+            self.current = problem
+            document = _tracked(plan, self.tracker)
+            said = {"passed": plan.passed, "message": plan.message, "plan_s": planned}
+            return document, said | {"all_s": time.monotonic() - begun}
+
+
+def _tracked(plan: Plan, tracker: str) -> Report:
+    """Return the report of a plan with its tracked run, or of the plan alone if it cannot be tracked."""
+    if not plan.passed:
+        return plan_report(plan)
+    try:
+        found: Comparison = compare(plan, None, asked=[tracker])
+    except LinkplanError:
+        return plan_report(plan)
+    return explored_report(plan, found)
+
+
+def _range(joint: Joint, value: float) -> tuple[float, float]:
+    """Return the ends of a joint's slider: its range, or half a turn or half a metre about a value if it has none."""
+    low, high = joint.shown(joint.lower), joint.shown(joint.upper)
+    reach = 180.0 if joint.kind == "hinge" else 0.5
+    return (low if np.isfinite(low) else value - reach), (high if np.isfinite(high) else value + reach)
+
+
+def _about(key: str, label: str, unit: str, value: float) -> Slider:
+    return Slider(key=key, label=label, unit=unit, low=value / _SLIDER_FACTOR, high=value * _SLIDER_FACTOR, value=value)

@@ -1,0 +1,121 @@
+"""What the command line does, from Python: reports, films, exports, first problems, batches; notebooks' tables."""
+
+import re
+
+import control
+import numpy as np
+import pytest
+from PIL import Image
+
+import linkplan
+from tests.support.plans import optimal
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return linkplan.Plan.of(optimal("knee-reach"))
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return linkplan.bode("knee-reach", measure=None, at_deg=[{"O": 0.0}, {"O": 20.0}])
+
+
+def test_every_result_has_a_report(plan, loop, tmp_path):
+    results = {"plan": plan, "bode": loop, "check": linkplan.check("five-bar"), "folder": plan.save(tmp_path / "saved")}
+    results["tracked"] = linkplan.track(plan, "pd+ff", tracking={"duration_s": 0.01})
+    for name, result in results.items():
+        place = linkplan.report(result, tmp_path / f"{name}.html")
+        assert place.read_text(encoding="utf-8").startswith("<!doctype html>"), name
+    with pytest.raises(linkplan.LinkplanError, match="a report is on a result"):
+        linkplan.report(7, tmp_path / "seven.html")
+
+
+@pytest.mark.slow
+def test_a_picture_is_rendered(plan, tmp_path):
+    done = linkplan.render(plan, tmp_path / "reach.png", at_s=0.08, size_px=(160, 120))
+    assert Image.open(tmp_path / "reach.png").size == done.size == (160, 120)
+    with pytest.raises(linkplan.LinkplanError, match=r"path ends in \.mp4"):
+        linkplan.render(plan, tmp_path / "reach.bmp")
+
+
+def test_a_plan_is_exported(plan, tmp_path):
+    place = linkplan.export(plan, tmp_path / "reach.csv", "csv", every_s=0.01)
+    assert len(place.read_text(encoding="utf-8").splitlines()) == 1 + 17
+    with pytest.raises(linkplan.LinkplanError, match="unknown format 'cvs'"):
+        linkplan.export(plan, tmp_path / "reach.cvs", "cvs")
+
+
+def test_new_is_a_problem_with_its_file_and_plan(tmp_path):
+    first = linkplan.new("slider-crank", tmp_path / "first.toml")
+    assert first.planned
+    assert str(first) == (tmp_path / "first.toml").read_text(encoding="utf-8")
+    assert linkplan.Problem.from_file(tmp_path / "first.toml").motion.kind == first.problem.motion.kind
+    with pytest.raises(linkplan.LinkplanError, match=r"first\.toml"):
+        linkplan.new("slider-crank", tmp_path / "first.toml")
+
+
+def test_a_batch_is_a_table():
+    durations = linkplan.batch({"problem": "knee-reach", "sweep": {"motion.duration_s": [0.16, 0.2, 0.01]}})
+    assert not durations.passed
+    assert len(durations.failures) == 1
+    found = durations.to_dict()["cases"]
+    assert [case["status"] for case in found.values()] == ["optimal", "optimal", "infeasible"]
+    assert durations._repr_html_().count("<tr>") == 4
+    with pytest.raises(linkplan.LinkplanError, match="a batch has"):
+        linkplan.batch({"problem": "knee-reach"})
+
+
+def test_a_loop_is_systems_of_python_control(loop):
+    system = loop.lti(loop.poses[1])
+    assert isinstance(system, control.StateSpace)
+    assert system.dt == 1e-4
+    data = loop.frd("loop", loop.poses[1])
+    for k in (0, 300, len(data.omega) - 1):
+        assert system(np.exp(1j * data.omega[k] * system.dt)) == pytest.approx(data.frdata[0, 0, k], rel=1e-9)
+    assert np.abs(loop.lti(closed=True).poles()).max() < 1
+    sensitivity = loop.frd("sensitivity", loop.poses[1])
+    np.testing.assert_allclose(sensitivity.frdata * (1 + data.frdata), np.ones_like(data.frdata), rtol=1e-9)
+    with pytest.raises(linkplan.LinkplanError, match="no 'loop' was measured"):
+        loop.frd(measured=True)
+
+
+def test_an_ode_plan_is_drawn_tabled_and_saved(tmp_path):
+    problem = linkplan.OdeProblem(
+        name="double integrator",
+        rate=lambda x, u, p, t: [x[1], u[0]],  # noqa: ARG005 (the arguments of every rate)
+        start=[0, 0],
+        goal=[1, 0],
+        effort_limit=[[-1, 1]],
+        duration_s=(0.1, 10),
+        final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
+        states=["place", "speed"],
+    )
+    solved = linkplan.solve_ocp(problem).require()
+    table = solved.to_frame(np.array([0.0, 1.0, 2.0]))
+    np.testing.assert_allclose(table["place"], [0.0, 0.5, 1.0], atol=1e-6)
+    assert [axes.get_xlabel() for axes in solved.plot().axes] == ["time [s]", "time [s]"]
+    folder = solved.save(tmp_path / "solved")
+    assert {path.name for path in folder.iterdir()} >= {"ode.json", "trajectory.csv", "plan.png"}
+    assert (folder / "trajectory.csv").read_text(encoding="utf-8").startswith("time [s],place,speed,")
+
+
+def test_builders_take_reserve_ranges_and_imperfections():
+    asked = {"start_deg": {"O": -20}, "goal_deg": {"O": 20}, "duration_s": 0.2}
+    more = {"reserve": 0.2, "robust": {"torque_constant_factor": [0.9, 1.1]}, "imperfections": {"delay_periods": [0.5, 2.0]}}
+    problem = linkplan.Problem.reach("optimus-knee", limits={"effort": {"act_O": [-50, 50]}}, **asked, **more)
+    assert problem.limits.reserve == 0.2
+    assert problem.limits.effort[0].tolist() == pytest.approx([-40.0, 40.0])
+    assert problem.robust.torque_factor == (0.9, 1.1)
+    assert problem.to_dict()["imperfections"] == {"delay_periods": [0.5, 2.0]}
+    assert problem.replace(reserve=None).limits.reserve == 0.0
+    for key, wrong in (("reserve", 2.0), ("robust", {"payload": 1}), ("imperfections", {"delay": 1})):
+        with pytest.raises(linkplan.LinkplanError):
+            linkplan.Problem.reach("optimus-knee", **asked, **{key: wrong})
+
+
+def test_results_are_tables_in_notebooks(plan, loop):
+    for result, words in ((plan, "certificate: passed"), (loop, "phase margin"), (linkplan.check("five-bar"), "five-bar")):
+        text = result._repr_html_()
+        assert words in text
+        assert not re.search(r"<(script|img)", text)

@@ -1,0 +1,67 @@
+"""An explored problem: its sliders, the problem at their values, and the reports that follow."""
+
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.studies.explore.session import Session
+from linkplan.studies.output.document import Animation, Facts
+from tests.support.reports import blocks
+
+
+@pytest.fixture(scope="module")
+def session():
+    return Session(first=load_problem("knee-reach"))
+
+
+def test_the_sliders_are_those_of_the_problem(session):
+    found = {slider.key: slider for slider in session.sliders()}
+    assert set(found) == {"start_deg.O", "goal_deg.O", "duration_s", "effort_percent", "payload_kg"}
+    assert (found["goal_deg.O"].low, found["goal_deg.O"].high, found["goal_deg.O"].value) == (-90.0, 90.0, 56.27)
+    assert found["payload_kg"].value == 4.0
+    assert session.controls()["objective"] == "effort"
+
+
+def test_values_are_those_of_the_planned_problem(session):
+    values = {"goal_deg.O": 40.0, "duration_s": 0.2, "effort_percent": 80.0, "payload_kg": 3.0}
+    problem = session.problem_at(values, "work")
+    tables = problem.to_dict()
+    assert (tables["motion"]["goal_deg"], tables["motion"]["duration_s"]) == ({"O": 40.0}, 0.2)
+    assert problem.limits.effort[0].tolist() == [-80.0, 80.0]
+    assert problem.mechanism.payload.mass_kg == 3.0
+    assert tables["objective"]["minimize"] == "work"
+    assert session.problem_at(values, "time").to_dict()["motion"]["duration_s"] == "free"
+
+
+def test_what_no_slider_gives_is_refused(session):
+    for values, said in (
+        ({"goal_deg.A": 1.0}, "unknown slider"),
+        ({"duration_s": 99.0}, r"duration_s is from 0\.04 to 0\.64 s, got 99"),
+        ({"duration_s": "long"}, "duration_s"),
+    ):
+        with pytest.raises(ProblemError, match=said):
+            session.problem_at(values, None)
+    with pytest.raises(ProblemError, match="explore takes a reach"):
+        Session(first=load_problem("knee-sine"))
+
+
+def test_a_moved_slider_gives_the_plan_of_its_problem(session):
+    session.report({}, None)
+    document, said = session.report({"duration_s": 0.2}, None)
+    assert said["passed"]
+    (moving, *_) = blocks(document, Animation)
+    assert [ghost.name for ghost in moving.ghosts] == ["pd+ff"]
+    expected = plan_motion(load_problem("knee-reach", ["motion.duration_s=0.2"]))
+    rows = dict(blocks(document, Facts)[0].rows)
+    assert float(rows["objective"].split()[1]) == pytest.approx(expected.objective, rel=1e-5)
+    text = session.current.to_toml()
+    assert Problem.from_tables("again", session.current.to_dict()).to_toml() == text
+    assert "duration_s = 0.2" in text
+
+
+def test_a_motion_that_there_is_not_is_told(session):
+    document, said = session.report({"duration_s": 0.06}, None)
+    assert not said["passed"]
+    assert document.passed is False
+    assert "infeasible" in said["message"]

@@ -1,0 +1,96 @@
+"""The bodies of an animation against MuJoCo: where their shapes stand at every frame, in a plane and in space."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.assembly import follow
+from linkplan.studies.output.document import Animation
+from linkplan.studies.report.animation import animation
+from tests.support.linkages import loaded
+
+# Rounding of a page's numbers, of a mechanism of about a metre [m].
+SHOWN = 2e-5
+TILTED = """<mujoco><worldbody><body name="arm"><joint name="J" axis="0 1 0"/><geom type="box" size="0.1 0.02 0.01"/>
+<body name="rod"><joint name="S" type="hinge" axis="1 0 0"/><geom type="box" size="0.3 0.02 0.01"/></body></body></worldbody>
+<actuator><motor joint="J" ctrlrange="-1 1"/><motor joint="S" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def moved(mechanism: Mechanism, swing: float) -> tuple[Animation, np.ndarray]:
+    """Return the animation of a swing [rad] of every independent joint from home, and its poses (n, n_q)."""
+    time = np.linspace(0.0, 1.0, 21)
+    wave = swing * np.sin(2 * np.pi * time)[:, None]
+    poses = follow(mechanism, mechanism.home[mechanism.independent] + wave, mechanism.home)
+    return animation(mechanism, "", "", time, poses), poses
+
+
+def middles(mechanism: Mechanism, poses: np.ndarray, body: str) -> np.ndarray:
+    """Return the mean position (n, 3) of the centres of a body's geoms, by MuJoCo."""
+    model, found = mechanism.model, []
+    data = mujoco.MjData(model)
+    own = np.flatnonzero(model.geom_bodyid == model.body(body).id)
+    for qpos in mechanism.qpos_of(poses):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        found.append(data.geom_xpos[own].mean(axis=0))
+    return np.array(found)
+
+
+def test_flat_shapes_follow_their_bodies():
+    mechanism = load_mechanism("optimus-knee")
+    shown, poses = moved(mechanism, 0.4)
+    assert shown.dimension == 2
+    for name in ("crank", "coupler", "rocker"):
+        (body,) = (one for one in shown.bodies if one.name == name)
+        centres = np.array([np.reshape(shape.points, (-1, 2)).mean(axis=0) for shape in body.shapes]).mean(axis=0)
+        rows = np.array(body.places)
+        x = rows[:, 0] + rows[:, 2] * centres[0] - rows[:, 3] * centres[1]
+        z = rows[:, 1] + rows[:, 3] * centres[0] + rows[:, 2] * centres[1]
+        np.testing.assert_allclose(np.stack([x, z], axis=1), middles(mechanism, poses, name)[:, [0, 2]], atol=SHOWN)
+
+
+def test_shapes_in_space_follow_their_bodies():
+    mechanism = loaded("rssr")
+    shown, poses = moved(mechanism, 0.3)
+    assert shown.dimension == 3
+    for name in ("crank", "rod", "rocker"):
+        (body,) = (one for one in shown.bodies if one.name == name)
+        centres = np.array([np.reshape(shape.points, (-1, 3)).mean(axis=0) for shape in body.shapes]).mean(axis=0)
+        turned = np.zeros((len(poses), 3))
+        for k, row in enumerate(body.places):
+            mujoco.mju_rotVecQuat(turned[k], centres, np.array(row[3:]))
+        places = np.array(body.places)[:, :3] + turned
+        np.testing.assert_allclose(places, middles(mechanism, poses, name), atol=SHOWN)
+
+
+def test_quaternions_do_not_jump_between_frames():
+    shown, _ = moved(load_mechanism(TILTED), 3.0)
+    for body in shown.bodies:
+        rows = np.array(body.places)[:, 3:]
+        assert (np.sum(rows[1:] * rows[:-1], axis=1) > 0).all()
+
+
+def test_a_body_that_rolls_about_a_line_of_the_plane_is_drawn_in_space():
+    assert moved(load_mechanism(TILTED), 0.3)[0].dimension == 3
+
+
+def test_every_pin_has_a_name_once():
+    shown, _ = moved(load_mechanism("optimus-knee"), 0.2)
+    assert [name for name, _ in shown.labels] == ["O", "A", "C", "B"]
+
+
+def test_sites_at_pins_are_not_drawn_twice():
+    shown, _ = moved(load_mechanism("optimus-knee"), 0.2)
+    assert [(body.name, [name for name, _ in body.sites]) for body in shown.bodies if body.sites] == [("ground", ["D"])]
+
+
+def test_the_floor_is_at_its_height():
+    assert moved(load_mechanism("optimus-knee"), 0.2)[0].floors == [0.0]
+
+
+def test_the_body_at_rest_has_one_place():
+    shown, _ = moved(load_mechanism("optimus-knee"), 0.2)
+    (ground,) = (body for body in shown.bodies if body.fixed)
+    assert len(ground.places) == 1
+    assert ground.depth == pytest.approx(-0.011, abs=1e-3)  # the thigh, a capsule behind the links, and the ball D
