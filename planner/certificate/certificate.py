@@ -121,7 +121,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     others = margins(samples)
     speed = max(float(np.abs(v).max()), _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
-    boundary_error = _boundary_error(problem, trajectory, speed)
+    boundary_error = end_state_error(problem, trajectory, speed)
     if problem.motion.turns is not None:
         boundary_error = max(boundary_error, _turn_error(problem, q))
     site_error, sites_off = ends_off_m(problem, trajectory, time, q)
@@ -262,7 +262,7 @@ def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v,
     return found
 
 
-def _boundary_error(problem: Problem, trajectory: Trajectory, speed: float) -> float:
+def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> float:
     """Return the largest error of the states at both ends, relative to the motion's span and largest speed."""
     motion = problem.motion
     ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])
