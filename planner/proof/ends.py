@@ -1,10 +1,12 @@
 """What holds at single instants: pieces that join, prescribed states; and what is checked at samples only."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
-from linkplan.planner.certificate.certificate import VELOCITY_SHARE, Certificate, end_state_error
+from linkplan.planner.certificate.certificate import VELOCITY_SHARE, end_state_error
 from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, finding_of
@@ -13,7 +15,7 @@ from linkplan.planner.trajectory import Trajectory
 # Largest jump between two pieces, as a share of the motion's span or largest speed: rounding of the program's solution.
 JOIN_SHARE = 1e-8
 # Largest difference of the start pose from the problem's own [rad or m].
-_START_POSE = 1e-6
+START_POSE_ERROR = 1e-6
 
 
 def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
@@ -64,11 +66,11 @@ def _start(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     except (AssemblyError, ProblemError) as error:
         return [Finding(name=name, answer="refuted", reason=str(error))]
     apart = np.where(moved, 0.0, np.abs(trajectory.start_pose - own))
-    return [finding_of(name, float(apart.max(initial=0.0)), _START_POSE, "rad or m", float(trajectory.breaks_s[0]))]
+    return [finding_of(name, float(apart.max(initial=0.0)), START_POSE_ERROR, "rad or m", float(trajectory.breaks_s[0]))]
 
 
-def sampled_findings(problem: Problem, certificate: Certificate | None) -> list[Finding]:
-    """Return the findings that only a certificate has: what is not enclosed, with the reason, and its failures."""
+def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
+    """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`."""
     mechanism, motion = problem.mechanism, problem.motion
     lines = [
         ("the state integrated under the planned efforts", "an integration with error control"),
@@ -84,7 +86,6 @@ def sampled_findings(problem: Problem, certificate: Certificate | None) -> list[
         lines.append(("places of sites at start, waypoints and goal", "evaluated at these instants"))
     if motion.kind == "track":
         lines.append(("the reference is followed", "compared at samples"))
-    failures = () if certificate is None else certificate.failures
     return [
         *(Finding(name=name, answer="sampled", reason=reason) for name, reason in lines),
         *(Finding(name="certificate at samples", answer="refuted", reason=sentence) for sentence in failures),

@@ -54,11 +54,15 @@ class Proof:
         """Whether every claim that can be enclosed is proved."""
         return self.passed and not self.of("undecided")
 
+    @property
+    def verdict(self) -> str:
+        """The verdict in a word: "proved", "undecided" or "refuted"."""
+        return "proved" if self.complete else "undecided" if self.passed else "refuted"
+
     def sentence(self) -> str:
-        """Return the verdict in one sentence."""
+        """Return the verdict and its cost in one sentence."""
         counts = ", ".join(f"{len(self.of(answer))} {answer}" for answer in ANSWERS if self.of(answer))
-        verdict = "proved" if self.complete else "not decided" if self.passed else "refuted"
-        return f"{verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s"
+        return f"{self.verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s"
 
     def record(self) -> dict:
         """Return the lists of findings by answer, and the cost."""

@@ -3,18 +3,17 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from flint import arb, arb_poly, arb_series, ctx
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
-from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import Blocks, blocks_of
 from linkplan.planner.proof.branch import krawczyk, newton, series_of
 from linkplan.planner.proof.claims import Claim, claims_of
-from linkplan.planner.proof.ends import JOIN_SHARE, end_findings, sampled_findings
+from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings, sampled_findings
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.planner.proof.linear import NotSeparatedError
 from linkplan.planner.proof.motion import Piece, State
@@ -48,9 +47,13 @@ class _Box:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Anchor:
-    """The branch up to a time: the regions of unique roots there, and z and z' by x at its end as numbers."""
+    """The branch up to a time: the region of a unique root there, None if the branch was lost, and the root at the end.
 
-    region: list[arb]
+    `z` and `slope` = dz/dtau are numbers.
+    """
+
+    region: list[arb] | None
+    end: list[arb]
     z: np.ndarray
     slope: np.ndarray  # dz/dtau
     tau: float
@@ -79,7 +82,7 @@ class _Record:
 def prove(
     problem: Problem,
     trajectory: Trajectory,
-    certificate: Certificate | None = None,
+    failures: Sequence[str] = (),
     until: Deadline = NO_DEADLINE,
     order: int = ORDER,
 ) -> Proof:
@@ -88,7 +91,7 @@ def prove(
     Args:
         problem: the problem with its limits.
         trajectory: the motion.
-        certificate: checks at samples of what is not enclosed; None leaves them out.
+        failures: sentences of its certificate on what samples have refuted.
         until: when this deadline passes, the open claims are undecided.
         order: the coefficients of Taylor forms before their remainder.
     """
@@ -98,7 +101,7 @@ def prove(
         found, boxes = _along(problem, trajectory, until, order)
     finally:
         ctx.prec, ctx.cap = before
-    findings = (*end_findings(problem, trajectory), *found, *sampled_findings(problem, certificate))
+    findings = (*end_findings(problem, trajectory), *found, *sampled_findings(problem, failures))
     return Proof(findings=findings, boxes=boxes, seconds=time.process_time() - begun)
 
 
@@ -135,21 +138,44 @@ class _Sweep:
         self.marks = [(arb(c.low) - arb(c.slack), arb(c.high) + arb(c.slack)) for c in self.claims]
         span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), 1e-9)
         self.slack = [arb(0, float(JOIN_SHARE * x)) for x in span]
-        anchor: _Anchor | None = None
-        for k in range(n):
-            piece = Piece.of(trajectory, k)
-            if anchor is not None:
-                anchor = _Anchor(region=anchor.region, z=anchor.z, slope=0 * anchor.slope, tau=0.0)
-            anchor = self._interval(piece, anchor)
+        pieces = (Piece.of(trajectory, k) for k in range(n))
+        anchor = None
+        for piece in pieces:
+            anchor = self._start(piece) if anchor is None else anchor
+            anchor = self._interval(piece, replace(anchor, slope=0 * anchor.slope, tau=0.0))
 
-    def _interval(self, piece: Piece, anchor: _Anchor | None) -> _Anchor | None:
+    def _start(self, piece: Piece) -> _Anchor:
+        """Return the branch of the start pose, whose distance from the closed pose is recorded."""
+        given = self.trajectory.start_pose[list(self.blocks.dependent)]
+        s = [p(arb(0)) for p in piece.position]
+        try:
+            root = krawczyk(self.blocks, s, newton(self.blocks, self.trajectory.start_pose[list(self.blocks.independent)], given))
+        except NotSeparatedError:
+            self.start_gap = math.inf
+            return _Anchor(region=None, end=[], z=given, slope=np.zeros_like(given), tau=0.0)
+        pairs = zip(root.enclosure, given.tolist(), strict=True)
+        self.start_gap = max((float(abs(x - g).upper()) for x, g in pairs), default=0.0)
+        z = np.array([float(x.mid()) for x in root.enclosure])
+        return _Anchor(region=root.region, end=root.enclosure, z=z, slope=np.zeros_like(z), tau=0.0)
+
+    def _lost(self, piece: Piece, box: _Box, anchor: _Anchor) -> _Anchor:
+        """Return where the sweep goes on after a box on which the branch was lost: a guess by Newton's method."""
+        tau = box.centre + box.radius
+        z = anchor.z + (tau - anchor.tau) * anchor.slope
+        try:
+            z = newton(self.blocks, np.array([float(p(arb(tau)).mid()) for p in piece.position]), z)
+        except NotSeparatedError:
+            z = anchor.z
+        return _Anchor(region=None, end=[], z=z, slope=0 * z, tau=tau)
+
+    def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval; return where the branch is at its end."""
         stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=list(range(len(self.claims))))]
-        most = self.boxes + _MAX_BOXES_PER_INTERVAL
+        most = _MAX_BOXES_PER_INTERVAL * (len(self.trajectory.breaks_s) - 1)
         while stack:
             box = stack.pop()
             open_claims = [i for i in box.claims if self.records[i].refuted is None]
-            if not open_claims and box.halvings and anchor is not None and anchor.tau >= box.centre:
+            if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
                 continue
             last = box.halvings == _MAX_HALVINGS or self.boxes >= most or self.until.passed
             self.boxes += 1
@@ -159,6 +185,7 @@ class _Sweep:
             except (NotSeparatedError, ZeroDivisionError, ValueError):
                 if last:
                     self._leave(piece, box, open_claims, closed=False)
+                    anchor = self._lost(piece, box, anchor)
                 else:
                     stack += box.halves(open_claims)
                 continue
@@ -169,7 +196,7 @@ class _Sweep:
                 stack += box.halves(left)
         return anchor
 
-    def _states(self, piece: Piece, box: _Box, anchor: _Anchor | None) -> tuple[tuple[State, State], _Anchor]:
+    def _states(self, piece: Piece, box: _Box, anchor: _Anchor) -> tuple[tuple[State, State], _Anchor]:
         """Return the motion at the middle of a box and over the box, and the branch at its end.
 
         Raises:
@@ -179,10 +206,7 @@ class _Sweep:
         tau = arb(box.centre, box.radius)
         s_middle = [p(c) for p in piece.position]
         s_box = [p(tau) + slack for p, slack in zip(piece.position, self.slack, strict=True)]
-        if anchor is None:
-            guess = self.trajectory.start_pose[list(blocks.dependent)]
-        else:
-            guess = anchor.z + (box.centre - anchor.tau) * anchor.slope
+        guess = anchor.z + (box.centre - anchor.tau) * anchor.slope
         at = np.array([float(x.mid()) for x in s_middle])
         z = newton(blocks, at, guess) if blocks.rank else np.zeros(0)
         middle = self._state(piece, c, r, krawczyk(blocks, s_middle, z).enclosure, self.order + 2)
@@ -190,15 +214,13 @@ class _Sweep:
         whole = self._state(piece, tau, r, root.enclosure, self.order + 3)
         forms = [TaylorForm.of(a, b, self.order) for a, b in zip(middle.z, whole.z, strict=True)]
         begin = [form.at_start() for form in forms]
-        if anchor is None:
-            given = self.trajectory.start_pose[list(blocks.dependent)]
-            self.start_gap = max((float(abs(x - g).upper()) for x, g in zip(begin, given.tolist(), strict=True)), default=0.0)
-        elif not all(region.contains(x) for region, x in zip(anchor.region, begin, strict=True)):
+        if anchor.region is not None and not _linked(anchor, root.region, begin, box):
             raise NotSeparatedError("the branch is not known to be the one before")
         numbers = np.array([[float(x.mid()) for x in form.coefficients] for form in forms]).reshape(-1, self.order)
         powers = np.arange(self.order)
         end = _Anchor(
             region=root.region,
+            end=[form.at_end() for form in forms],
             z=numbers.sum(axis=1),
             slope=(numbers * powers).sum(axis=1) / box.radius,
             tau=box.centre + box.radius,
@@ -250,6 +272,14 @@ class _Sweep:
         return [*_closure_findings(self), *(_finding(c, r) for c, r in zip(self.claims, self.records, strict=True))]
 
 
+def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:
+    """Return True if a box's roots, at its begin and in its region, are on the branch of the anchor."""
+    if all(of.contains(x) for of, x in zip(anchor.region, begin, strict=True)):
+        return True
+    adjacent = anchor.tau == box.centre - box.radius
+    return adjacent and all(of.contains(x) for of, x in zip(region, anchor.end, strict=True))
+
+
 def _undecided(boxes: list[tuple[float, float]]) -> str:
     begin, end = boxes[0]
     more = f" and in {len(boxes) - 1} more boxes" if len(boxes) > 1 else ""
@@ -262,7 +292,7 @@ def _closure_findings(sweep: _Sweep) -> list[Finding]:
     record, name = sweep.closure, "the loops close, on one branch without a singular pose"
     if record.undecided:
         return [Finding(name=name, answer="undecided", boxes=record.boxes, reason=_undecided(record.undecided))]
-    mark = 1e-6
+    mark = START_POSE_ERROR
     if not sweep.start_gap <= mark:
         reason = f"the start pose is {sweep.start_gap:.3g} rad or m from the closed pose"
         return [Finding(name=name, answer="refuted", bound=sweep.start_gap, mark=mark, boxes=record.boxes, reason=reason)]

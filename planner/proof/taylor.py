@@ -58,6 +58,10 @@ class TaylorForm:
         value = sum(((-1) ** k * c for k, c in enumerate(self.coefficients)), arb(0))
         return value + arb(0, self.remainder)
 
+    def at_end(self) -> arb:
+        """Return the value at the box's end, x = 1."""
+        return sum(self.coefficients, arb(0)) + arb(0, self.remainder)
+
     def verdict(self, low: arb, high: arb) -> Verdict:
         """Return whether all values lie between two marks."""
         if self.whole > low and self.whole < high and not self.remainder.is_finite():
