@@ -100,7 +100,7 @@ class Plan:
         Raises:
             LinkplanError: if the plan has no motion.
         """
-        return self.with_proof().proof
+        return self._proved(NO_DEADLINE)
 
     def with_proof(self, until: Deadline = NO_DEADLINE) -> Self:
         """Return this plan with its proof; claims that are open when the deadline passes are undecided.
@@ -108,11 +108,14 @@ class Plan:
         Raises:
             LinkplanError: if the plan has no motion.
         """
+        return replace(self, proof=self._proved(until))
+
+    def _proved(self, until: Deadline) -> Proof:
         from linkplan.planner.proof.prove import prove
 
         trajectory = self.require_motion("prove")
         failures = (self.message,) if self.certificate is None else self.certificate.failures
-        return replace(self, proof=prove(self.problem, trajectory, failures, until))
+        return prove(self.problem, trajectory, failures, until)
 
     @property
     def duration_s(self) -> float | None:

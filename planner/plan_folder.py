@@ -33,7 +33,10 @@ from linkplan.planner.trajectory import Trajectory
 
 def versions() -> dict[str, str]:
     """Return the versions of linkplan and of the packages that its numbers depend on."""
-    return {name: metadata.version(name) for name in ("linkplan", "mujoco", "casadi", "numpy", "scipy", "control", "python-flint")}
+    return {
+        name: metadata.version(name)
+        for name in ("linkplan", "mujoco", "casadi", "numpy", "scipy", "control", "python-flint")
+    }
 
 
 def record(plan: Plan) -> dict:

@@ -279,9 +279,7 @@ def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoop
     return math.prod(own, start=ca.SX(1)), ca.vertcat(*own), orientation
 
 
-def _force_map(
-    tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops]
-) -> ca.SX:
+def _force_map(tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops]) -> ca.SX:
     """Return the matrix (n_rows, rank) from multipliers J_z^-T (...)_z to the closure forces [N] of least norm."""
     n_rows, rank = loops.phi.numel(), len(loops.rows)
     if not rank:

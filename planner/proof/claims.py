@@ -119,7 +119,8 @@ def _per_unit(joint: Joint) -> float:
 
 
 def _rates_of_effort(problem: Problem, _: Trajectory) -> Iterator[Claim]:
-    for j, (actuator, bounds) in enumerate(zip(problem.mechanism.actuators, problem.limits.effort_rate, strict=True)):
+    for j, actuator in enumerate(problem.mechanism.actuators):
+        bounds = problem.limits.effort_rate[j]
         if np.isfinite(bounds).any():
             yield Claim(
                 name=f"effort rate of {actuator.name}",
@@ -133,8 +134,8 @@ def _rates_of_effort(problem: Problem, _: Trajectory) -> Iterator[Claim]:
 
 def _drives(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     """Yield the claims on actuators' powers and motors' torque-speed lines."""
-    limits = zip(problem.mechanism.actuators, problem.limits.power, problem.motors, strict=True)
-    for j, (actuator, power, motor) in enumerate(limits):
+    for j, (actuator, motor) in enumerate(zip(problem.mechanism.actuators, problem.motors, strict=True)):
+        power = problem.limits.power[j]
         if np.isfinite(power).any():
             yield Claim(
                 name=f"power of {actuator.name}",

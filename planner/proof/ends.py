@@ -14,6 +14,8 @@ from linkplan.planner.trajectory import Trajectory
 
 # Largest jump between two pieces, as a share of the motion's span or largest speed: rounding of the program's solution.
 JOIN_SHARE = 1e-8
+# Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.
+_EFFORT_JUMP = 1e-7
 # Largest difference of the start pose from the problem's own [rad or m].
 START_POSE_ERROR = 1e-6
 
@@ -28,8 +30,10 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
         at = int(np.argmax(jumps)) if len(jumps) else 0
         value = float(jumps.max(initial=0.0))
         when = float(trajectory.breaks_s[at + 1])
-        found.append(finding_of(f"the pieces of {what} join", value, JOIN_SHARE, "of its span", when, f" at t = {when:.6g} s"))
-    found.append(_slope(trajectory, speed))
+        found.append(
+            finding_of(f"the pieces of {what} join", value, JOIN_SHARE, "of its span", when, f" at t = {when:.6g} s")
+        )
+    found += [_slope(trajectory, speed), *_effort_jumps(problem, trajectory)]
     error = float(end_state_error(problem, trajectory, speed))
     found.append(finding_of("the motion starts and ends where asked", error, BOUNDARY_SHARE, "of its span"))
     found += [
@@ -37,6 +41,17 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
         for sentence in disagreements(problem, trajectory, None)
     ]
     return [*found, *_start(problem, trajectory)]
+
+
+def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
+    """Return the findings on jumps of efforts with a limited rate."""
+    jumps = np.abs(trajectory.effort[0, 1:] - trajectory.effort[-1, :-1]).max(axis=0, initial=0.0)
+    size = max(float(np.abs(trajectory.effort).max()), float(np.finfo(float).tiny))
+    return [
+        finding_of(f"the pieces of effort of {actuator.name} join", float(jumps[j]) / size, _EFFORT_JUMP, "of the largest")
+        for j, actuator in enumerate(problem.mechanism.actuators)
+        if np.isfinite(problem.limits.effort_rate[j]).any()
+    ]
 
 
 def _slope(trajectory: Trajectory, speed: float) -> Finding:

@@ -76,6 +76,4 @@ def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | 
     reason = "" if kept else f"{value:.4g} {unit} in place of at most {mark:.4g}{where}".replace("  ", " ")
     margin = mark - value if math.isfinite(value) else None
     answer = "proved" if kept else "refuted"
-    return Finding(
-        name=name, answer=answer, unit=unit, bound=value, mark=mark, margin=margin, time_s=time_s, reason=reason
-    )
+    return Finding(name=name, answer=answer, unit=unit, bound=value, mark=mark, margin=margin, time_s=time_s, reason=reason)

@@ -129,7 +129,7 @@ class Kinetics:
     @cached_property
     def multipliers(self) -> list[Ball]:
         """The multipliers (rank,) of the closures under the planned efforts."""
-        found = self.tau[1]
+        found: list[Ball] = list(self.tau[1])
         for u, of in zip(self.state.u, self.state.arm_multipliers, strict=True):
             found = [x - y * u for x, y in zip(found, of, strict=True)]
         return found
@@ -182,14 +182,14 @@ class State:
         return self.blocks.tangent(self.q)[0]
 
     @cached_property
-    def J_z(self) -> Matrix:
-        """The dependent columns of the tangent."""
+    def tangent_z(self) -> Matrix:
+        """J_z, the dependent columns of the tangent."""
         at = {column: j for j, column in enumerate(self.blocks.dependent)}
         return {(row, at[column]): x for (row, column), x in self.tangent.items() if column in at}
 
     @cached_property
-    def J_s(self) -> Matrix:
-        """The independent columns of the tangent."""
+    def tangent_s(self) -> Matrix:
+        """J_s, the independent columns of the tangent."""
         at = {column: j for j, column in enumerate(self.blocks.independent)}
         return {(row, at[column]): x for (row, column), x in self.tangent.items() if column in at}
 
@@ -224,8 +224,8 @@ class State:
         of_z = [forces[i] for i in self.blocks.dependent]
         if all(isinstance(x, arb) and x.is_zero() for x in of_z):
             return of_s, of_z
-        (found,) = solve(transposed(self.J_z), [of_z])
-        return [x - y for x, y in zip(of_s, product(transposed(self.J_s), found, len(of_s)), strict=True)], found
+        (found,) = solve(transposed(self.tangent_z), [of_z])
+        return [x - y for x, y in zip(of_s, product(transposed(self.tangent_s), found, len(of_s)), strict=True)], found
 
     @cached_property
     def of_position(self) -> Kinetics:
@@ -245,10 +245,10 @@ class State:
         n = self.blocks.rank
         if n == 0:
             return []
-        right = product(self.J_s, of_s, n)
+        right = product(self.tangent_s, of_s, n)
         if rates is not None:
             right = [x + y for x, y in zip(right, dense(self.blocks.convective(self.q, rates)[0], n), strict=True)]
-        (found,) = solve(self.J_z, [[-x for x in right]])
+        (found,) = solve(self.tangent_z, [[-x for x in right]])
         return found
 
     @property

@@ -11,7 +11,7 @@ from flint import arb, arb_poly, arb_series, ctx
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import Blocks, blocks_of
-from linkplan.planner.proof.branch import krawczyk, newton, series_of
+from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
 from linkplan.planner.proof.claims import Claim, claims_of
 from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings, sampled_findings
 from linkplan.planner.proof.finding import Finding, Proof
@@ -27,6 +27,8 @@ _PRECISION_BITS = 80
 ORDER = 6
 # Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
 _MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 16, 200
+# A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
+_LOOSE_SHARE, _TIGHTENED = 1e-3, 3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -40,9 +42,7 @@ class _Box:
 
     def halves(self, claims: list[int]) -> list["_Box"]:
         r = self.radius / 2
-        return [
-            _Box(centre=self.centre + side * r, radius=r, halvings=self.halvings + 1, claims=claims) for side in (1, -1)
-        ]
+        return [_Box(centre=self.centre + side * r, radius=r, halvings=self.halvings + 1, claims=claims) for side in (1, -1)]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -71,6 +71,12 @@ class _Record:
     refuted: Verdict | None = None
     refuted_at: float = 0.0
     undecided: list[tuple[float, float]] = field(default_factory=list)
+
+    def loosened_by(self, verdict: Verdict, form: TaylorForm) -> bool:
+        """Return True if a bound would extend the known range, and is mostly the remainder."""
+        extends = verdict.least < self.least or verdict.greatest > self.greatest
+        size = max(abs(verdict.least), abs(verdict.greatest))
+        return extends and not form.remainder <= _LOOSE_SHARE * size
 
     def add(self, verdict: Verdict, time_s: float) -> None:
         if verdict.least < self.least:
@@ -149,7 +155,9 @@ class _Sweep:
         given = self.trajectory.start_pose[list(self.blocks.dependent)]
         s = [p(arb(0)) for p in piece.position]
         try:
-            root = krawczyk(self.blocks, s, newton(self.blocks, self.trajectory.start_pose[list(self.blocks.independent)], given))
+            root = krawczyk(
+                self.blocks, s, newton(self.blocks, self.trajectory.start_pose[list(self.blocks.independent)], given)
+            )
         except NotSeparatedError:
             self.start_gap = math.inf
             return _Anchor(region=None, end=[], z=given, slope=np.zeros_like(given), tau=0.0)
@@ -202,39 +210,20 @@ class _Sweep:
         Raises:
             NotSeparatedError: when the branch is not enclosed, or not known to be that of the anchor.
         """
-        blocks, c, r = self.blocks, arb(box.centre), arb(box.radius)
-        tau = arb(box.centre, box.radius)
-        s_middle = [p(c) for p in piece.position]
-        s_box = [p(tau) + slack for p, slack in zip(piece.position, self.slack, strict=True)]
+        blocks = self.blocks
         guess = anchor.z + (box.centre - anchor.tau) * anchor.slope
-        at = np.array([float(x.mid()) for x in s_middle])
-        z = newton(blocks, at, guess) if blocks.rank else np.zeros(0)
-        middle = self._state(piece, c, r, krawczyk(blocks, s_middle, z).enclosure, self.order + 2)
-        root = krawczyk(blocks, s_box, z)
-        whole = self._state(piece, tau, r, root.enclosure, self.order + 3)
+        s = np.array([float(p(arb(box.centre)).mid()) for p in piece.position])
+        z = newton(blocks, s, guess) if blocks.rank else np.zeros(0)
+        middle, whole, root = states_of(blocks, piece, (box.centre, box.radius), z, self.slack, self.order)
         forms = [TaylorForm.of(a, b, self.order) for a, b in zip(middle.z, whole.z, strict=True)]
         begin = [form.at_start() for form in forms]
         if anchor.region is not None and not _linked(anchor, root.region, begin, box):
             raise NotSeparatedError("the branch is not known to be the one before")
         numbers = np.array([[float(x.mid()) for x in form.coefficients] for form in forms]).reshape(-1, self.order)
-        powers = np.arange(self.order)
-        end = _Anchor(
-            region=root.region,
-            end=[form.at_end() for form in forms],
-            z=numbers.sum(axis=1),
-            slope=(numbers * powers).sum(axis=1) / box.radius,
-            tau=box.centre + box.radius,
-        )
-        return (middle, whole), end
-
-    def _state(self, piece: Piece, tau: arb, r: arb, root: Sequence[arb], order: int) -> State:
-        ctx.cap = order
-        along = arb_poly([tau, r])
-        s, v, u = (
-            [arb_series(p(along).coeffs(), prec=order) for p in of] for of in (piece.position, piece.velocity, piece.effort)
-        )
-        z = series_of(self.blocks, s, root, order)
-        return State(blocks=self.blocks, piece=piece, s=s, z=z, v=v, u=u, rate=1 / (piece.width * r))
+        slope = (numbers * np.arange(self.order)).sum(axis=1) / box.radius
+        end = [form.at_end() for form in forms]
+        tau = box.centre + box.radius
+        return (middle, whole), _Anchor(region=root.region, end=end, z=numbers.sum(axis=1), slope=slope, tau=tau)
 
     def _decided(self, i: int, states: tuple[State, State], piece: Piece, box: _Box) -> bool:
         """Record a claim's bound on a box; return False if the box has to be halved for it."""
@@ -249,13 +238,15 @@ class _Sweep:
             return False
         decided = True
         for middle, whole in zip(middles, wholes, strict=True):
-            verdict = TaylorForm.of(middle, whole, self.order).verdict(*self.marks[i])
+            form = TaylorForm.of(middle, whole, self.order)
+            verdict = form.verdict(*self.marks[i])
             when = piece.begin_s + (box.centre + verdict.at * box.radius) * float(piece.width)
             if verdict.answer is False:
                 record.refuted, record.refuted_at = verdict, when
                 return True
-            decided = decided and bool(verdict.answer)
-            if verdict.answer:
+            loose = box.halvings < _TIGHTENED and record.loosened_by(verdict, form)
+            decided = decided and bool(verdict.answer) and not loose
+            if verdict.answer and not loose:
                 record.add(verdict, when)
         return decided
 
@@ -270,6 +261,40 @@ class _Sweep:
     def findings(self) -> list[Finding]:
         """Return the findings of all claims, the closure first."""
         return [*_closure_findings(self), *(_finding(c, r) for c, r in zip(self.claims, self.records, strict=True))]
+
+
+def states_of(
+    blocks: Blocks, piece: Piece, box: tuple[float, float], guess: np.ndarray, slack: Sequence[arb], order: int
+) -> tuple[State, State, Root]:
+    """Return the motion at the middle of a box and over the box, and the root of the closure over the box.
+
+    Args:
+        blocks: of the mechanism.
+        piece: an interval of the trajectory.
+        box: centre and radius in tau.
+        guess: the dependent coordinates (rank,) at the centre.
+        slack: balls (n_s,) that are added to the positions in which the root is unique.
+        order: of the Taylor forms.
+
+    Raises:
+        NotSeparatedError: when the root is not enclosed.
+    """
+    c, tau, r = arb(box[0]), arb(*box), arb(box[1])
+    point = krawczyk(blocks, [p(c) for p in piece.position], guess)
+    root = krawczyk(blocks, [p(tau) + more for p, more in zip(piece.position, slack, strict=True)], guess)
+    middle = _state(blocks, piece, c, r, point.enclosure, order + 2)
+    return middle, _state(blocks, piece, tau, r, root.enclosure, order + 3), root
+
+
+def _state(blocks: Blocks, piece: Piece, tau: arb, r: arb, root: Sequence[arb], order: int) -> State:
+    """Return the motion as series about tau, a number or a ball, scaled by the radius r."""
+    ctx.cap = order
+    along = arb_poly([tau, r])
+    s, v, u = (
+        [arb_series(p(along).coeffs(), prec=order) for p in of] for of in (piece.position, piece.velocity, piece.effort)
+    )
+    z = series_of(blocks, s, root, order)
+    return State(blocks=blocks, piece=piece, s=s, z=z, v=v, u=u, rate=1 / (piece.width * r))
 
 
 def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:

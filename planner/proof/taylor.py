@@ -6,6 +6,7 @@ polynomial, and its halves bound it more tightly without new evaluations of the 
 """
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -44,9 +45,7 @@ class TaylorForm:
         if isinstance(middle, arb):
             return cls(coefficients=[middle], remainder=arb(0), whole=constant_term(box))
         last = box[order] if not isinstance(box, arb) else arb(0)
-        return cls(
-            coefficients=[middle[k] for k in range(order)], remainder=last.abs_upper(), whole=constant_term(box)
-        )
+        return cls(coefficients=[middle[k] for k in range(order)], remainder=last.abs_upper(), whole=constant_term(box))
 
     @classmethod
     def of_polynomial(cls, coefficients: list[arb]) -> "TaylorForm":
@@ -108,7 +107,7 @@ def _halves(b: list[arb]) -> tuple[list[arb], list[arb]]:
     """Return the Bernstein coefficients of both halves of an interval, by de Casteljau."""
     left, right, row = [b[0]], [b[-1]], b
     while len(row) > 1:
-        row = [(x + y) / 2 for x, y in zip(row, row[1:], strict=False)]
+        row = [(x + y) / 2 for x, y in itertools.pairwise(row)]
         left.append(row[0])
         right.append(row[-1])
     return left, right[::-1]

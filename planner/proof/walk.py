@@ -97,7 +97,7 @@ def _cosh(a: Ball, _: Ball) -> Ball:
 
 
 def _atan2(y: Ball, x: Ball) -> Ball:
-    angle = constant_term(y).atan2(constant_term(x))
+    angle = arb.atan2(constant_term(y), constant_term(x))
     if isinstance(x, arb) and isinstance(y, arb):
         return angle
     x, y = (one if isinstance(one, arb_series) else arb_series([one]) for one in (x, y))
@@ -109,7 +109,7 @@ def _unary(name: str) -> Callable[[Ball, Ball], Ball]:
     return lambda a, _: method(a)
 
 
-_OPERATIONS: dict[int, Callable[[Ball, Ball], Ball]] = {
+_OPERATIONS: dict[int, Callable] = {
     ca.OP_ASSIGN: lambda a, _: a,
     ca.OP_ADD: operator.add,
     ca.OP_SUB: operator.sub,

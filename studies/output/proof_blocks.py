@@ -25,7 +25,15 @@ def proof_blocks(proof: Proof | None) -> list[Block]:
 def _table(title: str, findings: Sequence[Finding]) -> Table:
     heads = ["claim", "worst value", "at most or at least", "margin", "unit", "boxes", "time [s]"]
     rows = [
-        [f.name, _digits(f.bound), _digits(f.mark), None if f.margin is None else f"{f.margin:.3g}", f.unit, f.boxes, f.time_s]
+        [
+            f.name,
+            _digits(f.bound),
+            _digits(f.mark),
+            None if f.margin is None else f"{f.margin:.3g}",
+            f.unit,
+            f.boxes,
+            f.time_s,
+        ]
         for f in findings
     ]
     if any(finding.reason for finding in findings):
