@@ -145,6 +145,7 @@ def reduce_tree(
     acceleration = solve_positive(inertia, effort_map @ u - reduced_bias)
     force_map = _force_map(tree, closures, loops, projected)
     multipliers = factorise(loops.J_z.T)((needed - B @ u)[loops.dependent])
+    force = force_map @ multipliers if loops.rows else ca.SX.zeros(loops.phi.numel())
     limited = ca.vertcat(ca.SX(0, 1), *[tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)])
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
@@ -181,7 +182,7 @@ def reduce_tree(
         acceleration=function("acceleration", [q, v, u], acceleration),
         flow=function("flow", [q, v, u], rates, acceleration),
         force_map=function("force_map", [q], force_map),
-        closure_force=function("closure_force", [q, v, a, u], force_map @ multipliers),
+        closure_force=function("closure_force", [q, v, a, u], force),
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
         site_places=ca.Function("site_places", [q], [ca.densify(site_places(tree))]),
     )

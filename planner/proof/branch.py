@@ -45,6 +45,8 @@ def newton(blocks: Blocks, s: np.ndarray, z: np.ndarray) -> np.ndarray:
     Raises:
         NotSeparatedError: when it does not converge.
     """
+    if not blocks.rank:
+        return np.zeros(0)
     q = np.empty(len(s) + len(z))
     q[list(blocks.independent)], q[list(blocks.dependent)] = s, z
     of = list(blocks.dependent)

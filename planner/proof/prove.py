@@ -26,9 +26,9 @@ _PRECISION_BITS = 80
 # Coefficients of a Taylor form before its remainder.
 ORDER = 6
 # Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
-_MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 16, 200
+_MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
 # A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
-_LOOSE_SHARE, _TIGHTENED = 1e-3, 3
+_LOOSE_SHARE, _TIGHTENED = 1e-2, 3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -72,10 +72,10 @@ class _Record:
     refuted_at: float = 0.0
     undecided: list[tuple[float, float]] = field(default_factory=list)
 
-    def loosened_by(self, verdict: Verdict, form: TaylorForm) -> bool:
+    def loosened_by(self, verdict: Verdict, form: TaylorForm, claim: Claim) -> bool:
         """Return True if a bound would extend the known range, and is mostly the remainder."""
         extends = verdict.least < self.least or verdict.greatest > self.greatest
-        size = max(abs(verdict.least), abs(verdict.greatest))
+        size = max(abs(verdict.least), abs(verdict.greatest), claim.slack if claim.low == claim.high else 0.0)
         return extends and not form.remainder <= _LOOSE_SHARE * size
 
     def add(self, verdict: Verdict, time_s: float) -> None:
@@ -213,7 +213,7 @@ class _Sweep:
         blocks = self.blocks
         guess = anchor.z + (box.centre - anchor.tau) * anchor.slope
         s = np.array([float(p(arb(box.centre)).mid()) for p in piece.position])
-        z = newton(blocks, s, guess) if blocks.rank else np.zeros(0)
+        z = newton(blocks, s, guess)
         middle, whole, root = states_of(blocks, piece, (box.centre, box.radius), z, self.slack, self.order)
         forms = [TaylorForm.of(a, b, self.order) for a, b in zip(middle.z, whole.z, strict=True)]
         begin = [form.at_start() for form in forms]
@@ -244,7 +244,7 @@ class _Sweep:
             if verdict.answer is False:
                 record.refuted, record.refuted_at = verdict, when
                 return True
-            loose = box.halvings < _TIGHTENED and record.loosened_by(verdict, form)
+            loose = box.halvings < _TIGHTENED and record.loosened_by(verdict, form, claim)
             decided = decided and bool(verdict.answer) and not loose
             if verdict.answer and not loose:
                 record.add(verdict, when)
@@ -279,22 +279,20 @@ def states_of(
     Raises:
         NotSeparatedError: when the root is not enclosed.
     """
-    c, tau, r = arb(box[0]), arb(*box), arb(box[1])
-    point = krawczyk(blocks, [p(c) for p in piece.position], guess)
-    root = krawczyk(blocks, [p(tau) + more for p, more in zip(piece.position, slack, strict=True)], guess)
-    middle = _state(blocks, piece, c, r, point.enclosure, order + 2)
-    return middle, _state(blocks, piece, tau, r, root.enclosure, order + 3), root
+    r, everywhere = arb(box[1]), arb(0, 1)
+    along = arb_poly([arb(box[0]), r])
+    local = [[p(along) for p in of] for of in (piece.position, piece.velocity, piece.effort)]  # of x in [-1, 1]
+    point = krawczyk(blocks, [p(arb(0)) for p in local[0]], guess)
+    root = krawczyk(blocks, [p(everywhere) + more for p, more in zip(local[0], slack, strict=True)], guess)
 
+    def state(x: arb, z: Sequence[arb], cap: int) -> State:
+        ctx.cap = cap
+        about = arb_poly([x, 1])
+        s, v, u = ([arb_series(p(about).coeffs(), prec=cap) for p in of] for of in local)
+        rate = 1 / (piece.width * r)
+        return State(blocks=blocks, piece=piece, s=s, z=series_of(blocks, s, z, cap), v=v, u=u, rate=rate)
 
-def _state(blocks: Blocks, piece: Piece, tau: arb, r: arb, root: Sequence[arb], order: int) -> State:
-    """Return the motion as series about tau, a number or a ball, scaled by the radius r."""
-    ctx.cap = order
-    along = arb_poly([tau, r])
-    s, v, u = (
-        [arb_series(p(along).coeffs(), prec=order) for p in of] for of in (piece.position, piece.velocity, piece.effort)
-    )
-    z = series_of(blocks, s, root, order)
-    return State(blocks=blocks, piece=piece, s=s, z=z, v=v, u=u, rate=1 / (piece.width * r))
+    return state(arb(0), point.enclosure, order + 2), state(everywhere, root.enclosure, order + 3), root
 
 
 def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:

@@ -72,17 +72,16 @@ def _bernstein(c: list, t):
 
 
 def mp_pose(mechanism: Mechanism, s: list, near: np.ndarray) -> list:
-    """Return the closed pose by Newton's method with the Jacobian in double precision."""
+    """Return the closed pose by Newton's method with the Jacobian near it, in double precision."""
     q = [mp.mpf(x) for x in near.tolist()]
     for index, value in zip(mechanism.independent.tolist(), s, strict=True):
         q[index] = value
-    for _ in range(12):
+    J = np.array(mechanism.dynamics.closure_jacobian(near))[mechanism.closure_rows][:, mechanism.dependent]
+    inverse = np.linalg.inv(J).tolist()
+    for _ in range(60):
         phi = mp_values(mechanism.dynamics.independent_closure, q)
         if all(abs(x) < mp.mpf(10) ** (3 - DIGITS) for x in phi):
             break
-        numbers = np.array([float(x) for x in q])
-        J = np.array(mechanism.dynamics.closure_jacobian(numbers))[mechanism.closure_rows][:, mechanism.dependent]
-        inverse = np.linalg.inv(J).tolist()
         for row, index in zip(inverse, mechanism.dependent.tolist(), strict=True):
             q[index] -= sum(mp.mpf(c) * x for c, x in zip(row, phi, strict=True))
     return q

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, least_effort
 from linkplan.models.poses.assembly import close_at, follow
@@ -22,6 +23,14 @@ def swing(seed: int) -> tuple[Problem, Trajectory]:
     Its efforts are polynomials through the efforts by inverse dynamics. The limit on effort is wide.
     """
     rng = np.random.default_rng(seed)
+    while True:
+        try:
+            return _swing(rng, seed)
+        except AssemblyError:
+            continue  # beyond the reach: another one
+
+
+def _swing(rng: np.random.Generator, seed: int) -> tuple[Problem, Trajectory]:
     mechanism = load(random_four_bar(rng), seed)
     begin = float(mechanism.home[mechanism.independent][0])
     goal = begin + float(rng.uniform(0.2, 0.5) * rng.choice([-1, 1]))
