@@ -10,9 +10,9 @@ import itertools
 import math
 from dataclasses import dataclass
 
-from flint import arb, arb_mat, fmpq
+from flint import arb, arb_mat, arb_series, fmpq
 
-from linkplan.planner.proof.walk import Ball, constant_term
+from linkplan.planner.proof.walk import Ball
 
 # Halvings of a polynomial, which divide a box by up to a million.
 _MAX_HALVINGS = 20
@@ -41,16 +41,17 @@ class TaylorForm:
 
     @classmethod
     def of(cls, middle: Ball, box: Ball, order: int) -> "TaylorForm":
-        """Return the form of `order` coefficients from the series at the middle and over the whole box."""
-        if isinstance(middle, arb):
-            return cls(coefficients=[middle], remainder=arb(0), whole=constant_term(box))
-        last = box[order] if not isinstance(box, arb) else arb(0)
-        return cls(coefficients=[middle[k] for k in range(order)], remainder=last.abs_upper(), whole=constant_term(box))
+        """Return the form of at most `order` coefficients from the series at the middle and over the whole box.
 
-    @classmethod
-    def of_polynomial(cls, coefficients: list[arb]) -> "TaylorForm":
-        """Return the form of an exact polynomial."""
-        return cls(coefficients=coefficients, remainder=arb(0), whole=arb(0, math.inf))
+        Beside a kink there are fewer: as many as the function has bounded derivatives, and beside a jump none but the range.
+        """
+        if isinstance(box, arb):
+            return cls(coefficients=[box], remainder=arb(0), whole=box)
+        n = next((k for k in range(order) if not box[k + 1].is_finite()), order)
+        if not n:
+            return cls(coefficients=[box[0]], remainder=arb(0), whole=box[0])
+        first = middle if isinstance(middle, arb_series) else arb_series([middle])
+        return cls(coefficients=[first[k] for k in range(n)], remainder=box[n].abs_upper(), whole=box[0])
 
     def at_start(self) -> arb:
         """Return the value at the box's start, x = -1."""

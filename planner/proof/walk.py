@@ -3,7 +3,7 @@
 A ball (flint's `arb`) is a midpoint with a radius that contains the exact real number; a series (`arb_series`) has balls as
 coefficients (Johansson, IEEE Trans. Computers 66, 2017). The expressions of the model are the only model: nothing is
 written twice. An operation with a kink (a minimum, a switch) is exact where its argument stays on one side. Where it does
-not, the value is enclosed by both sides and the derivatives are unknown.
+not, both sides enclose as many coefficients as the function has bounded derivatives, and the others are infinite.
 """
 
 import functools
@@ -29,17 +29,24 @@ def constant_term(x: Ball) -> arb:
     return x[0] if isinstance(x, arb_series) else x
 
 
-def _without_derivatives(value: arb, *like: Ball) -> Ball:
-    """Return a value whose derivatives are unknown, as a series if one of `like` is a series."""
+def _known_to(coefficients: list[arb], *like: Ball) -> Ball:
+    """Return a series with these coefficients and unknown ones after them, or a ball if none of `like` is a series."""
     orders = [x.prec for x in like if isinstance(x, arb_series)]
-    return arb_series([value] + [UNKNOWN] * (min(orders) - 1), prec=min(orders)) if orders else value
+    if not orders:
+        return coefficients[0]
+    n = min(orders)
+    return arb_series((coefficients + [UNKNOWN] * n)[:n], prec=n)
+
+
+def _slope(x: Ball) -> arb:
+    return x[1] if isinstance(x, arb_series) else arb(0)
 
 
 def _larger(a: Ball, b: Ball) -> Ball:
     low, high = constant_term(a), constant_term(b)
     if low >= high:
         return a
-    return b if high >= low else _without_derivatives(low.max(high), a, b)
+    return b if high >= low else _known_to([low.max(high), _slope(a).union(_slope(b))], a, b)
 
 
 def _smaller(a: Ball, b: Ball) -> Ball:
@@ -50,20 +57,29 @@ def _magnitude(a: Ball, _: Ball) -> Ball:
     return _larger(a, -a)
 
 
-def _sign(a: Ball, _: Ball) -> arb:
+def _signed_square(a: Ball, _: Ball) -> Ball:
+    """Return a |a|, which has a bounded second derivative where a changes its sign."""
+    value, square = constant_term(a), a * a
+    if value >= 0 or value <= 0:
+        return square if value >= 0 else -square
+    signed = (value.upper() ** 2).union(-(value.lower() ** 2))
+    if not isinstance(square, arb_series):
+        return signed
+    return _known_to([signed, 2 * a[1] * abs(value), square[2].union(-square[2])], a)
+
+
+def _sign(a: Ball, _: Ball) -> Ball:
     value = constant_term(a)
-    return arb(1) if value > 0 else arb(-1) if value < 0 else arb(0, 1)
+    return arb(1) if value > 0 else arb(-1) if value < 0 else _known_to([arb(0, 1)], a)
 
 
-_UNCERTAIN = arb(0.5, 0.5)  # the ball [0, 1] of a comparison that the balls do not decide
-
-
-def _less(a: Ball, b: Ball) -> arb:
+def _less(a: Ball, b: Ball) -> Ball:
+    """Return 1 or 0, or the ball [0, 1] of a comparison that the balls do not decide."""
     low, high = constant_term(a), constant_term(b)
-    return arb(1) if low < high else arb(0) if low >= high else _UNCERTAIN
+    return arb(1) if low < high else arb(0) if low >= high else _known_to([arb(0.5, 0.5)], a, b)
 
 
-def _at_most(a: Ball, b: Ball) -> arb:
+def _at_most(a: Ball, b: Ball) -> Ball:
     return 1 - _less(b, a)
 
 
@@ -72,7 +88,7 @@ def _chosen(condition: Ball, a: Ball) -> Ball:
     value = constant_term(condition)
     if value == 1:
         return a
-    return arb(0) if value == 0 else _without_derivatives(constant_term(a).union(arb(0)), a)
+    return arb(0) if value == 0 else _known_to([constant_term(a).union(arb(0))], a)
 
 
 def _power(a: Ball, b: Ball) -> Ball:
@@ -181,6 +197,7 @@ def walk_of(function: ca.Function) -> Walk:
     """
     steps, inputs, constants = [], [], []
     outputs = [[-1] * function.nnz_out(k) for k in range(function.n_out())]
+    magnitudes: dict[int, int] = {}  # slots of |x| by their own slots: x |x| is smoother than |x|
     slot_of, n = {}, 0  # of CasADi's work vector, whose places are used again; here every result has its own slot
     for k in range(function.n_instructions()):
         code, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
@@ -193,7 +210,14 @@ def walk_of(function: ca.Function) -> Walk:
             inputs.append((n, taken[0], taken[1]))
         elif code in _OPERATIONS:
             slots = [slot_of[place] for place in taken]
-            steps.append((_OPERATIONS[code], n, slots[0], slots[-1]))
+            damped = (
+                [one for one, other in (slots, slots[::-1]) if magnitudes.get(other) == one] if code == ca.OP_MUL else []
+            )
+            steps.append(
+                (_signed_square, n, damped[0], damped[0]) if damped else (_OPERATIONS[code], n, slots[0], slots[-1])
+            )
+            if code == ca.OP_FABS:
+                magnitudes[n] = slots[0]
         else:
             raise UnknownOperationError(f"operation {code} of {function.name()}")
         slot_of[given[0]] = n

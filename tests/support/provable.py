@@ -14,7 +14,7 @@ from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 from tests.support.four_bars import load
 from tests.support.mechanisms import random_four_bar
 
-INTERVALS = 6
+INTERVALS = 4
 
 
 def swing(seed: int) -> tuple[Problem, Trajectory]:

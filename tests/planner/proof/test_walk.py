@@ -85,13 +85,37 @@ def test_series_are_the_derivatives_along_a_line():
         ctx.cap = before
 
 
-def test_beside_a_kink_the_value_is_enclosed_and_the_slope_is_unknown():
+def test_beside_a_kink_both_slopes_are_enclosed_and_no_more():
     x = ca.SX.sym("x")
     walk = walk_of(ca.Function("kink", [x], [ca.fabs(x)]))
     (found,) = walk([arb_series([arb(0, 0.5), 1])])[0].values()
     assert found[0].contains(arb(0))
     assert found[0].contains(arb(0.5))
-    assert not found[1].is_finite()
+    assert found[1].contains(arb(1))
+    assert found[1].contains(arb(-1))
+    assert not found[2].is_finite()
+
+
+def test_a_jump_has_no_known_slope_also_in_a_product():
+    x = ca.SX.sym("x")
+    jumps = ca.vertcat(ca.sign(x) * (x + 2), (x > 0) * (x + 2), ca.if_else(x > 0, x, 3))
+    found = walk_of(ca.Function("jumps", [x], [jumps]))([arb_series([arb(0, 0.5), 1])])[0]
+    for series, values in zip(found.values(), ((-2.5, 2.5), (0, 2.5), (0.5, 3)), strict=True):
+        assert all(series[0].contains(arb(value)) for value in values)
+        assert not series[1].is_finite()
+
+
+def test_a_signed_square_has_two_bounded_derivatives():
+    x = ca.SX.sym("x")
+    walk = walk_of(ca.Function("damper", [x], [x * ca.fabs(x)]))
+    (found,) = walk([arb_series([arb(0.25, 0.5), 1], prec=4)])[0].values()
+    for at in (-0.25, 0.0, 0.75):
+        assert found[0].contains(arb(at * abs(at)))
+        assert found[1].contains(arb(2 * abs(at)))
+    assert found[2].contains(arb(1))
+    assert found[2].contains(arb(-1))
+    assert not found[3].is_finite()
+    assert off(ca.Function("damper", [x], [x * ca.fabs(x)]), walk, np.random.default_rng(0)) < ROUNDING
 
 
 def test_an_operation_without_an_enclosure_is_refused():
