@@ -179,7 +179,7 @@ class _Sweep:
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval; return where the branch is at its end."""
         stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=list(range(len(self.claims))))]
-        most = _MAX_BOXES_PER_INTERVAL * (len(self.trajectory.breaks_s) - 1)
+        most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
         while stack:
             box = stack.pop()
             open_claims = [i for i in box.claims if self.records[i].refuted is None]

@@ -1,5 +1,6 @@
 """CasADi functions and motions evaluated by mpmath: a second route to every number that a proof encloses."""
 
+import functools
 import itertools
 import math
 import operator
@@ -35,23 +36,32 @@ _OPERATIONS = {
 }
 
 
+@functools.cache
+def _instructions(function: ca.Function) -> list[tuple]:
+    """Return a function's instructions: code, result, inputs, constant."""
+    found = []
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        constant = mp.mpf(function.instruction_constant(k)) if code == ca.OP_CONST else None
+        found.append((code, function.instruction_output(k), function.instruction_input(k), constant))
+    return found
+
+
 def mp_values(function: ca.Function, *arguments) -> list:
     """Return the entries of a function's first output, column by column, from lists of numbers."""
     slots, found = {}, [mp.mpf(0)] * function.numel_out(0)
     sparsity = function.sparsity_out(0)
     places = [row + column * sparsity.size1() for row, column in zip(*sparsity.get_triplet(), strict=True)]
-    for k in range(function.n_instructions()):
-        code, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+    for code, given, taken, constant in _instructions(function):
         if code == ca.OP_OUTPUT:
             if given[0] == 0:
                 found[places[given[1]]] = slots[taken[0]]
         elif code == ca.OP_CONST:
-            slots[given[0]] = mp.mpf(function.instruction_constant(k))
+            slots[given[0]] = constant
         elif code == ca.OP_INPUT:
             slots[given[0]] = arguments[taken[0]][taken[1]]
         else:
-            values = [slots[place] for place in taken]
-            slots[given[0]] = _OPERATIONS[code](values[0], values[-1])
+            slots[given[0]] = _OPERATIONS[code](slots[taken[0]], slots[taken[-1]])
     return found
 
 
