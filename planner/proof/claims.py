@@ -7,15 +7,12 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.certificate.certificate import DYNAMICS_SHARE, RANGE_SLACK
+from linkplan.planner.certificate.certificate import DYNAMICS_SHARE, INVERSE_DYNAMICS_SHARE, RANGE_SLACK
 from linkplan.planner.limits.path_limit import ROUNDING_SHARE
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.motion import Kinetics, State
 from linkplan.planner.proof.walk import Ball, walk_of
 from linkplan.planner.trajectory import Trajectory
-
-# Largest overrun of an effort limit by inverse dynamics between nodes, as a share of the limit.
-INVERSE_DYNAMICS_SHARE = 2e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
