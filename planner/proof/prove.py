@@ -27,8 +27,10 @@ _PRECISION_BITS = 80
 ORDER = 6
 # Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
 _MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
+# After so many boxes without a closed branch none is halved any more: the loops do not close.
+_MAX_LOST = 16
 # A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
-_LOOSE_SHARE, _TIGHTENED = 1e-2, 3
+_LOOSE_SHARE, _TIGHTENED = 1e-2, 8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -185,7 +187,8 @@ class _Sweep:
             open_claims = [i for i in box.claims if self.records[i].refuted is None]
             if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
                 continue
-            last = box.halvings == _MAX_HALVINGS or self.boxes >= most or self.until.passed
+            lost = len(self.closure.undecided) >= _MAX_LOST
+            last = lost or box.halvings == _MAX_HALVINGS or self.boxes >= most or self.until.passed
             self.boxes += 1
             self.closure.boxes += 1
             try:
@@ -234,7 +237,7 @@ class _Sweep:
             middles = claim.values(states[0])
             ctx.cap = self.order + 3
             wholes = claim.values(states[1])
-        except (NotSeparatedError, ZeroDivisionError):
+        except (NotSeparatedError, ZeroDivisionError, ValueError):  # flint's divisor may vanish
             return False
         decided = True
         for middle, whole in zip(middles, wholes, strict=True):

@@ -99,7 +99,14 @@ def _power(a: Ball, b: Ball) -> Ball:
 
 
 def _tanh(a: Ball, _: Ball) -> Ball:
-    return a.tanh() if isinstance(a, arb) else 1 - 2 / ((2 * a).exp() + 1)
+    if isinstance(a, arb):
+        return a.tanh()
+    t = [a[0].tanh()]  # and k t_k = sum_j j a_j c_(k - j) with c = 1 - t^2, from t' = (1 - t^2) a'
+    c = [1 - t[0] * t[0]]
+    for k in range(1, a.prec):
+        t.append(sum((j * a[j] * c[k - j] for j in range(1, k + 1)), arb(0)) / k)
+        c.append(-sum((t[i] * t[k - i] for i in range(k + 1)), arb(0)))
+    return arb_series(t, prec=a.prec)
 
 
 def _sinh(a: Ball, _: Ball) -> Ball:

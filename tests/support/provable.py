@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.mechanism import Mechanism
+from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import demanded, least_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
-from tests.support.four_bars import load
-from tests.support.mechanisms import random_four_bar
+from tests.support.four_bars import PLAIN, load
+from tests.support.mechanisms import random_four_bar, replaced
 
 INTERVALS = 4
 # Nearer to a singular pose, relative to home, a proof takes thousands of boxes.
@@ -28,15 +28,20 @@ def swing(seed: int) -> tuple[Problem, Trajectory]:
     rng = np.random.default_rng(seed)
     while True:
         try:
-            problem, motion = _swing(rng, seed)
+            problem, motion = _swing(rng, load(random_four_bar(rng), seed))
         except AssemblyError:
             continue  # beyond the reach: another one
         if samples_of(problem, motion).block_ratios.min() > _LEAST_RATIO:
             return problem, motion
 
 
-def _swing(rng: np.random.Generator, seed: int) -> tuple[Problem, Trajectory]:
-    mechanism = load(random_four_bar(rng), seed)
+def rubbing_swing() -> tuple[Problem, Trajectory]:
+    """Return a motion of a crank-rocker with dry friction at its crank, slow at its ends."""
+    text = replaced(PLAIN, '<joint name="O"', '<joint name="O" frictionloss="0.05"')
+    return _swing(np.random.default_rng(0), load_mechanism(text))
+
+
+def _swing(rng: np.random.Generator, mechanism: Mechanism) -> tuple[Problem, Trajectory]:
     begin = float(mechanism.home[mechanism.independent][0])
     goal = begin + float(rng.uniform(0.2, 0.5) * rng.choice([-1, 1]))
     breaks = np.linspace(0.0, float(rng.uniform(0.4, 1.2)), INTERVALS + 1)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import newton
@@ -13,8 +15,9 @@ from linkplan.planner.proof.claims import INVERSE_DYNAMICS_SHARE
 from linkplan.planner.proof.finding import Proof
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.trajectory import Trajectory
+from tests.support.linkages import RSSR
 from tests.support.plans import optimal, planned, problem_of
-from tests.support.provable import INTERVALS, limited, needed, peak, swing
+from tests.support.provable import INTERVALS, limited, needed, peak, rubbing_swing, swing
 
 INVERSE = "by inverse dynamics"
 
@@ -57,6 +60,26 @@ def test_built_in_plans_are_proved(name):
 @pytest.mark.parametrize("name", ["knee-sprint", "knee-linear-reach", "squeezer-turn", "gripper-close", "knee-sine"])
 def test_further_built_in_plans_are_proved(name):
     assert optimal(name).prove().complete
+
+
+@pytest.mark.slow
+def test_a_spatial_loop_with_ball_joints_is_proved():
+    mechanism = load_mechanism(RSSR)
+    crank = mechanism.independent_joints[0].name
+    start = float(np.degrees(mechanism.home[mechanism.independent[0]]))
+    problem = Problem.reach(mechanism, start_deg={crank: start}, goal_deg={crank: start + 60}, duration_s=0.8)
+    proof = plan_motion(problem).prove()
+    assert proof.complete
+    assert answers(proof, "loops close") == {"proved"}
+
+
+def test_dry_friction_is_enclosed():
+    problem, motion = rubbing_swing()
+    proof = prove(problem, motion)
+    assert answers(proof, INVERSE) == {"proved"}
+    assert answers(proof, "loops close") == {"proved"}
+    (bound,) = [finding.bound for finding in proof.findings if INVERSE in finding.name]
+    assert abs(bound) == pytest.approx(peak(problem.mechanism, motion), rel=1e-2)
 
 
 def test_the_knees_bound_is_the_largest_effort_of_dense_samples():
