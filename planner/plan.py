@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -10,12 +10,14 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
 
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import InfeasibleError, LinkplanError
 from linkplan.models.extras import load_extra
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.collisions import contact_note
 from linkplan.planner.motion_table import MotionTable, sample_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.finding import Proof
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -49,6 +51,8 @@ class Plan:
     trajectory: Trajectory | None = None
     certificate: Certificate | None = None
     """The checks between the nodes: `passed`, `failures` and all values, in SI units; None without a motion."""
+    proof: Proof | None = None
+    """The claims that are proved, refuted or undecided at every instant of the motion; None before it is proved."""
     history: tuple[Step, ...] = ()
     """The solves before this plan, in order, each with its settings and its result."""
     details: dict[str, float] = field(default_factory=dict)
@@ -85,6 +89,33 @@ class Plan:
         if self.trajectory is None:
             raise LinkplanError(f"nothing to {use}, the plan has no motion: {self.message}")
         return self.trajectory
+
+    def prove(self) -> Proof:
+        """Return the proof of the motion's limits at every instant, from the coefficients of its polynomials alone.
+
+        Ball arithmetic encloses the closure and the efforts by inverse dynamics between all samples. `proved`, `refuted`,
+        `undecided` and `sampled` findings are in the proof's `of(answer)`; `passed` says that nothing is refuted, `complete`
+        that all is proved.
+
+        Raises:
+            LinkplanError: if the plan has no motion.
+        """
+        return self._proved(NO_DEADLINE)
+
+    def with_proof(self, until: Deadline = NO_DEADLINE) -> Self:
+        """Return this plan with its proof; claims that are open when the deadline passes are undecided.
+
+        Raises:
+            LinkplanError: if the plan has no motion.
+        """
+        return replace(self, proof=self._proved(until))
+
+    def _proved(self, until: Deadline) -> Proof:
+        from linkplan.planner.proof.prove import prove
+
+        trajectory = self.require_motion("prove")
+        failures = (self.message,) if self.certificate is None else self.certificate.failures
+        return prove(self.problem, trajectory, failures, until)
 
     @property
     def duration_s(self) -> float | None:

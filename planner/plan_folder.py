@@ -33,7 +33,10 @@ from linkplan.planner.trajectory import Trajectory
 
 def versions() -> dict[str, str]:
     """Return the versions of linkplan and of the packages that its numbers depend on."""
-    return {name: metadata.version(name) for name in ("linkplan", "mujoco", "casadi", "numpy", "scipy", "control")}
+    return {
+        name: metadata.version(name)
+        for name in ("linkplan", "mujoco", "casadi", "numpy", "scipy", "control", "python-flint")
+    }
 
 
 def record(plan: Plan) -> dict:
@@ -60,6 +63,7 @@ def record(plan: Plan) -> dict:
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
             "certificate": None if certificate is None else certificate_record(problem, certificate),
+            "proof": None if plan.proof is None else plan.proof.record(),
             "mesh": {"scheme": plan.scheme, "intervals": plan.intervals},
             "time_s": {
                 "build": sum(step.build_s for step in plan.history),
@@ -186,7 +190,39 @@ def read_plan(
         CertificateError: when the motion on disk does not pass its certificate, or never did.
         PlanFileError: when the folder or one of its files is missing, truncated, or not a plan's.
     """
-    folder = Path(folder)
+    saved, trajectory, problem = _read(Path(folder), overrides, extra_costs, extra_limits)
+    plan = _certified(Path(folder), saved, trajectory, problem)
+    if not plan.passed and not anyway:
+        raise CertificateError(f"plan '{folder}' is not used: {plan.message}")
+    return plan
+
+
+def read_to_prove(folder: str | Path) -> Plan:
+    """Return a saved plan whether or not its motion passes; its certificate is None if its loops cannot close.
+
+    Raises:
+        PlanFileError: when the folder or one of its files is missing, truncated, or not a plan's.
+    """
+    saved, trajectory, problem = _read(Path(folder))
+    try:
+        return _certified(Path(folder), saved, trajectory, problem)
+    except PlanFileError as error:
+        if not isinstance(error.__cause__, AssemblyError):
+            raise
+        return Plan(problem=problem, status="failed", message=str(error.__cause__), trajectory=trajectory)
+
+
+def _read(
+    folder: Path,
+    overrides: Sequence[str] = (),
+    extra_costs: Sequence[ExtraCost] = (),
+    extra_limits: Sequence[ExtraLimit] = (),
+) -> tuple[PlanRecord, Trajectory, Problem]:
+    """Return what a plan's folder holds, and its problem, built again.
+
+    Raises:
+        PlanFileError: when the folder or one of its files is missing, truncated, or not a plan's.
+    """
     if folder.is_dir():
         complete(folder)
     saved = read_plan_record(folder)
@@ -201,10 +237,7 @@ def read_plan(
     if saved.extras and not problem.extras:
         note = f"read without {_lost(saved)}: nothing here was checked against it"
         problem = replace(problem, notes=(*problem.notes, note))
-    plan = _certified(folder, saved, trajectory, problem)
-    if not plan.passed and not anyway:
-        raise CertificateError(f"plan '{folder}' is not used: {plan.message}")
-    return plan
+    return saved, trajectory, problem
 
 
 def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem: Problem) -> Plan:

@@ -67,6 +67,7 @@ class PlanRecord(Struct, frozen=True):
     fingerprint: dict[str, str] | None = None
     model_from_here: str | None = None
     extras: list[ExtraRecord] = []
+    proof: dict[str, Any] | None = None
 
 
 def read_plan_record(folder: Path) -> PlanRecord:

@@ -28,7 +28,7 @@ ROOMS = {
         "transfer",
     ),
     "planner": (
-        "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "solvers", "refinement",
+        "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "proof", "solvers", "refinement",
         "motion_table", "plan", "closed_chain", "phase_plane", "search", "ode", "diagnosis", "planning", "robustness",
         "plan_record", "plan_folder", "motion_step", "replan", "batch",
     ),

@@ -59,6 +59,7 @@ class ReducedDynamics:
     sliding: ca.Function  # q, v, a, u -> the residual without dry friction, which is constant while joints slide
     acceleration: ca.Function  # q, v, u -> a (n_s,)
     flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
+    force_map: ca.Function  # q -> the matrix (n_rows, rank) from multipliers of the independent rows to closure forces
     closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N] of least norm; zero on redundant closures
     energy: ca.Function  # q, v -> kinetic, potential [J]
     site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, without parameters
@@ -142,7 +143,9 @@ def reduce_tree(
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
     reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma, *further)
     acceleration = solve_positive(inertia, effort_map @ u - reduced_bias)
-    force = _closure_force(tree, closures, loops, projected, needed - B @ u)
+    force_map = _force_map(tree, closures, loops, projected)
+    multipliers = factorise(loops.J_z.T)((needed - B @ u)[loops.dependent])
+    force = force_map @ multipliers if loops.rows else ca.SX.zeros(loops.phi.numel())
     limited = ca.vertcat(ca.SX(0, 1), *[tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)])
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
@@ -178,6 +181,7 @@ def reduce_tree(
         sliding=function("sliding", [q, v, a, u], sliding - effort_map @ u),
         acceleration=function("acceleration", [q, v, u], acceleration),
         flow=function("flow", [q, v, u], rates, acceleration),
+        force_map=function("force_map", [q], force_map),
         closure_force=function("closure_force", [q, v, a, u], force),
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
         site_places=ca.Function("site_places", [q], [ca.densify(site_places(tree))]),
@@ -276,22 +280,20 @@ def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoop
     return math.prod(own, start=ca.SX(1)), ca.vertcat(*own), orientation
 
 
-def _closure_force(
-    tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops], left: ca.SX
-) -> ca.SX:
-    """Return the closure forces lambda (n_rows,) [N] of least norm that balance the generalised forces `left` (n_q,)."""
-    force = ca.SX.zeros(loops.phi.numel())
-    if not loops.rows:
-        return force
-    multipliers = factorise(loops.J_z.T)(left[loops.dependent])
+def _force_map(tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops]) -> ca.SX:
+    """Return the matrix (n_rows, rank) from multipliers J_z^-T (...)_z to the closure forces [N] of least norm."""
+    n_rows, rank = loops.phi.numel(), len(loops.rows)
+    if not rank:
+        return ca.SX(n_rows, 0)
     if loops.combination is None:
-        force[loops.rows] = multipliers
+        given = ca.SX(n_rows, rank)
+        given[loops.rows, :] = ca.SX.eye(rank)
     else:
-        force = loops.combination.T @ multipliers
+        given = loops.combination.T
     whole = {row for loop in projected for row in loop.rows}  # their forces have least norm already
-    kept = [row for row in range(loops.phi.numel()) if row in whole or row in loops.rows]
+    kept = [row for row in range(n_rows) if row in whole or row in loops.rows]
     jacobian = ca.Function("J", [tree.q], [ca.densify(loops.jacobian)])
-    return _least_norm(jacobian, kept, rows_by_pin(tree.model, closures)) @ force
+    return _least_norm(jacobian, kept, rows_by_pin(tree.model, closures)) @ given
 
 
 def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[list[int]]) -> ca.DM:

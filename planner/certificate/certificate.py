@@ -34,6 +34,9 @@ _MIN_SPAN = 1e-9
 # Largest error of the planned effort between nodes, as a share of the largest effort: beyond it, the effort is not the
 # motion's.
 DYNAMICS_SHARE = 0.02
+# Largest effort by inverse dynamics beyond its limit between nodes, as a share of the limit: a proof's mark, and meshes
+# are refined for it.
+INVERSE_DYNAMICS_SHARE = 2e-6
 # Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
 # share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.
 VELOCITY_SHARE = 0.02
@@ -70,7 +73,9 @@ class Certificate:
     speed_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's speed limit, as a share of it
     position_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's range, as a share of its span
     growth: np.ndarray  # (n_intervals,) growth of the integration error, as a share of the allowed total
+    dynamics_allowed: float  # the largest dynamics residual that passes
     residual_share: np.ndarray  # (n_intervals,) dynamics residual, as a share of the allowed one
+    effort_overrun: np.ndarray  # (n_intervals,) needed effort beyond its limit, as a share of a proof's allowance
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
     unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts
@@ -108,8 +113,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     effort_excess = max(0.0, peak("effort_excess", over))
     tau, maps = demanded(mechanism, q, v, a)
     needed, carried = least_effort(tau, maps), np.einsum("ksu,ku->ks", maps, u)
-    needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed).max(axis=1)
-    inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over))
+    needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed)
+    inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=1)))
     residual = np.abs(tau - carried).max(axis=1)
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
@@ -121,7 +126,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     others = margins(samples)
     speed = max(float(np.abs(v).max()), _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
-    boundary_error = _boundary_error(problem, trajectory, speed)
+    boundary_error = end_state_error(problem, trajectory, speed)
     if problem.motion.turns is not None:
         boundary_error = max(boundary_error, _turn_error(problem, q))
     site_error, sites_off = ends_off_m(problem, trajectory, time, q)
@@ -135,6 +140,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
     allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), 1e-12, 1e-6 * float(inertial))
+    sizes = np.where(np.isfinite(limits.effort), np.abs(limits.effort), 0.0).max(axis=1)
+    beyond = (np.maximum(needed_over, 0.0) / np.maximum(INVERSE_DYNAMICS_SHARE * sizes, 1e-12)).max(axis=1)
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
     findings = (
         (effort_excess > 0, f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s"),
@@ -187,7 +194,9 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         speed_overrun=speed_overrun,
         position_overrun=position_overrun,
         growth=growth,
+        dynamics_allowed=allowed,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
+        effort_overrun=beyond.reshape(len(growth), -1).max(axis=1),
         worst_time_s=worst,
         failures=tuple(failures),
         unmendable=tuple(unmendable),
@@ -262,7 +271,7 @@ def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v,
     return found
 
 
-def _boundary_error(problem: Problem, trajectory: Trajectory, speed: float) -> float:
+def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> float:
     """Return the largest error of the states at both ends, relative to the motion's span and largest speed."""
     motion = problem.motion
     ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])

@@ -48,6 +48,7 @@ class OdeCertificate:
     integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
     residual_share: np.ndarray  # (n_intervals,), zero: the integration tells all
+    effort_overrun: np.ndarray  # (n_intervals,), zero: efforts are bounded at every instant
     failures: tuple[str, ...]
 
     @property
@@ -121,6 +122,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         integration_restarts=integrated.restarts,
         growth=np.nan_to_num(growth, nan=np.inf),
         residual_share=np.zeros(len(growth)),
+        effort_overrun=np.zeros(len(growth)),
         failures=tuple(failures),
     )
 

@@ -41,6 +41,11 @@ class RefinementCertificate(Protocol):
         """The dynamics residual on each interval (n_intervals,), as a share of the allowed residual."""
         ...
 
+    @property
+    def effort_overrun(self) -> np.ndarray:
+        """The needed effort beyond its limit on each interval (n_intervals,), as a share of a proof's allowance."""
+        ...
+
 
 MotionT = TypeVar("MotionT", bound=PiecewiseMotion)
 CertificateT = TypeVar("CertificateT", bound=RefinementCertificate)

@@ -5,7 +5,7 @@
 | ReadSwitches | efforts jump, and their times are no unknowns yet or were read from a coarser mesh | Betts 2010, 4.4 |
 | ImposeRanges | a state leaves its range between the nodes | Bernstein coefficients enclose the state |
 | RaiseDegree | the error is spread evenly over the intervals: the motion is smooth there | Patterson, Hager and Rao 2015 |
-| Halve | the error is large on some intervals | Betts and Huffman 1998 |
+| Halve | the error is large on some intervals, or the needed effort is beyond its limit | Betts and Huffman 1998 |
 | Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
 | Loosen | the motion passes within tightened limits | the same, on the finer mesh |
 
@@ -25,6 +25,8 @@ from linkplan.planner.refinement.actions import (
     Tighten,
 )
 from linkplan.planner.refinement.marking import (
+    EVEN_SHARE,
+    beyond_efforts,
     degree_of,
     grown,
     higher_for,
@@ -32,6 +34,7 @@ from linkplan.planner.refinement.marking import (
     marked_for,
     most_overrun,
     overrunning,
+    raised,
     rough_of,
     uneven_of,
 )
@@ -73,13 +76,24 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
     if state.loose is not None:
         return Tighten() if not at.passed and at.overruns and state.tightenings < TIGHTENINGS_BETWEEN else None
     if state.finished:
-        return ReadSwitches() if _may_read_better(state) else None
+        return _within_efforts(state) or (ReadSwitches() if _may_read_better(state) else None)
     over = overrunning(at)
     if over.any() and _switches_are_open(state) and state.rounds % 2 == 0 and state.rounds > 0 and state.readings < 2:
         return ReadSwitches()
     if report is not None and report.leaves_positions and not (state.position_rows or state.rows_lost):
         return ImposeRanges()
     return _finer(state, over)
+
+
+def _within_efforts(state: RefinementState) -> Action | None:
+    """Return the action on an exact motion that needs more effort than a proof allows, if it costs little."""
+    beyond = beyond_efforts(state.at)
+    if not beyond.any() or state.target.enclosed:
+        return None
+    higher = raised(state.case.problem.mesh) if beyond.mean() >= EVEN_SHARE else None
+    if higher is not None and degree_of(higher) <= MAX_ROUGH_DEGREE:
+        return RaiseDegree(higher)
+    return Halve(beyond) if grown(state.at.found.mesh, beyond) <= ENOUGH_INTERVALS else None
 
 
 def _finer(state: RefinementState, over: np.ndarray) -> Action | None:

@@ -51,6 +51,15 @@ def marked_for(at: CertifiedIterate[Any, Any], strictness: float) -> np.ndarray:
     return marked
 
 
+def beyond_efforts(at: CertifiedIterate[Any, Any]) -> np.ndarray:
+    """Return the intervals (n,) on which the motion needs nearly as much beyond an effort limit as a proof allows, or more.
+
+    There are none where every interval keeps the allowance.
+    """
+    overrun = np.zeros(at.n_intervals) if at.certificate is None else at.certificate.effort_overrun
+    return (overrun > MARKED_SHARE) & bool(overrun.max(initial=0.0) > 1.0)
+
+
 def overrunning(at: CertifiedIterate[Any, Any]) -> np.ndarray:
     """Return the intervals (n,) on which a limit is overrun by more than tightening should remove."""
     if at.report is None:

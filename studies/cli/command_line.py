@@ -73,6 +73,13 @@ def build_parser() -> Parser:
     _parquet(plan, "trajectory.csv")
     plan.add_argument("--jumps", action="store_true", help="trajectory.csv has both sides of a jump in effort, at one time")
 
+    text = "prove the whole motion, whatever it takes; exit code 1 if a limit is exceeded anywhere"
+    plan.add_argument("--prove", action="store_true", help=text)
+
+    text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
+    prove = command("prove", text, output=False)
+    prove.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
 

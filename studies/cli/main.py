@@ -28,6 +28,7 @@ _MODULES = {
     "check": "check_command",
     "plan": "plan_commands",
     "batch": "plan_commands",
+    "prove": "prove_command",
     "track": "tracking_commands",
     "compare": "tracking_commands",
     "experiment": "experiment_command",

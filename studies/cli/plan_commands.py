@@ -1,16 +1,23 @@
 """The commands `plan` and `batch`."""
 
 import argparse
+import time
 from dataclasses import asdict
 from pathlib import Path
 
+from linkplan.models.deadline import NO_DEADLINE
 from linkplan.planner.files.tables import read_tables
+from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.robustness import price_of, with_price
 from linkplan.studies.cli.common import engine_asked, output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
+from linkplan.studies.cli.progress import Progress
+
+# A plan is proved without being asked if that takes at most this share of the plan's time, or this many seconds.
+_PROOF_SHARE, _PROOF_SECONDS = 0.25, 1.0
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
@@ -18,12 +25,12 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from linkplan.studies.output.document import Text
     from linkplan.studies.output.plan_blocks import plan_blocks
 
-    target, say = output_folder(arguments), progress(arguments)
+    target, say, begun = output_folder(arguments), progress(arguments), time.process_time()
     name, tables, folder = read_tables(arguments.problem)
     set_all(tables, arguments.set)
     plan = plan_motion(Problem.from_tables(name, tables, folder), say)
     price = price_of(plan, say)
-    plan = with_price(plan, price)
+    plan = _proved(with_price(plan, price), arguments.prove, time.process_time() - begun, say)
     if plan.passed and target is not None:
         from linkplan.planner.files.folders import write_whole
         from linkplan.studies.output.save_plan import save_plan
@@ -49,7 +56,23 @@ def run_plan(arguments: argparse.Namespace) -> int:
         return record(plan) | ({} if price is None else {"price": asdict(price)})
 
     show(arguments, document, blocks)
-    return DONE if plan.passed else NO
+    refuted = arguments.prove and plan.proof is not None and not plan.proof.passed
+    return DONE if plan.passed and not refuted else NO
+
+
+def _proved(plan: Plan, asked: bool, seconds: float, say: Progress) -> Plan:
+    """Return a plan with its proof, if it is asked for or costs little beside the plan's own processor time [s]."""
+    if plan.trajectory is None or not plan.passed:
+        return plan
+    if asked:
+        say("proving")
+        return plan.with_proof()
+    until = NO_DEADLINE.within(max(_PROOF_SHARE * seconds, _PROOF_SECONDS))
+    proved = plan.with_proof(until)
+    if until.passed:
+        say.keep("not proved: the proof takes long beside the plan; linkplan plan --prove and linkplan prove make it")
+        return plan
+    return proved
 
 
 def run_batch(arguments: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ from linkplan.planner.plan import Plan, not_honoured
 from linkplan.studies.output.digits import error_figure, figure, known_digits
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.objective_unit import objective_unit
+from linkplan.studies.output.proof_blocks import proof_blocks
 from linkplan.studies.output.text import text_of
 
 
@@ -29,7 +30,7 @@ def plan_blocks(plan: Plan) -> list[Block]:
         blocks.append(Text(text=text))
     title = f"certificate: {'passed' if certificate.passed else 'NOT passed'}"
     rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
-    return [*blocks, table_of(title, ["between the nodes", "worst", "unit"], rows), *notes]
+    return [*blocks, table_of(title, ["between the nodes", "worst", "unit"], rows), *proof_blocks(plan.proof), *notes]
 
 
 def plan_text(plan: Plan) -> str:

@@ -31,17 +31,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def plan(problem: Problem | str | Path, progress: Progress | None = None) -> Plan:
+def plan(problem: Problem | str | Path, progress: Progress | None = None, *, prove: bool = False) -> Plan:
     """Return the plan of a problem; without a motion, its `message` has the reason.
 
     Args:
         problem: a `Problem`, a built-in name or the path of a problem file.
         progress: called with lines on the progress.
+        prove: whether its motion is proved; the result is the plan's `proof`.
 
     Raises:
         LinkplanError: if the problem is invalid.
     """
-    return Plan.of(plan_motion(_problem(problem), listener(progress)))
+    found = Plan.of(plan_motion(_problem(problem), listener(progress)))
+    return found.with_proof() if prove and found.trajectory is not None else found
 
 
 def read_plan(

@@ -85,14 +85,14 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     """Return the numerical checks of the motion: dynamics, velocity, ends, closure, and the integrated state."""
     mechanism, motion, when = plan.problem.mechanism, plan.problem.motion, certificate.worst_time_s
     kinds = {joint.kind for joint in mechanism.independent_joints}
-    share, residual = float(certificate.residual_share.max(initial=0.0)), certificate.dynamics_residual
+    allowed_residual, residual = certificate.dynamics_allowed, certificate.dynamics_residual
     efforts = " or ".join(dict.fromkeys("N.m" if joint.kind == "hinge" else "N" for joint in mechanism.independent_joints))
     velocity_kept = not any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures)
     ends = "error at start and goal, relative to the range or the largest speed"
     # label, passed, worst, limit, unit, time of the worst value
     rows: list[tuple] = [
-        ("effort by inverse dynamics less the planned one", share <= 1.0, residual, residual / share if share > 0 else None,
-         efforts, when.get("dynamics_residual")),
+        ("effort by inverse dynamics less the planned one", residual <= allowed_residual, residual,
+         allowed_residual, efforts, when.get("dynamics_residual")),
         ("velocity less the position's slope, of the largest speed", velocity_kept, 100 * certificate.velocity_residual,
          100 * VELOCITY_SHARE, "%", when.get("velocity_residual")),
         (ends, certificate.boundary_error <= BOUNDARY_SHARE, certificate.boundary_error, BOUNDARY_SHARE, "", None),

@@ -12,6 +12,7 @@ from linkplan.studies.output.draw_plan import time_plots
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.motion import motion_of
 from linkplan.studies.output.plan_blocks import facts, solves
+from linkplan.studies.output.proof_blocks import proof_blocks
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
 from linkplan.studies.report.lead import lead_facts, verdict_sentence
@@ -53,6 +54,7 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
         *([] if robust is None else [robust]),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=below),
+        *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=below)]),
         Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=below),
         Section(title="Problem", blocks=[about, *_problem(plan)], depth=below),
     ]

@@ -51,6 +51,7 @@ def iterate(
     exact: bool = True,
     growth=(0.0,),
     overrun=(0.0,),
+    effort_overrun=(0.0,),
     n: int = 10,
     objective=1.0,
     tightened=False,
@@ -72,7 +73,8 @@ def iterate(
         **report,
     )
     growth = np.broadcast_to(np.array(growth, dtype=float), n)
-    certificate = SimpleNamespace(passed=passed, growth=growth, residual_share=np.zeros(n))
+    beyond = np.broadcast_to(np.array(effort_overrun, dtype=float), n)
+    certificate = SimpleNamespace(passed=passed, growth=growth, residual_share=np.zeros(n), effort_overrun=beyond)
     return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
@@ -86,6 +88,19 @@ def state(at: CertifiedIterate, *, target: RefinementTarget = AIMS, scheme: str 
 
 def test_an_exact_motion_that_passes_is_the_end():
     assert next_action(state(iterate())) is None
+
+
+def test_an_exact_motion_that_needs_more_effort_than_a_proof_allows_is_halved_there():
+    action = next_action(state(iterate(effort_overrun=3.0 * ONE_OF_TEN)))
+    assert isinstance(action, Halve)
+    np.testing.assert_array_equal(action.marked, ONE_OF_TEN.astype(bool))
+    assert next_action(state(iterate(effort_overrun=0.9 * ONE_OF_TEN))) is None
+
+
+def test_where_it_needs_more_effort_everywhere_the_degree_is_raised_and_a_large_mesh_is_left():
+    assert next_action(state(iterate(effort_overrun=3.0))) == RaiseDegree("radau-5")
+    one_of_many = np.eye(150)[3]
+    assert next_action(state(iterate(effort_overrun=3.0 * one_of_many, n=150))) is None
 
 
 def test_what_no_mesh_mends_is_the_end():

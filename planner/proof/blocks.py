@@ -1,0 +1,83 @@
+"""The blocks of a mechanism's model that a proof evaluates: closure, dynamics of the open tree, moment arms.
+
+The reduced dynamics are one long expression in the planner's program. Here closure, tree and arms are evaluated one after
+another and joined by small linear systems, so that the cost grows with their sum and not with their product.
+"""
+
+import functools
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.proof.walk import Walk, walk_of
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Blocks:
+    """The model's blocks as walks, and the closure as a function of numbers.
+
+    `closure` is q -> E phi (rank,), `tangent` is q -> d(E phi)/dq (rank, n_q), `tree` is (q, q', q'') -> generalised forces
+    (n_q,) of the tree with open loops, `arms` is q -> B (n_q, n_u), `convective` is (q, q') -> J' q' (rank,), `other_rows`
+    is q -> the rows of phi that are not among the independent ones. `force_map` is q -> the matrix
+    (n_rows, rank) from multipliers to the forces of least norm on all rows.
+    """
+
+    mechanism: Mechanism
+    independent: tuple[int, ...]
+    dependent: tuple[int, ...]
+    closure: Walk
+    tangent: Walk
+    numbers: ca.Function  # q -> E phi, J
+    tree: Walk
+    arms: Walk
+    convective: Walk
+    other_rows: Walk
+    force_map: Walk
+    n_rows: int
+
+    @property
+    def rank(self) -> int:
+        """The number of dependent coordinates."""
+        return len(self.dependent)
+
+
+@functools.lru_cache(maxsize=16)
+def blocks_of(mechanism: Mechanism) -> Blocks:
+    """Return the blocks of a mechanism.
+
+    Raises:
+        UnknownOperationError: when the model has an operation that balls do not enclose.
+    """
+    dynamics = mechanism.dynamics
+    q, rates = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("qd", mechanism.n_q)
+    phi = dynamics.independent_closure(q)
+    jacobian = ca.jacobian(phi, q)
+    whole = dynamics.closure(q)
+    others = [row for row in range(whole.numel()) if mechanism.projected or row not in mechanism.closure_rows]
+    remaining = whole[others] if others else ca.SX(0, 1)
+    return Blocks(
+        mechanism=mechanism,
+        independent=tuple(int(i) for i in mechanism.independent),
+        dependent=tuple(int(i) for i in mechanism.dependent),
+        closure=walk_of(ca.Function("closure", [q], [phi])),
+        tangent=walk_of(ca.Function("tangent", [q], [jacobian])),
+        numbers=ca.Function("numbers", [q], [ca.densify(phi), ca.densify(jacobian)]),
+        tree=walk_of(dynamics.tree_effort),
+        arms=walk_of(ca.Function("arms", [q], [ca.sparsify(dynamics.effort_matrix(q))])),
+        convective=walk_of(ca.Function("convective", [q, rates], [ca.jtimes(jacobian @ rates, q, rates)])),
+        other_rows=walk_of(ca.Function("other_rows", [q], [ca.sparsify(remaining)])),
+        force_map=walk_of(ca.Function("force_map", [q], [ca.sparsify(dynamics.force_map(q))])),
+        n_rows=mechanism.n_closure_rows,
+    )
+
+
+@functools.lru_cache(maxsize=16)
+def loaded_tree(mechanism: Mechanism, payload_factor: float) -> Walk:
+    """Return the walk of (q, q', q'') -> generalised forces with the payload's mass and inertia times a factor."""
+    numbers = np.array(mechanism.payload.numbers(), dtype=float)
+    numbers[[0, 4, 5, 6]] *= payload_factor
+    symbols = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
+    loaded = mechanism.parametric_dynamics().tree_effort(*symbols, ca.SX(ca.DM(numbers)))
+    return walk_of(ca.Function("loaded_tree", symbols, [ca.densify(loaded)]))

@@ -1,0 +1,107 @@
+"""What holds at single instants: pieces that join, prescribed states; and what is checked at samples only."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
+from linkplan.planner.certificate.certificate import VELOCITY_SHARE, end_state_error
+from linkplan.planner.certificate.saved import disagreements
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.finding import Finding, finding_of
+from linkplan.planner.trajectory import Trajectory
+
+# Largest jump between two pieces, as a share of the motion's span or largest speed: rounding of the program's solution.
+JOIN_SHARE = 1e-8
+# Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.
+_EFFORT_JUMP = 1e-7
+# Largest difference of the start pose from the problem's own [rad or m].
+START_POSE_ERROR = 1e-6
+
+
+def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
+    """Return the findings on breaks, ends and waypoints, and on the slope of the planned position."""
+    span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), 1e-9)
+    speed = max(float(np.abs(trajectory.velocity).max()), 1e-9 / trajectory.duration_s)
+    found = []
+    for what, of, size in (("position", trajectory.position, span), ("velocity", trajectory.velocity, speed)):
+        jumps = (np.abs(of[0, 1:] - of[-1, :-1]) / size).max(axis=1)
+        at = int(np.argmax(jumps)) if len(jumps) else 0
+        value = float(jumps.max(initial=0.0))
+        when = float(trajectory.breaks_s[at + 1])
+        found.append(
+            finding_of(f"the pieces of {what} join", value, JOIN_SHARE, "of its span", when, f" at t = {when:.6g} s")
+        )
+    found += [_slope(trajectory, speed), *_effort_jumps(problem, trajectory)]
+    error = float(end_state_error(problem, trajectory, speed))
+    found.append(finding_of("the motion starts and ends where asked", error, BOUNDARY_SHARE, "of its span"))
+    found += [
+        Finding(name="the motion is the one asked for", answer="refuted", reason=sentence)
+        for sentence in disagreements(problem, trajectory, None)
+    ]
+    return [*found, *_start(problem, trajectory)]
+
+
+def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
+    """Return the findings on jumps of efforts with a limited rate."""
+    jumps = np.abs(trajectory.effort[0, 1:] - trajectory.effort[-1, :-1]).max(axis=0, initial=0.0)
+    size = max(float(np.abs(trajectory.effort).max()), float(np.finfo(float).tiny))
+    return [
+        finding_of(f"the pieces of effort of {actuator.name} join", float(jumps[j]) / size, _EFFORT_JUMP, "of the largest")
+        for j, actuator in enumerate(problem.mechanism.actuators)
+        if np.isfinite(problem.limits.effort_rate[j]).any()
+    ]
+
+
+def _slope(trajectory: Trajectory, speed: float) -> Finding:
+    """Return the finding on the difference of the planned velocity from the slope of the planned position."""
+    widths = np.diff(trajectory.breaks_s)[:, None]
+    slope = (len(trajectory.position) - 1) * np.diff(trajectory.position, axis=0) / widths
+    name, velocity = "the planned velocity is the slope of the planned position", trajectory.velocity
+    if slope.shape == velocity.shape:  # coefficients of the difference bound it
+        return finding_of(name, float(np.abs(slope - velocity).max()) / speed, JOIN_SHARE, "of the largest speed")
+    time = trajectory.dense_times(24)
+    apart = np.abs(trajectory.slope_at(time) - trajectory.velocity_at(time)).max() / speed
+    if apart > VELOCITY_SHARE:
+        return finding_of(name, float(apart), VELOCITY_SHARE, "of the largest speed")
+    reason = f"at samples it differs by {apart:.2g} of the largest speed: the scheme is not second-order consistent"
+    return Finding(name=name, answer="sampled", reason=reason)
+
+
+def _start(problem: Problem, trajectory: Trajectory) -> list[Finding]:
+    """Return the finding on the start pose, which selects the branch: it is the problem's own."""
+    if problem.motion.start is None:
+        return []
+    name, spins = "the motion starts on the problem's branch", problem.mechanism.cyclic
+    moved = np.zeros(problem.mechanism.n_q, dtype=bool)
+    moved[problem.mechanism.independent[spins]] = True
+    try:
+        own = problem.start_pose()
+    except (AssemblyError, ProblemError) as error:
+        return [Finding(name=name, answer="refuted", reason=str(error))]
+    apart = np.where(moved, 0.0, np.abs(trajectory.start_pose - own))
+    return [finding_of(name, float(apart.max(initial=0.0)), START_POSE_ERROR, "rad or m", float(trajectory.breaks_s[0]))]
+
+
+def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
+    """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`."""
+    mechanism, motion = problem.mechanism, problem.motion
+    lines = [
+        ("the state integrated under the planned efforts", "an integration with error control"),
+        ("contacts between geoms", "distances between geoms are compared at samples"),
+    ]
+    if any(actuator.is_servo for actuator in mechanism.actuators):
+        lines.append(("ctrl of servos", "a servo's clamp is a switch"))
+    if any(limit.is_tube for limit in problem.limits.site):
+        lines.append(("tubes around sites' paths", "the nearest segment changes along the motion"))
+    if problem.extra_limits:
+        lines.append(("extra limits", "users' expressions are evaluated at samples"))
+    if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
+        lines.append(("places of sites at start, waypoints and goal", "evaluated at these instants"))
+    if motion.kind == "track":
+        lines.append(("the reference is followed", "compared at samples"))
+    return [
+        *(Finding(name=name, answer="sampled", reason=reason) for name, reason in lines),
+        *(Finding(name="certificate at samples", answer="refuted", reason=sentence) for sentence in failures),
+    ]

@@ -1,0 +1,79 @@
+"""The result of a proof: claims on the whole motion, each proved, refuted, undecided or sampled."""
+
+import math
+from dataclasses import asdict, dataclass
+
+ANSWERS = ("proved", "refuted", "undecided", "sampled")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One claim and its answer.
+
+    `bound` encloses the worst value on the whole motion, in `unit`; for a refuted claim it is a value that certainly occurs,
+    at `time_s`. `mark` is the limit with its allowance, and `margin` the distance from bound to mark, negative beyond it.
+    `boxes` counts the boxes of time on which the claim was evaluated. `reason` says why a claim is not proved.
+    """
+
+    name: str
+    answer: str
+    unit: str = ""
+    bound: float | None = None
+    mark: float | None = None
+    margin: float | None = None
+    boxes: int = 0
+    time_s: float | None = None
+    reason: str = ""
+
+    def sentence(self) -> str:
+        """Return the finding in one sentence."""
+        if self.answer == "proved":
+            return f"{self.name}: proved, margin {self.margin:.3g} {self.unit}".rstrip()
+        return f"{self.name}: {self.answer}, {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proof:
+    """Findings on one motion; `boxes` were evaluated in `seconds` of processor time."""
+
+    findings: tuple[Finding, ...]
+    boxes: int
+    seconds: float
+
+    def of(self, answer: str) -> tuple[Finding, ...]:
+        """Return the findings with an answer: "proved", "refuted", "undecided" or "sampled"."""
+        return tuple(finding for finding in self.findings if finding.answer == answer)
+
+    @property
+    def passed(self) -> bool:
+        """Whether no claim is refuted."""
+        return not self.of("refuted")
+
+    @property
+    def complete(self) -> bool:
+        """Whether every claim that can be enclosed is proved."""
+        return self.passed and not self.of("undecided")
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in a word: "proved", "undecided" or "refuted"."""
+        return "proved" if self.complete else "undecided" if self.passed else "refuted"
+
+    def sentence(self) -> str:
+        """Return the verdict and its cost in one sentence."""
+        counts = ", ".join(f"{len(self.of(answer))} {answer}" for answer in ANSWERS if self.of(answer))
+        return f"{self.verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s"
+
+    def record(self) -> dict:
+        """Return the lists of findings by answer, and the cost."""
+        lists = {answer: [asdict(finding) for finding in self.of(answer)] for answer in ANSWERS}
+        return lists | {"complete": self.complete, "boxes": self.boxes, "seconds": self.seconds}
+
+
+def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | None = None, where: str = "") -> Finding:
+    """Return the finding on a number that is known at single points: it is at most its mark or not."""
+    kept = value <= mark
+    reason = "" if kept else f"{value:.4g} {unit} in place of at most {mark:.4g}{where}".replace("  ", " ")
+    margin = mark - value if math.isfinite(value) else None
+    answer = "proved" if kept else "refuted"
+    return Finding(name=name, answer=answer, unit=unit, bound=value, mark=mark, margin=margin, time_s=time_s, reason=reason)

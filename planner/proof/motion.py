@@ -1,0 +1,257 @@
+"""The motion on a box of time as series: poses, rates, and what the model needs, computed when it is first used."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import comb
+
+import numpy as np
+from flint import arb, arb_poly, arb_series
+
+from linkplan.planner.problem.robust import Corner
+from linkplan.planner.proof.blocks import Blocks, loaded_tree
+from linkplan.planner.proof.branch import pose_of
+from linkplan.planner.proof.linear import Matrix, product, solve, transposed
+from linkplan.planner.proof.walk import Ball, dense
+from linkplan.planner.trajectory import Trajectory
+
+
+def power_form(bernstein: np.ndarray) -> list[arb]:
+    """Return the coefficients of powers of tau in [0, 1] from Bernstein coefficients (degree + 1,), exact to the ball."""
+    degree, found = len(bernstein) - 1, []
+    b = [arb(float(x)) for x in bernstein]
+    for j in range(degree + 1):
+        inner = sum(((-1) ** (j - i) * comb(j, i) * b[i] for i in range(j + 1)), arb(0))
+        found.append(comb(degree, j) * inner)
+    return found
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Piece:
+    """One interval of a trajectory: its polynomials in tau in [0, 1], for each coordinate or actuator."""
+
+    begin_s: float
+    width: arb  # [s]
+    position: tuple[arb_poly, ...]
+    velocity: tuple[arb_poly, ...]
+    effort: tuple[arb_poly, ...]
+    one_velocity: bool  # the planned velocity is the slope of the planned position, to rounding
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, k: int) -> "Piece":
+        """Return interval k of a trajectory."""
+        begin, end = (float(x) for x in trajectory.breaks_s[k : k + 2])
+        named = {
+            name: tuple(arb_poly(power_form(column)) for column in getattr(trajectory, name)[:, k].T)
+            for name in ("position", "velocity", "effort")
+        }
+        return cls(begin_s=begin, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
+
+
+# Largest difference between the slope of the planned position and the planned velocity that counts as rounding, as a share
+# of the interval's largest speed; the same for their slopes. Measured: 2e-10 in double precision on fine meshes.
+_ROUNDING_SHARE = 1e-8
+
+
+def _agrees(trajectory: Trajectory, k: int) -> bool:
+    """Return True if the planned velocity on interval k and its slope are those of the position, to rounding."""
+    widths = np.diff(trajectory.breaks_s)[:, None]
+    slope = (len(trajectory.position) - 1) * np.diff(trajectory.position, axis=0) / widths
+    pairs = [(slope, trajectory.velocity)]
+    if slope.shape == trajectory.velocity.shape:
+        pairs.append(tuple((len(slope) - 1) * np.diff(x, axis=0) / widths for x in pairs[0]))
+    return all(
+        one.shape == other.shape
+        and np.abs(one[:, k] - other[:, k]).max(initial=0.0) <= _ROUNDING_SHARE * np.abs(other).max(initial=0.0)
+        for one, other in pairs
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Kinetics:
+    """Rates and accelerations (n_q,) of all joints, and the generalised forces that they need."""
+
+    state: "State"
+    rates: list[Ball]
+    accelerations: list[Ball]
+    _trees: dict[float, list[Ball]] = field(default_factory=dict)
+    _efforts: dict[Corner | None, list[Ball]] = field(default_factory=dict)
+
+    def needed(self, corner: Corner | None = None) -> tuple[list[Ball], list[Ball]]:
+        """Return the reduced efforts tau (n_s,), and the multipliers J_z^-T (...)_z, of the model or a corner's machine."""
+        state, factor = self.state, 1.0 if corner is None else corner.payload_factor
+        walk = state.blocks.tree if factor == 1.0 else loaded_tree(state.blocks.mechanism, factor)
+        if factor not in self._trees:
+            self._trees[factor] = dense(walk(state.q, self.rates, self.accelerations)[0], len(state.q))
+        forces = list(self._trees[factor])
+        for joint, viscous, coulomb in () if corner is None else corner.friction:
+            forces[joint] = forces[joint] + viscous * self.rates[joint] + coulomb
+        return state.reduced(forces)
+
+    @cached_property
+    def tau(self) -> tuple[list[Ball], list[Ball]]:
+        """`needed` of the model."""
+        return self.needed()
+
+    def efforts(self, corner: Corner | None = None) -> list[Ball]:
+        """Return the efforts (n_u,) of the actuators by inverse dynamics.
+
+        With other numbers of actuators and degrees of freedom, they are the planned efforts plus the least ones that
+        compensate the difference, u + P^+ (tau - P u).
+        """
+        if corner not in self._efforts:
+            self._efforts[corner] = self._by_inverse_dynamics(corner)
+        return self._efforts[corner]
+
+    def _by_inverse_dynamics(self, corner: Corner | None) -> list[Ball]:
+        state = self.state
+        tau = (self.tau if corner is None else self.needed(corner))[0]
+        factor = 1.0 if corner is None else corner.torque_factor
+        P, n_s, n_u = state.effort_map, len(tau), len(state.u)
+        if n_s == n_u:
+            (found,) = solve(P, [tau])
+            return [x / factor for x in found]
+        left = [t / factor - c for t, c in zip(tau, product(P, state.u, n_s), strict=True)]
+        PT = transposed(P)
+        if n_u > n_s:
+            (inner,) = solve(_squared(P, n_s), [left])
+            added = product(PT, inner, n_u)
+        else:
+            (added,) = solve(_squared(PT, n_u), [product(PT, left, n_u)])
+        return [u + x for u, x in zip(state.u, added, strict=True)]
+
+    @cached_property
+    def residual(self) -> list[Ball]:
+        """The reduced efforts (n_s,) that the planned efforts do not give, tau - P u."""
+        tau, state = self.tau[0], self.state
+        return [t - c for t, c in zip(tau, product(state.effort_map, state.u, len(tau)), strict=True)]
+
+    @cached_property
+    def multipliers(self) -> list[Ball]:
+        """The multipliers (rank,) of the closures under the planned efforts."""
+        found: list[Ball] = list(self.tau[1])
+        for u, of in zip(self.state.u, self.state.arm_multipliers, strict=True):
+            found = [x - y * u for x, y in zip(found, of, strict=True)]
+        return found
+
+    @cached_property
+    def closure_forces(self) -> list[Ball]:
+        """The forces (n_rows,) on all closure rows [N], of least norm."""
+        state, blocks = self.state, self.state.blocks
+        return product(blocks.force_map(state.q)[0], self.multipliers, blocks.n_rows)
+
+    @cached_property
+    def actuator_speeds(self) -> list[Ball]:
+        """The actuators' speeds (n_u,), B^T q'."""
+        return product(transposed(self.state.arms), self.rates, len(self.state.u))
+
+
+def _squared(A: Matrix, n_rows: int) -> Matrix:
+    """Return A A^T (n_rows, n_rows)."""
+    found: Matrix = {}
+    for (i, k), x in A.items():
+        for (j, other), y in A.items():
+            if other == k and i < n_rows:
+                found[i, j] = found[i, j] + x * y if (i, j) in found else x * y
+    return found
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State:
+    """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
+
+    `rate` is dx/dt [1/s].
+    """
+
+    blocks: Blocks
+    piece: Piece
+    s: Sequence[arb_series]
+    z: Sequence[arb_series]
+    v: Sequence[arb_series]
+    u: Sequence[arb_series]
+    rate: arb
+
+    @cached_property
+    def q(self) -> list[Ball]:
+        """The pose (n_q,)."""
+        return pose_of(self.blocks, self.s, self.z)
+
+    @cached_property
+    def tangent(self) -> Matrix:
+        """dphi/dq of the independent closure."""
+        return self.blocks.tangent(self.q)[0]
+
+    @cached_property
+    def tangent_z(self) -> Matrix:
+        """J_z, the dependent columns of the tangent."""
+        at = {column: j for j, column in enumerate(self.blocks.dependent)}
+        return {(row, at[column]): x for (row, column), x in self.tangent.items() if column in at}
+
+    @cached_property
+    def tangent_s(self) -> Matrix:
+        """J_s, the independent columns of the tangent."""
+        at = {column: j for j, column in enumerate(self.blocks.independent)}
+        return {(row, at[column]): x for (row, column), x in self.tangent.items() if column in at}
+
+    @cached_property
+    def arms(self) -> Matrix:
+        """B (n_q, n_u)."""
+        return self.blocks.arms(self.q)[0]
+
+    @cached_property
+    def _reduced_arms(self) -> tuple[Matrix, list[list[Ball]]]:
+        columns = [[self.arms.get((i, k), arb(0)) for i in range(len(self.q))] for k in range(len(self.u))]
+        P, multipliers = {}, []
+        for k, column in enumerate(columns):
+            tau, of = self.reduced(column)
+            P |= {(i, k): x for i, x in enumerate(tau) if not (isinstance(x, arb) and x.is_zero())}
+            multipliers.append(of)
+        return P, multipliers
+
+    @property
+    def effort_map(self) -> Matrix:
+        """P = Gamma^T B (n_s, n_u)."""
+        return self._reduced_arms[0]
+
+    @property
+    def arm_multipliers(self) -> list[list[Ball]]:
+        """J_z^-T B_z for each actuator."""
+        return self._reduced_arms[1]
+
+    def reduced(self, forces: Sequence[Ball]) -> tuple[list[Ball], list[Ball]]:
+        """Return Gamma^T f (n_s,) and J_z^-T f_z (rank,) of generalised forces f (n_q,)."""
+        of_s = [forces[i] for i in self.blocks.independent]
+        of_z = [forces[i] for i in self.blocks.dependent]
+        if all(isinstance(x, arb) and x.is_zero() for x in of_z):
+            return of_s, of_z
+        (found,) = solve(transposed(self.tangent_z), [of_z])
+        return [x - y for x, y in zip(of_s, product(transposed(self.tangent_s), found, len(of_s)), strict=True)], found
+
+    @cached_property
+    def of_position(self) -> Kinetics:
+        """Rates and accelerations that are derivatives of the planned positions."""
+        rates = [self.rate * x.derivative() for x in self.q]
+        return Kinetics(state=self, rates=rates, accelerations=[self.rate * x.derivative() for x in rates])
+
+    @cached_property
+    def of_velocity(self) -> Kinetics:
+        """Rates Gamma v and accelerations of the planned velocity v."""
+        a = [self.rate * x.derivative() for x in self.v]
+        rates = pose_of(self.blocks, self.v, self._dependent(self.v, None))
+        return Kinetics(state=self, rates=rates, accelerations=pose_of(self.blocks, a, self._dependent(a, rates)))
+
+    def _dependent(self, of_s: Sequence[Ball], rates: list[Ball] | None) -> list[Ball]:
+        """Return -J_z^-1 (J_s x + J' q'), without the second term if there are no `rates`."""
+        n = self.blocks.rank
+        if n == 0:
+            return []
+        right = product(self.tangent_s, of_s, n)
+        if rates is not None:
+            right = [x + y for x, y in zip(right, dense(self.blocks.convective(self.q, rates)[0], n), strict=True)]
+        (found,) = solve(self.tangent_z, [[-x for x in right]])
+        return found
+
+    @property
+    def kinetics(self) -> list[Kinetics]:
+        """The motion's kinetics: one, or two if the planned velocity is not the slope of the planned position."""
+        return [self.of_position] if self.piece.one_velocity else [self.of_position, self.of_velocity]

@@ -1,0 +1,353 @@
+"""The proof of a motion: boxes of time are halved until every claim is proved, refuted or too narrow to decide."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from flint import arb, arb_poly, arb_series, ctx
+
+from linkplan.models.deadline import NO_DEADLINE, Deadline
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.blocks import Blocks, blocks_of
+from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
+from linkplan.planner.proof.claims import Claim, claims_of
+from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings, sampled_findings
+from linkplan.planner.proof.finding import Finding, Proof
+from linkplan.planner.proof.linear import NotSeparatedError
+from linkplan.planner.proof.motion import Piece, State
+from linkplan.planner.proof.taylor import TaylorForm, Verdict
+from linkplan.planner.proof.walk import UnknownOperationError
+from linkplan.planner.trajectory import Trajectory
+
+# Bits of the balls' midpoints: 27 more than the coefficients have.
+_PRECISION_BITS = 80
+# Coefficients of a Taylor form before its remainder.
+ORDER = 6
+# Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
+_MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
+# After so many boxes without a closed branch none is halved any more: the loops do not close.
+_MAX_LOST = 16
+# A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
+_LOOSE_SHARE, _TIGHTENED = 1e-2, 8
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Box:
+    """tau in [centre - radius, centre + radius] of an interval, after so many halvings, and its open claims."""
+
+    centre: float
+    radius: float
+    halvings: int
+    claims: list[int]
+
+    def halves(self, claims: list[int]) -> list["_Box"]:
+        r = self.radius / 2
+        return [_Box(centre=self.centre + side * r, radius=r, halvings=self.halvings + 1, claims=claims) for side in (1, -1)]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Anchor:
+    """The branch up to a time: the region of a unique root there, None if the branch was lost, and the root at the end.
+
+    `z` and `slope` = dz/dtau are numbers.
+    """
+
+    region: list[arb] | None
+    end: list[arb]
+    z: np.ndarray
+    slope: np.ndarray  # dz/dtau
+    tau: float
+
+
+@dataclass(eq=False, slots=True, kw_only=True)
+class _Record:
+    """What is known of one claim so far; the only mutable state of a proof."""
+
+    least: float = math.inf
+    greatest: float = -math.inf
+    least_at: float = 0.0
+    greatest_at: float = 0.0
+    boxes: int = 0
+    refuted: Verdict | None = None
+    refuted_at: float = 0.0
+    undecided: list[tuple[float, float]] = field(default_factory=list)
+
+    def loosened_by(self, verdict: Verdict, form: TaylorForm, claim: Claim) -> bool:
+        """Return True if a bound would extend the known range, and is mostly the remainder."""
+        extends = verdict.least < self.least or verdict.greatest > self.greatest
+        size = max(abs(verdict.least), abs(verdict.greatest), claim.slack if claim.low == claim.high else 0.0)
+        return extends and not form.remainder <= _LOOSE_SHARE * size
+
+    def add(self, verdict: Verdict, time_s: float) -> None:
+        if verdict.least < self.least:
+            self.least, self.least_at = verdict.least, time_s
+        if verdict.greatest > self.greatest:
+            self.greatest, self.greatest_at = verdict.greatest, time_s
+
+
+def prove(
+    problem: Problem,
+    trajectory: Trajectory,
+    failures: Sequence[str] = (),
+    until: Deadline = NO_DEADLINE,
+    order: int = ORDER,
+) -> Proof:
+    """Return the proof of a trajectory's claims, from its coefficients alone.
+
+    Args:
+        problem: the problem with its limits.
+        trajectory: the motion.
+        failures: sentences of its certificate on what samples have refuted.
+        until: when this deadline passes, the open claims are undecided.
+        order: the coefficients of Taylor forms before their remainder.
+    """
+    begun, before = time.process_time(), (ctx.prec, ctx.cap)
+    ctx.prec = _PRECISION_BITS
+    try:
+        found, boxes = _along(problem, trajectory, until, order)
+    finally:
+        ctx.prec, ctx.cap = before
+    findings = (*end_findings(problem, trajectory), *found, *sampled_findings(problem, failures))
+    return Proof(findings=findings, boxes=boxes, seconds=time.process_time() - begun)
+
+
+def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int) -> tuple[list[Finding], int]:
+    """Return the findings on every instant, and the number of boxes."""
+    try:
+        blocks, claims = blocks_of(problem.mechanism), claims_of(problem, trajectory)
+    except UnknownOperationError as error:
+        reason = f"the model has an operation that balls do not enclose ({error})"
+        return [Finding(name="closure and efforts", answer="sampled", reason=reason)], 0
+    sweep = _Sweep(problem=problem, trajectory=trajectory, blocks=blocks, claims=claims, until=until, order=order)
+    sweep.run()
+    return sweep.findings(), sweep.boxes
+
+
+@dataclass(eq=False, kw_only=True)
+class _Sweep:
+    """One pass over a motion in the order of time."""
+
+    problem: Problem
+    trajectory: Trajectory
+    blocks: Blocks
+    claims: list[Claim]
+    until: Deadline
+    order: int
+    boxes: int = 0
+    records: list[_Record] = field(default_factory=list)
+    closure: _Record = field(default_factory=_Record)
+    start_gap: float = 0.0
+
+    def run(self) -> None:
+        trajectory, n = self.trajectory, len(self.trajectory.breaks_s) - 1
+        self.records = [_Record() for _ in self.claims]
+        self.marks = [(arb(c.low) - arb(c.slack), arb(c.high) + arb(c.slack)) for c in self.claims]
+        span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), 1e-9)
+        self.slack = [arb(0, float(JOIN_SHARE * x)) for x in span]
+        pieces = (Piece.of(trajectory, k) for k in range(n))
+        anchor = None
+        for piece in pieces:
+            anchor = self._start(piece) if anchor is None else anchor
+            anchor = self._interval(piece, replace(anchor, slope=0 * anchor.slope, tau=0.0))
+
+    def _start(self, piece: Piece) -> _Anchor:
+        """Return the branch of the start pose, whose distance from the closed pose is recorded."""
+        given = self.trajectory.start_pose[list(self.blocks.dependent)]
+        s = [p(arb(0)) for p in piece.position]
+        try:
+            root = krawczyk(
+                self.blocks, s, newton(self.blocks, self.trajectory.start_pose[list(self.blocks.independent)], given)
+            )
+        except NotSeparatedError:
+            self.start_gap = math.inf
+            return _Anchor(region=None, end=[], z=given, slope=np.zeros_like(given), tau=0.0)
+        pairs = zip(root.enclosure, given.tolist(), strict=True)
+        self.start_gap = max((float(abs(x - g).upper()) for x, g in pairs), default=0.0)
+        z = np.array([float(x.mid()) for x in root.enclosure])
+        return _Anchor(region=root.region, end=root.enclosure, z=z, slope=np.zeros_like(z), tau=0.0)
+
+    def _lost(self, piece: Piece, box: _Box, anchor: _Anchor) -> _Anchor:
+        """Return where the sweep goes on after a box on which the branch was lost: a guess by Newton's method."""
+        tau = box.centre + box.radius
+        z = anchor.z + (tau - anchor.tau) * anchor.slope
+        try:
+            z = newton(self.blocks, np.array([float(p(arb(tau)).mid()) for p in piece.position]), z)
+        except NotSeparatedError:
+            z = anchor.z
+        return _Anchor(region=None, end=[], z=z, slope=0 * z, tau=tau)
+
+    def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
+        """Decide the claims on one interval; return where the branch is at its end."""
+        stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=list(range(len(self.claims))))]
+        most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
+        while stack:
+            box = stack.pop()
+            open_claims = [i for i in box.claims if self.records[i].refuted is None]
+            if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
+                continue
+            lost = len(self.closure.undecided) >= _MAX_LOST
+            last = lost or box.halvings == _MAX_HALVINGS or self.boxes >= most or self.until.passed
+            self.boxes += 1
+            self.closure.boxes += 1
+            try:
+                states, anchor = self._states(piece, box, anchor)
+            except (NotSeparatedError, ZeroDivisionError, ValueError):
+                if last:
+                    self._leave(piece, box, open_claims, closed=False)
+                    anchor = self._lost(piece, box, anchor)
+                else:
+                    stack += box.halves(open_claims)
+                continue
+            left = [i for i in open_claims if not self._decided(i, states, piece, box)]
+            if left and last:
+                self._leave(piece, box, left, closed=True)
+            elif left:
+                stack += box.halves(left)
+        return anchor
+
+    def _states(self, piece: Piece, box: _Box, anchor: _Anchor) -> tuple[tuple[State, State], _Anchor]:
+        """Return the motion at the middle of a box and over the box, and the branch at its end.
+
+        Raises:
+            NotSeparatedError: when the branch is not enclosed, or not known to be that of the anchor.
+        """
+        blocks = self.blocks
+        guess = anchor.z + (box.centre - anchor.tau) * anchor.slope
+        s = np.array([float(p(arb(box.centre)).mid()) for p in piece.position])
+        z = newton(blocks, s, guess)
+        middle, whole, root = states_of(blocks, piece, (box.centre, box.radius), z, self.slack, self.order)
+        forms = [TaylorForm.of(a, b, self.order) for a, b in zip(middle.z, whole.z, strict=True)]
+        begin = [form.at_start() for form in forms]
+        if anchor.region is not None and not _linked(anchor, root.region, begin, box):
+            raise NotSeparatedError("the branch is not known to be the one before")
+        numbers = np.array([[float(x.mid()) for x in form.coefficients] for form in forms]).reshape(-1, self.order)
+        slope = (numbers * np.arange(self.order)).sum(axis=1) / box.radius
+        end = [form.at_end() for form in forms]
+        tau = box.centre + box.radius
+        return (middle, whole), _Anchor(region=root.region, end=end, z=numbers.sum(axis=1), slope=slope, tau=tau)
+
+    def _decided(self, i: int, states: tuple[State, State], piece: Piece, box: _Box) -> bool:
+        """Record a claim's bound on a box; return False if the box has to be halved for it."""
+        claim, record = self.claims[i], self.records[i]
+        record.boxes += 1
+        try:
+            ctx.cap = self.order + 2
+            middles = claim.values(states[0])
+            ctx.cap = self.order + 3
+            wholes = claim.values(states[1])
+        except (NotSeparatedError, ZeroDivisionError, ValueError):  # flint's divisor may vanish
+            return False
+        decided = True
+        for middle, whole in zip(middles, wholes, strict=True):
+            form = TaylorForm.of(middle, whole, self.order)
+            verdict = form.verdict(*self.marks[i])
+            when = piece.begin_s + (box.centre + verdict.at * box.radius) * float(piece.width)
+            if verdict.answer is False:
+                record.refuted, record.refuted_at = verdict, when
+                return True
+            loose = box.halvings < _TIGHTENED and record.loosened_by(verdict, form, claim)
+            decided = decided and bool(verdict.answer) and not loose
+            if verdict.answer and not loose:
+                record.add(verdict, when)
+        return decided
+
+    def _leave(self, piece: Piece, box: _Box, claims: Sequence[int], *, closed: bool) -> None:
+        """Record claims as undecided on a box."""
+        ends = tuple(piece.begin_s + (box.centre + x * box.radius) * float(piece.width) for x in (-1, 1))
+        for i in claims:
+            self.records[i].undecided.append(ends)
+        if not closed:
+            self.closure.undecided.append(ends)
+
+    def findings(self) -> list[Finding]:
+        """Return the findings of all claims, the closure first."""
+        return [*_closure_findings(self), *(_finding(c, r) for c, r in zip(self.claims, self.records, strict=True))]
+
+
+def states_of(
+    blocks: Blocks, piece: Piece, box: tuple[float, float], guess: np.ndarray, slack: Sequence[arb], order: int
+) -> tuple[State, State, Root]:
+    """Return the motion at the middle of a box and over the box, and the root of the closure over the box.
+
+    Args:
+        blocks: of the mechanism.
+        piece: an interval of the trajectory.
+        box: centre and radius in tau.
+        guess: the dependent coordinates (rank,) at the centre.
+        slack: balls (n_s,) that are added to the positions in which the root is unique.
+        order: of the Taylor forms.
+
+    Raises:
+        NotSeparatedError: when the root is not enclosed.
+    """
+    r, everywhere = arb(box[1]), arb(0, 1)
+    along = arb_poly([arb(box[0]), r])
+    local = [[p(along) for p in of] for of in (piece.position, piece.velocity, piece.effort)]  # of x in [-1, 1]
+    point = krawczyk(blocks, [p(arb(0)) for p in local[0]], guess)
+    root = krawczyk(blocks, [p(everywhere) + more for p, more in zip(local[0], slack, strict=True)], guess)
+
+    def state(x: arb, z: Sequence[arb], cap: int) -> State:
+        ctx.cap = cap
+        about = arb_poly([x, 1])
+        s, v, u = ([arb_series(p(about).coeffs(), prec=cap) for p in of] for of in local)
+        rate = 1 / (piece.width * r)
+        return State(blocks=blocks, piece=piece, s=s, z=series_of(blocks, s, z, cap), v=v, u=u, rate=rate)
+
+    return state(arb(0), point.enclosure, order + 2), state(everywhere, root.enclosure, order + 3), root
+
+
+def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:
+    """Return True if a box's roots, at its begin and in its region, are on the branch of the anchor."""
+    if all(of.contains(x) for of, x in zip(anchor.region, begin, strict=True)):
+        return True
+    adjacent = anchor.tau == box.centre - box.radius
+    return adjacent and all(of.contains(x) for of, x in zip(region, anchor.end, strict=True))
+
+
+def _undecided(boxes: list[tuple[float, float]]) -> str:
+    begin, end = boxes[0]
+    more = f" and in {len(boxes) - 1} more boxes" if len(boxes) > 1 else ""
+    return f"not decided between t = {begin:.9g} s and {end:.9g} s{more}"
+
+
+def _closure_findings(sweep: _Sweep) -> list[Finding]:
+    if not sweep.blocks.rank:
+        return []
+    record, name = sweep.closure, "the loops close, on one branch without a singular pose"
+    if record.undecided:
+        return [Finding(name=name, answer="undecided", boxes=record.boxes, reason=_undecided(record.undecided))]
+    mark = START_POSE_ERROR
+    if not sweep.start_gap <= mark:
+        reason = f"the start pose is {sweep.start_gap:.3g} rad or m from the closed pose"
+        return [Finding(name=name, answer="refuted", bound=sweep.start_gap, mark=mark, boxes=record.boxes, reason=reason)]
+    return [
+        Finding(
+            name=name,
+            answer="proved",
+            unit="rad or m",
+            bound=sweep.start_gap,
+            mark=mark,
+            margin=mark - sweep.start_gap,
+            boxes=record.boxes,
+        )
+    ]
+
+
+def _finding(claim: Claim, record: _Record) -> Finding:
+    """Return the finding of a claim from its record."""
+    k, high, low = claim.per_unit, claim.high + claim.slack, claim.low - claim.slack
+    if record.refuted is not None:
+        upper = record.refuted.least > high
+        value, mark = (record.refuted.least, high) if upper else (record.refuted.greatest, low)
+        reason = f"{value * k:.9g} {claim.unit} at t = {record.refuted_at:.9g} s, beyond {mark * k:.9g}"
+        shared = {"answer": "refuted", "margin": -abs(value - mark) * k, "time_s": record.refuted_at, "reason": reason}
+    else:
+        upper = high - record.greatest <= record.least - low
+        value, mark = (record.greatest, high) if upper else (record.least, low)
+        margin, when = min(high - record.greatest, record.least - low) * k, record.greatest_at if upper else record.least_at
+        reason = _undecided(record.undecided) if record.undecided else ""
+        answer = "undecided" if record.undecided else "proved"
+        shared = {"answer": answer, "margin": margin, "time_s": when, "reason": reason}
+    return Finding(name=claim.name, unit=claim.unit, bound=value * k, mark=mark * k, boxes=record.boxes, **shared)

@@ -1,0 +1,131 @@
+"""Taylor forms: a function of time on a box as a polynomial with balls as coefficients, and a remainder.
+
+With x in [-1, 1] over the box, f(x) = sum_k f_k x^k + R x^n: f_k are Taylor coefficients at the middle, R contains the n-th
+Taylor coefficient at every point of the box (Tucker, Validated Numerics, 2011, ch. 5). Bernstein coefficients bound the
+polynomial, and its halves bound it more tightly without new evaluations of the model.
+"""
+
+import functools
+import itertools
+import math
+from dataclasses import dataclass
+
+from flint import arb, arb_mat, arb_series, fmpq
+
+from linkplan.planner.proof.walk import Ball
+
+# Halvings of a polynomial, which divide a box by up to a million.
+_MAX_HALVINGS = 20
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Verdict:
+    """A bound on one box: `answer` is True (within the marks), False (outside at `at`, in [-1, 1]) or None (not known).
+
+    `least` and `greatest` enclose the values; for a violation, the value at the point.
+    """
+
+    answer: bool | None
+    least: float
+    greatest: float
+    at: float = 0.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class TaylorForm:
+    """A polynomial with coefficients (n,), and the size of its remainder; `whole` contains all values on the box."""
+
+    coefficients: list[arb]
+    remainder: arb
+    whole: arb
+
+    @classmethod
+    def of(cls, middle: Ball, box: Ball, order: int) -> "TaylorForm":
+        """Return the form of at most `order` coefficients from the series at the middle and over the whole box.
+
+        Beside a kink there are fewer: as many as the function has bounded derivatives, and beside a jump none but the range.
+        """
+        if isinstance(box, arb):
+            return cls(coefficients=[box], remainder=arb(0), whole=box)
+        n = next((k for k in range(order) if not box[k + 1].is_finite()), order)
+        if not n:
+            return cls(coefficients=[box[0]], remainder=arb(0), whole=box[0])
+        first = middle if isinstance(middle, arb_series) else arb_series([middle])
+        return cls(coefficients=[first[k] for k in range(n)], remainder=box[n].abs_upper(), whole=box[0])
+
+    def at_start(self) -> arb:
+        """Return the value at the box's start, x = -1."""
+        value = sum(((-1) ** k * c for k, c in enumerate(self.coefficients)), arb(0))
+        return value + arb(0, self.remainder)
+
+    def at_end(self) -> arb:
+        """Return the value at the box's end, x = 1."""
+        return sum(self.coefficients, arb(0)) + arb(0, self.remainder)
+
+    def verdict(self, low: arb, high: arb) -> Verdict:
+        """Return whether all values lie between two marks."""
+        if self.whole > low and self.whole < high and not self.remainder.is_finite():
+            return Verdict(answer=True, least=below(self.whole), greatest=above(self.whole))
+        n, E = len(self.coefficients), arb(0, self.remainder)
+        if not self.remainder.is_finite() or not all(c.is_finite() for c in self.coefficients):
+            return Verdict(answer=None, least=below(self.whole), greatest=above(self.whole))
+        column = _to_bernstein(n) * arb_mat(n, 1, self.coefficients)
+        pieces = [([column[i, 0] for i in range(n)], -1.0, 1.0, 0)]
+        least, greatest = math.inf, -math.inf
+        answer: bool | None = True
+        while pieces:
+            b, begin, end, depth = pieces.pop()
+            values = [c + E for c in b]
+            bottom, top = min(v.lower() for v in values), max(v.upper() for v in values)
+            if bottom >= low and top <= high:
+                least, greatest = min(least, below(bottom)), max(greatest, above(top))
+                continue
+            for value, at in ((values[0], begin), (values[-1], end)):
+                if value > high or value < low:
+                    return Verdict(answer=False, least=below(value), greatest=above(value), at=at)
+            spread = max(c.upper() for c in b) - min(c.lower() for c in b)
+            if depth == _MAX_HALVINGS or not spread > self.remainder / 2:
+                answer = None
+                least, greatest = min(least, below(bottom)), max(greatest, above(top))
+                continue
+            left, right = _halves(b)
+            middle = 0.5 * (begin + end)
+            pieces += [(right, middle, end, depth + 1), (left, begin, middle, depth + 1)]
+        return Verdict(answer=answer, least=least, greatest=greatest)
+
+
+def below(value: arb) -> float:
+    """Return a number that is not above any value of a ball."""
+    return math.nextafter(float(value.lower()), -math.inf)
+
+
+def above(value: arb) -> float:
+    """Return a number that is not below any value of a ball."""
+    return math.nextafter(float(value.upper()), math.inf)
+
+
+def _halves(b: list[arb]) -> tuple[list[arb], list[arb]]:
+    """Return the Bernstein coefficients of both halves of an interval, by de Casteljau."""
+    left, right, row = [b[0]], [b[-1]], b
+    while len(row) > 1:
+        row = [(x + y) / 2 for x, y in itertools.pairwise(row)]
+        left.append(row[0])
+        right.append(row[-1])
+    return left, right[::-1]
+
+
+@functools.cache
+def _to_bernstein(n: int) -> arb_mat:
+    """Return the matrix (n, n) from coefficients of powers of x in [-1, 1] to Bernstein coefficients."""
+    d = n - 1
+    found = [[fmpq(0)] * n for _ in range(n)]
+    for k in range(n):  # x^k = (2 t - 1)^k = sum_j C(k, j) 2^j (-1)^(k - j) t^j, and t^j = sum_i C(i, j) / C(d, j) B_i
+        for i in range(n):
+            found[i][k] = sum(
+                (
+                    fmpq(math.comb(k, j) * 2**j * (-1) ** (k - j) * math.comb(i, j), math.comb(d, j))
+                    for j in range(min(i, k) + 1)
+                ),
+                fmpq(0),
+            )
+    return arb_mat(n, n, [arb(x) for row in found for x in row])

@@ -1,0 +1,246 @@
+"""The walk of a CasADi function: the same operations on balls and on truncated power series.
+
+A ball (flint's `arb`) is a midpoint with a radius that contains the exact real number; a series (`arb_series`) has balls as
+coefficients (Johansson, IEEE Trans. Computers 66, 2017). The expressions of the model are the only model: nothing is
+written twice. An operation with a kink (a minimum, a switch) is exact where its argument stays on one side. Where it does
+not, both sides enclose as many coefficients as the function has bounded derivatives, and the others are infinite.
+"""
+
+import functools
+import math
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+from flint import arb, arb_series
+
+Ball = arb | arb_series
+
+UNKNOWN = arb(0, math.inf)
+
+
+class UnknownOperationError(ValueError):
+    """An expression has an operation that the walk does not enclose."""
+
+
+def constant_term(x: Ball) -> arb:
+    """Return the value of a ball, or of a series at the expansion point."""
+    return x[0] if isinstance(x, arb_series) else x
+
+
+def _known_to(coefficients: list[arb], *like: Ball) -> Ball:
+    """Return a series with these coefficients and unknown ones after them, or a ball if none of `like` is a series."""
+    orders = [x.prec for x in like if isinstance(x, arb_series)]
+    if not orders:
+        return coefficients[0]
+    n = min(orders)
+    return arb_series((coefficients + [UNKNOWN] * n)[:n], prec=n)
+
+
+def _slope(x: Ball) -> arb:
+    return x[1] if isinstance(x, arb_series) else arb(0)
+
+
+def _larger(a: Ball, b: Ball) -> Ball:
+    low, high = constant_term(a), constant_term(b)
+    if low >= high:
+        return a
+    return b if high >= low else _known_to([low.max(high), _slope(a).union(_slope(b))], a, b)
+
+
+def _smaller(a: Ball, b: Ball) -> Ball:
+    return -_larger(-a, -b)
+
+
+def _magnitude(a: Ball, _: Ball) -> Ball:
+    return _larger(a, -a)
+
+
+def _signed_square(a: Ball, _: Ball) -> Ball:
+    """Return a |a|, which has a bounded second derivative where a changes its sign."""
+    value, square = constant_term(a), a * a
+    if value >= 0 or value <= 0:
+        return square if value >= 0 else -square
+    signed = (value.upper() ** 2).union(-(value.lower() ** 2))
+    if not isinstance(square, arb_series):
+        return signed
+    return _known_to([signed, 2 * a[1] * abs(value), square[2].union(-square[2])], a)
+
+
+def _sign(a: Ball, _: Ball) -> Ball:
+    value = constant_term(a)
+    return arb(1) if value > 0 else arb(-1) if value < 0 else _known_to([arb(0, 1)], a)
+
+
+def _less(a: Ball, b: Ball) -> Ball:
+    """Return 1 or 0, or the ball [0, 1] of a comparison that the balls do not decide."""
+    low, high = constant_term(a), constant_term(b)
+    return arb(1) if low < high else arb(0) if low >= high else _known_to([arb(0.5, 0.5)], a, b)
+
+
+def _at_most(a: Ball, b: Ball) -> Ball:
+    return 1 - _less(b, a)
+
+
+def _chosen(condition: Ball, a: Ball) -> Ball:
+    """Return a where the condition is 1 and zero where it is 0."""
+    value = constant_term(condition)
+    if value == 1:
+        return a
+    return arb(0) if value == 0 else _known_to([constant_term(a).union(arb(0))], a)
+
+
+def _power(a: Ball, b: Ball) -> Ball:
+    if isinstance(b, arb) and b.is_integer() and abs(b) <= 64:
+        n = int(float(b))
+        return a**n if n >= 0 else 1 / a ** (-n)
+    return (b * a.log()).exp()
+
+
+def _tanh(a: Ball, _: Ball) -> Ball:
+    if isinstance(a, arb):
+        return a.tanh()
+    t = [a[0].tanh()]  # and k t_k = sum_j j a_j c_(k - j) with c = 1 - t^2, from t' = (1 - t^2) a'
+    c = [1 - t[0] * t[0]]
+    for k in range(1, a.prec):
+        t.append(sum((j * a[j] * c[k - j] for j in range(1, k + 1)), arb(0)) / k)
+        c.append(-sum((t[i] * t[k - i] for i in range(k + 1)), arb(0)))
+    return arb_series(t, prec=a.prec)
+
+
+def _sinh(a: Ball, _: Ball) -> Ball:
+    grown = a.exp()
+    return (grown - 1 / grown) / 2
+
+
+def _cosh(a: Ball, _: Ball) -> Ball:
+    grown = a.exp()
+    return (grown + 1 / grown) / 2
+
+
+def _atan2(y: Ball, x: Ball) -> Ball:
+    angle = arb.atan2(constant_term(y), constant_term(x))
+    if isinstance(x, arb) and isinstance(y, arb):
+        return angle
+    x, y = (one if isinstance(one, arb_series) else arb_series([one]) for one in (x, y))
+    return angle + ((x * y.derivative() - y * x.derivative()) / (x * x + y * y)).integral()
+
+
+def _unary(name: str) -> Callable[[Ball, Ball], Ball]:
+    method = operator.methodcaller(name)
+    return lambda a, _: method(a)
+
+
+_OPERATIONS: dict[int, Callable] = {
+    ca.OP_ASSIGN: lambda a, _: a,
+    ca.OP_ADD: operator.add,
+    ca.OP_SUB: operator.sub,
+    ca.OP_MUL: operator.mul,
+    ca.OP_DIV: operator.truediv,
+    ca.OP_NEG: lambda a, _: -a,
+    ca.OP_TWICE: lambda a, _: a + a,
+    ca.OP_SQ: lambda a, _: a * a,
+    ca.OP_INV: lambda a, _: 1 / a,
+    ca.OP_POW: _power,
+    ca.OP_CONSTPOW: _power,
+    ca.OP_SINH: _sinh,
+    ca.OP_COSH: _cosh,
+    ca.OP_TANH: _tanh,
+    ca.OP_ATAN2: _atan2,
+    ca.OP_FABS: _magnitude,
+    ca.OP_SIGN: _sign,
+    ca.OP_FMAX: _larger,
+    ca.OP_FMIN: _smaller,
+    ca.OP_LT: _less,
+    ca.OP_LE: _at_most,
+    ca.OP_NOT: lambda a, _: 1 - a,
+    ca.OP_AND: operator.mul,
+    ca.OP_OR: lambda a, b: a + b - a * b,
+    ca.OP_IF_ELSE_ZERO: _chosen,
+    **{
+        getattr(ca, f"OP_{name.upper()}"): _unary(name)
+        for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
+    },
+}
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Walk:
+    """A CasADi function over SX as a list of operations on balls.
+
+    `steps` are (operation, result slot, first slot, second slot) in order. `inputs` are (slot, input, entry), `constants`
+    (slot, value). `outputs` lists for each output the slot of each nonzero entry, `places` its (row, column).
+    """
+
+    steps: tuple[tuple, ...]
+    inputs: tuple[tuple[int, int, int], ...]
+    constants: tuple[tuple[int, arb], ...]
+    n_slots: int
+    outputs: tuple[tuple[int, ...], ...]
+    places: tuple[tuple[tuple[int, int], ...], ...]
+
+    def __call__(self, *arguments: Sequence[Ball]) -> list[dict[tuple[int, int], Ball]]:
+        """Return every output's nonzero entries by (row, column); each argument has the entries of a dense input."""
+        slots: list = [None] * self.n_slots
+        for slot, value in self.constants:
+            slots[slot] = value
+        for slot, of, entry in self.inputs:
+            slots[slot] = arguments[of][entry]
+        for operation, result, a, b in self.steps:
+            slots[result] = operation(slots[a], slots[b])
+        return [
+            {place: slots[slot] for place, slot in zip(places, of, strict=True)}
+            for places, of in zip(self.places, self.outputs, strict=True)
+        ]
+
+
+@functools.lru_cache(maxsize=256)
+def walk_of(function: ca.Function) -> Walk:
+    """Return the walk of a function over SX with dense inputs.
+
+    Raises:
+        UnknownOperationError: for an operation without an enclosure.
+    """
+    steps, inputs, constants = [], [], []
+    outputs = [[-1] * function.nnz_out(k) for k in range(function.n_out())]
+    magnitudes: dict[int, int] = {}  # slots of |x| by their own slots: x |x| is smoother than |x|
+    slot_of, n = {}, 0  # of CasADi's work vector, whose places are used again; here every result has its own slot
+    for k in range(function.n_instructions()):
+        code, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            outputs[given[0]][given[1]] = slot_of[taken[0]]
+            continue
+        if code == ca.OP_CONST:
+            constants.append((n, arb(function.instruction_constant(k))))
+        elif code == ca.OP_INPUT:
+            inputs.append((n, taken[0], taken[1]))
+        elif code in _OPERATIONS:
+            slots = [slot_of[place] for place in taken]
+            damped = (
+                [one for one, other in (slots, slots[::-1]) if magnitudes.get(other) == one] if code == ca.OP_MUL else []
+            )
+            steps.append(
+                (_signed_square, n, damped[0], damped[0]) if damped else (_OPERATIONS[code], n, slots[0], slots[-1])
+            )
+            if code == ca.OP_FABS:
+                magnitudes[n] = slots[0]
+        else:
+            raise UnknownOperationError(f"operation {code} of {function.name()}")
+        slot_of[given[0]] = n
+        n += 1
+    triplets = [function.sparsity_out(k).get_triplet() for k in range(function.n_out())]
+    return Walk(
+        steps=tuple(steps),
+        inputs=tuple(inputs),
+        constants=tuple(constants),
+        n_slots=n,
+        outputs=tuple(tuple(of) for of in outputs),
+        places=tuple(tuple(zip(rows, columns, strict=True)) for rows, columns in triplets),
+    )
+
+
+def dense(entries: dict[tuple[int, int], Ball], n_rows: int, column: int = 0) -> list[Ball]:
+    """Return a column of an output as a list, with zeros where it has no entry."""
+    zero = arb(0)
+    return [entries.get((row, column), zero) for row in range(n_rows)]

@@ -1,0 +1,205 @@
+"""Proofs: plans that keep their limits are proved, and plans that are spoilt between the samples are refuted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.blocks import blocks_of
+from linkplan.planner.proof.branch import newton
+from linkplan.planner.proof.claims import INVERSE_DYNAMICS_SHARE
+from linkplan.planner.proof.finding import Proof
+from linkplan.planner.proof.prove import prove
+from linkplan.planner.trajectory import Trajectory
+from tests.support.linkages import RSSR
+from tests.support.plans import optimal, planned, problem_of
+from tests.support.provable import INTERVALS, limited, needed, peak, rubbing_swing, swing
+
+INVERSE = "by inverse dynamics"
+
+
+def answers(proof: Proof, words: str) -> set[str]:
+    """Return the answers of the claims with these words in their names."""
+    return {finding.answer for finding in proof.findings if words in finding.name}
+
+
+def knee() -> tuple[Problem, Trajectory]:
+    plan = optimal("knee-reach")
+    return plan.problem, plan.trajectory
+
+
+def spoilt(name: str, at: tuple, by: float) -> Proof:
+    """Return the proof of the knee's reach with one coefficient moved."""
+    problem, motion = knee()
+    coefficients = np.array(getattr(motion, name))
+    coefficients[at] += by
+    return prove(problem, replace(motion, **{name: coefficients}))
+
+
+def beside_its_limit(seed: int, share: float) -> tuple[Problem, Trajectory]:
+    """Return a random four-bar's motion whose largest effort is the pass mark times 1 + `share`."""
+    problem, motion = swing(seed)
+    largest = peak(problem.mechanism, motion)
+    return limited(problem, largest / (1 + INVERSE_DYNAMICS_SHARE) / (1 + share)), replace(motion, effort=0 * motion.effort)
+
+
+@pytest.mark.parametrize("name", ["knee-reach", "slider-crank-turn", "five-bar-reach", "cart-pole-swing-up"])
+def test_built_in_plans_are_proved(name):
+    plan = optimal(name)
+    proof = plan.prove()
+    assert proof.complete, proof.sentence()
+    assert answers(proof, INVERSE) == {"proved"}
+    assert any("contacts" in finding.name for finding in proof.of("sampled"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["knee-sprint", "knee-linear-reach", "squeezer-turn", "gripper-close", "knee-sine"])
+def test_further_built_in_plans_are_proved(name):
+    assert optimal(name).prove().complete
+
+
+@pytest.mark.slow
+def test_a_spatial_loop_with_ball_joints_is_proved():
+    mechanism = load_mechanism(RSSR)
+    crank = mechanism.independent_joints[0].name
+    start = float(np.degrees(mechanism.home[mechanism.independent[0]]))
+    problem = Problem.reach(mechanism, start_deg={crank: start}, goal_deg={crank: start + 60}, duration_s=0.8)
+    proof = plan_motion(problem).prove()
+    assert proof.complete
+    assert answers(proof, "loops close") == {"proved"}
+
+
+def test_dry_friction_is_enclosed():
+    problem, motion = rubbing_swing()
+    proof = prove(problem, motion)
+    assert answers(proof, INVERSE) == {"proved"}
+    assert answers(proof, "loops close") == {"proved"}
+    (bound,) = [finding.bound for finding in proof.findings if INVERSE in finding.name]
+    assert abs(bound) == pytest.approx(peak(problem.mechanism, motion), rel=1e-2)
+
+
+def test_the_knees_bound_is_the_largest_effort_of_dense_samples():
+    problem, motion = knee()
+    (bound,) = [f.bound for f in prove(problem, motion).findings if INVERSE in f.name]
+    largest = np.abs(needed(problem.mechanism, motion, motion.dense_times(200))).max()
+    assert largest <= bound <= largest * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_effort_a_billionth_below_its_mark_is_proved_and_above_it_is_refuted(seed):
+    below, above = (prove(*beside_its_limit(seed, share)) for share in (-1e-9, 1e-9))
+    assert answers(below, INVERSE) == {"proved"}
+    assert answers(above, INVERSE) == {"refuted"}
+
+
+@pytest.mark.slow
+def test_a_hundred_random_four_bars_a_billionth_below_their_mark_are_proved():
+    for seed in range(100):
+        proof = prove(*beside_its_limit(seed, -1e-9))
+        assert answers(proof, INVERSE) == {"proved"}, seed
+        assert answers(proof, "loops close") == {"proved"}, seed
+
+
+@pytest.mark.slow
+def test_a_hundred_plans_with_a_spoilt_coefficient_are_refuted():
+    """A coefficient is moved; the largest effort then exceeds the mark by 1e-6 of the limit between the samples."""
+    for seed in range(100):
+        problem, motion = swing(seed)
+        mechanism, rng = problem.mechanism, np.random.default_rng(seed)
+        at = int(rng.integers(2, 4)), int(rng.integers(INTERVALS)), 0
+        way = max((1e-3, -1e-3), key=lambda by: peak(mechanism, _moved(motion, at, by)))
+        found = _moved(motion, at, way)
+        size = peak(mechanism, found) / (1 + INVERSE_DYNAMICS_SHARE + 1e-6)
+        assert answers(prove(limited(problem, size), found), INVERSE) == {"refuted"}, seed
+
+
+def _moved(motion: Trajectory, at: tuple, by: float) -> Trajectory:
+    position = np.array(motion.position)
+    position[at] += by
+    slope = 5 * np.diff(position, axis=0) / np.diff(motion.breaks_s)[:, None]
+    return replace(motion, position=position, velocity=slope)
+
+
+def test_a_planned_effort_beyond_its_limit_between_the_nodes_is_refuted():
+    problem, motion = swing(1)
+    largest = np.abs(motion.effort_at(motion.dense_times(400))).max()
+    assert answers(prove(limited(problem, largest * (1 - 1e-6)), motion), "planned effort of") == {"refuted"}
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "by", "words"),
+    [
+        ("position", (slice(None), slice(20, None), 0), 1e-6, "position join"),
+        ("velocity", (slice(None), slice(20, None), 0), 1e-5, "velocity join"),
+        ("velocity", (1, 11, 0), 1e-5, "slope of the planned position"),
+        ("position", (-1, -1, 0), 1e-5, "starts and ends"),
+        ("velocity", (0, 0, 0), 1e-3, "starts and ends"),
+        ("start_pose", (1,), 1e-4, "loops close"),
+        ("effort", (slice(None), 5, 0), 40.0, "planned effort"),
+        ("velocity", (2, 0, 0), -0.2, INVERSE),
+        ("position", (2, 0, 0), 2e-4, INVERSE),
+    ],
+)
+def test_a_spoilt_coefficient_is_refuted(name, at, by, words):
+    proof = spoilt(name, at, by)
+    assert not proof.passed
+    assert "refuted" in answers(proof, words), [f.sentence() for f in proof.of("refuted")]
+
+
+def test_a_motion_on_the_other_branch_is_refuted():
+    problem, motion = knee()
+    mechanism = problem.mechanism
+    blocks, pose = blocks_of(mechanism), np.array(motion.start_pose)
+    dependent = list(blocks.dependent)
+    for guess in np.random.default_rng(0).uniform(-3, 3, (50, len(dependent))):
+        try:
+            z = newton(blocks, pose[list(blocks.independent)], guess)
+        except ArithmeticError:
+            continue
+        if np.abs(np.sin((z - pose[dependent]) / 2)).max() > 0.05:
+            break
+    pose[dependent] = z
+    assert answers(prove(problem, replace(motion, start_pose=pose)), "problem's branch") == {"refuted"}
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("limits.speed_deg_s.C={}", "speed of C"),
+        ("limits.power_w.act_O={}", "power of act_O"),
+        ("limits.closure_force.B={}", "closure force of B"),
+        ("limits.range_deg.O=[-90, {}]", "position of O"),
+    ],
+)
+def test_every_kind_of_limit_is_proved_above_its_largest_value_and_refuted_below(override, words):
+    _, motion = knee()
+    wide = 89.0 if "position" in words else 1e6
+    (bound,) = [f.bound for f in prove(problem_of("knee-reach", override.format(wide)), motion).findings if words in f.name]
+    size = np.sqrt(bound) if "force" in words else abs(bound)
+    for factor, answer in ((1 + 1e-4, "proved"), (1 - 1e-2, "refuted")):
+        narrow = problem_of("knee-reach", override.format(size * factor))
+        assert answers(prove(narrow, motion), words) == {answer}, (words, factor)
+
+
+def test_corners_of_the_ranges_are_proved_and_refuted():
+    overrides = ("robust.payload_factor=[0.8, 1.2]", "robust.torque_constant_factor=[0.95, 1.05]")
+    _, motion = knee()
+    proof = prove(problem_of("knee-reach", *overrides), motion)
+    assert len([f for f in proof.findings if "payload" in f.name]) >= 4
+    assert "refuted" in answers(proof, "payload 1.2, torque constant 0.95")
+    assert "proved" in answers(proof, "payload 0.8, torque constant 1.05")
+
+
+def test_failures_of_the_certificate_refute_a_plan():
+    problem, motion = knee()
+    assert prove(problem, motion).passed
+    assert not prove(problem, motion, ("a contact",)).passed
+
+
+def test_a_plan_without_a_motion_has_no_proof():
+    with pytest.raises(LinkplanError, match="nothing to prove"):
+        planned("knee-reach", "motion.duration_s=0.01").prove()
