@@ -350,12 +350,12 @@ def _delete_users(spec: mujoco.MjSpec, joints: set[str]) -> list[str]:
 
 
 def _off_the_ground(spec: mujoco.MjSpec) -> list[str]:
-    """Switch off the contacts of the world's geoms, and return a note: a robot whose base is fixed stands on nothing."""
-    ground = [geom for geom in spec.worldbody.geoms if geom.contype or geom.conaffinity]
+    """Delete the world's geoms, and return a note: a robot whose base is fixed stands on nothing."""
+    ground = list(spec.worldbody.geoms)
+    names = list(dict.fromkeys(geom.name or "geoms without a name" for geom in ground))
     for geom in ground:
-        geom.contype = geom.conaffinity = 0
-    names = ", ".join(geom.name or "a geom without a name" for geom in ground)
-    return [f"the base is fixed in the air: no contact with the world's {names}"] if ground else []
+        spec.delete(geom)
+    return [f"the base is fixed in the air: left out are the world's {', '.join(names)}"] if ground else []
 
 
 def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) -> list[str]:

@@ -15,6 +15,9 @@ _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
 )
 _SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
+# Distance from a mechanism's middle, in its extents, beyond which geoms of the ground are scenery.
+_SCENERY_EXTENTS = 2.0
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Solid:
@@ -44,16 +47,19 @@ def solids(mechanism: Mechanism) -> tuple[Solid, ...]:
 
 
 def geom_solids(mechanism: Mechanism) -> tuple[Solid, ...]:
-    """Return the shapes of all visible geoms except planes and height fields.
+    """Return the shapes of all visible geoms except planes, height fields, and scenery.
 
-    A mesh is simplified to its convex hull, with at most 120 vertices.
+    A mesh is simplified to its convex hull, with at most 120 vertices. Geoms of the ground are scenery if they reach farther
+    than two of the mechanism's extents from its middle.
     """
     model = mechanism.model
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(mechanism.home)
     mujoco.mj_kinematics(model, data)
-    found = []
-    for geom in np.flatnonzero(visible_geoms(model)):
+    found, middle = [], data.xpos[1:].mean(axis=0)
+    farthest = np.linalg.norm(data.geom_xpos - middle, axis=1) + model.geom_rbound
+    scenery = (model.body_weldid[model.geom_bodyid] == 0) & (farthest > _SCENERY_EXTENTS * mechanism.extent_m)
+    for geom in np.flatnonzero(visible_geoms(model) & ~scenery):
         shape = _shape_of(model, int(geom))
         if shape is not None:
             points, radius = shape
