@@ -75,6 +75,8 @@ def figure_of(
                 axis.set_visible(False)
                 continue
             if callable(panel):
+                if not any(panels[k + columns :: columns]):  # a drawing takes the empty room below it
+                    axis.set_subplotspec(axis.get_gridspec()[k // columns :, k % columns])
                 panel(axis)
             else:
                 _DRAWERS[type(panel)](axis, panel)
