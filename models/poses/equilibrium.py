@@ -44,6 +44,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
     for column, value in named.items():
         base[column] = value
     columns, still, near = list(unnamed), np.zeros(mechanism.dof), np.array(mechanism.home)
+    kept = ~np.isin(mechanism.independent, mechanism.passive_dofs)  # the slight weight of a rod's spin moves nothing else
 
     def closed(x: np.ndarray) -> np.ndarray:
         s = base.copy()
@@ -52,8 +53,8 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
 
     def unbalanced(x: np.ndarray) -> np.ndarray:
         pose = closed(x)
-        tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()
-        null = scipy.linalg.null_space(np.array(mechanism.dynamics.effort_map(pose)).T)
+        tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()[kept]
+        null = scipy.linalg.null_space(np.array(mechanism.dynamics.effort_map(pose))[kept].T)
         return null @ (null.T @ tau)  # independent of the null space's basis, which may jump from pose to pose
 
     try:

@@ -35,6 +35,7 @@ RECORDS = (
     "batch.json",
     "transfer.json",
     "export.json",
+    "ode.json",
 )
 
 

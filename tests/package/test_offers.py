@@ -95,7 +95,8 @@ def test_an_ode_plan_is_drawn_tabled_and_saved(tmp_path):
     table = solved.to_frame(np.array([0.0, 1.0, 2.0]))
     np.testing.assert_allclose(table["place"], [0.0, 0.5, 1.0], atol=1e-6)
     assert [axes.get_xlabel() for axes in solved.plot().axes] == ["time [s]", "time [s]"]
-    folder = solved.save(tmp_path / "solved")
+    solved.save(tmp_path / "solved")
+    folder = solved.save(tmp_path / "solved")  # replaces linkplan's own folder
     assert {path.name for path in folder.iterdir()} >= {"ode.json", "trajectory.csv", "plan.png"}
     assert (folder / "trajectory.csv").read_text(encoding="utf-8").startswith("time [s],place,speed,")
 

@@ -241,7 +241,7 @@ UNUSABLE = {
     "wrapping tendon": ('<motor name="x" tendon="wrapped"/>', "wraps", False),
     "servo on a rotation": ('<position name="x" site="end" refsite="ground" gear="0 0 0 0 1 0"/>', "one turn", True),
     "pid": ('<pid name="x" joint="crank" kp="3"/>', "2 controls", True),
-    "dc motor": ('<dcmotor name="x" joint="crank" motorconst="0.1" resistance="1"/>', "", True),
+    "dc motor": ('<dcmotor name="x" joint="crank" motorconst="0.1" resistance="1" inductance="0.01"/>', "state", True),
     "delayed": ('<motor name="x" joint="crank" delay="0.01" nsample="4"/>', "delayed", False),
     "no gear": ('<motor name="x" joint="crank" gear="0"/>', "gear is zero", False),
     "gear on an axis that a hinge has not": ('<motor name="x" joint="crank" gear="0 1 0 0 0 0"/>', "first number", False),

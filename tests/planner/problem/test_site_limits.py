@@ -188,8 +188,8 @@ def test_a_program_is_built_anew_where_another_quantity_is_limited():
 
 
 @pytest.mark.slow
-def test_a_motion_along_a_wall_is_solved_again_and_tightened_again():
-    """From one goal to the next the wall is overrun between other nodes: 4e-9 m, of which a certificate takes note."""
+def test_a_motion_along_a_wall_is_solved_again_and_keeps_the_wall():
+    """From one goal to the next the wall may be overrun between other nodes; constraints are then tightened."""
     planner = Replanner()
     motion = {"start_at": {"foot": ABOVE}, "duration_s": "free"}
 
@@ -204,7 +204,8 @@ def test_a_motion_along_a_wall_is_solved_again_and_tightened_again():
     planner.plan(to(-0.35))
     again, fresh = planner.plan(to(-0.34)), plan_motion(to(-0.34))
     assert again.solved_again
-    assert [step.what for step in again.history] == ["solved again", "constraints tightened"]
+    assert again.history[0].what == "solved again"
+    assert {step.what for step in again.history} <= {"solved again", "constraints tightened"}
     assert float(places_along(again)[:, 0].min()) > WALL - 1e-9
     assert again.objective == pytest.approx(fresh.objective, rel=TIGHTENED_ANEW)
 
