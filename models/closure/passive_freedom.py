@@ -13,8 +13,8 @@ from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
 
-# A centre of mass no farther from the line of its body's spin, as a share of the mechanism's size, hardly moves other bodies:
-# a millimetre on a leg. Exported rods are half a millimetre off.
+# A centre of mass no farther from its body's line of spin, as a share of the mechanism's size, moves other bodies little: a
+# millimetre on a leg. Exported rods are half a millimetre off.
 _OFFSET_SHARE = 1e-3
 
 
