@@ -2,8 +2,9 @@
 
 import itertools
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.certificate.collisions import contact_note
+from linkplan.planner.certificate.collisions import contact_note, geom_names
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
@@ -95,10 +96,10 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     mechanism = _assembled(table)
     _refuse_undriven(mechanism)
     found = FirstMotion(mechanism=mechanism, tables=_tables(mechanism, *_ends(mechanism, 0.0, 1)), plan=None, why=_SHUT)
-    deadline = Deadline().within(_TIME_BUDGET_S)
+    deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
     tried: list[tuple[Mechanism, dict[str, dict]]] = []
     for rungs in (_SMOOTH, RUNGS):  # most motions are found at once from a smooth path
-        for moving, tables in tried if rungs is RUNGS else _of_all_homes(mechanism, say):
+        for moving, tables in tried if rungs is RUNGS else _of_all_homes(mechanism, say, obstacles):
             left = deadline.left_s
             if left < _MIN_SOLVE_S:
                 return found
@@ -116,24 +117,27 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             found = FirstMotion(mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:
                 return found
+    if not tried and obstacles:
+        found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
 
 
-def _of_all_homes(mechanism: Mechanism, say: Say) -> Iterator[tuple[Mechanism, dict[str, dict]]]:
+def _of_all_homes(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iterator[tuple[Mechanism, dict[str, dict]]]:
     """Yield mechanisms and the tables of their motions: from home, and from the gravity equilibrium of undriven joints.
 
-    A home that is no equilibrium comes last: a motion from rest there starts with a fall.
+    A home that is no equilibrium comes last: a motion from rest there starts with a fall. What shuts the other motions'
+    ways is counted in `obstacles`.
     """
     other = at_gravity_equilibrium(mechanism)
     homes = [mechanism] if other is None else [other, mechanism]
     for home in homes if not is_equilibrium(mechanism, mechanism.home) else reversed(homes):
         if home is other:
             say("from where hangs what no actuator moves")
-        for tables in _candidates(home, say):
+        for tables in _candidates(home, say, obstacles):
             yield home, tables
 
 
-def _candidates(mechanism: Mechanism, say: Say) -> Iterator[dict[str, dict]]:
+def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iterator[dict[str, dict]]:
     """Yield the tables of motions with a clear straight way: of all driven coordinates, then of one, larger ones first.
 
     There is one motion of each kind and size. The reason that forbids a motion often forbids its mirror image, too.
@@ -145,14 +149,16 @@ def _candidates(mechanism: Mechanism, say: Say) -> Iterator[dict[str, dict]]:
         for kind in ([driven], alone):
             for moved, side in itertools.product(kind, (1, -1)):
                 tables = _clear_motion(mechanism, moved, share, side)
-                if tables is not None:
+                if isinstance(tables, str):
+                    obstacles[tables] += 1
+                else:
                     say(f"{', '.join(moves_of(tables['motion']))} in {tables['motion']['duration_s']:g} s")
                     yield tables
                     break
 
 
-def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: int) -> dict[str, dict] | None:
-    """Return the tables of a motion of some columns, by a share of their range to one side; None if the way is not clear.
+def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: int) -> dict[str, dict] | str:
+    """Return the tables of a motion of some columns, by a share of their range to one side, or what shuts its way.
 
     Joints that move together move less: more than two share the motion of two.
     """
@@ -165,11 +171,13 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
         goal = at_rest(mechanism, goal, close_at(mechanism, start))
         tables = _tables(mechanism, start, goal)
         problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
-        if np.array_equal(start, goal) or not _is_clear(problem):
-            return None
+        if np.array_equal(start, goal):
+            return "the joints cannot leave home"
+        if (obstacle := _obstacle(problem)) is not None:
+            return obstacle
         duration = _duration_s(problem)
-    except LinkplanError:
-        return None
+    except LinkplanError as error:
+        return one_line(error)
     tables["motion"]["duration_s"] = duration
     tables["tracking"] = _gains(mechanism, problem, duration)
     return tables
@@ -247,11 +255,11 @@ def _rounded(joint: Joint, position: float, low: float, high: float) -> float:
     return position
 
 
-def _is_clear(problem: Problem) -> bool:
-    """Tell if the straight way from start to goal is clear at 61 poses.
+def _obstacle(problem: Problem) -> str | None:
+    """Return what shuts the straight way from start to goal at one of 61 poses; None if it is clear.
 
-    The loops close, the ranges are kept, det J_z stays above a quarter of its value at home, no geoms collide, and the
-    actuators can hold every pose, if they act on all coordinates.
+    On a clear way the loops close, the ranges are kept, det J_z stays above a quarter of its value at home, no geoms
+    collide, and the actuators can hold every pose, if they act on all coordinates.
     """
     mechanism, start, goal = problem.mechanism, problem.motion.start, problem.motion.goal
     shares = np.linspace(0.0, 1.0, 61)
@@ -263,22 +271,25 @@ def _is_clear(problem: Problem) -> bool:
         home = mechanism.home[mechanism.independent]
         lead = follow(mechanism, np.linspace(home, start, len(shares)), mechanism.home)
         poses = follow(mechanism, position_at(shares), lead[-1])
-    except AssemblyError:
-        return False
+    except AssemblyError as error:
+        return one_line(error)
     ranges = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
     rounding = 1e-8  # the accuracy of assembly [rad or m]
-    if np.any(poses < ranges[:, 0] - rounding) or np.any(poses > ranges[:, 1] + rounding):
-        return False
+    outside = np.any((poses < ranges[:, 0] - rounding) | (poses > ranges[:, 1] + rounding), axis=0)
+    if outside.any():
+        return f"joint {mechanism.joints[int(np.argmax(outside))].name} is outside its range"
     if np.min(singularity_ratios(problem, poses)) < 0.25:
-        return False
+        return "a singular pose is near"
     still = np.zeros((len(poses), mechanism.dof))
     hold, missing = needed_effort(mechanism, poses, still, still)
     limit = problem.limits.effort
-    if np.abs(missing).max() < 1e-9 * np.abs(limit).max() and np.any((hold < limit[:, 0]) | (hold > limit[:, 1])):
-        return False
+    weak = np.any((hold < limit[:, 0]) | (hold > limit[:, 1]), axis=0)
+    if np.abs(missing).max() < 1e-9 * np.abs(limit).max() and weak.any():
+        return f"actuator {mechanism.actuators[int(np.argmax(weak))].name} is too weak to hold the weight"
     if not may_collide(mechanism.model):
-        return True
-    return not new_meetings(meetings(mechanism, shares, poses, position_at))
+        return None
+    met = new_meetings(meetings(mechanism, shares, poses, position_at))
+    return f"{geom_names(met[0])} collide" if met else None
 
 
 def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[str, dict]:

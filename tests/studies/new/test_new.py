@@ -286,3 +286,17 @@ def test_a_model_that_does_not_close_is_begun_at_the_pose_that_was_found(tmp_pat
     except LinkplanError as error:
         pytest.fail(f"a model without a keyframe is refused: {error}")
     assert found.planned, found.why
+
+
+@pytest.mark.parametrize(
+    ("effort", "range_deg", "why"),
+    [(0.2, "10 80", "actuator drive is too weak to hold the weight"), (50.0, "30 80", "joint arm is outside its range")],
+)
+def test_what_shuts_every_way_is_named(effort, range_deg, why, tmp_path, ask):
+    text = f"""<mujoco><compiler angle="degree" autolimits="true"/><worldbody><body><joint name="arm" axis="0 1 0"
+      range="{range_deg}" ref="20"/><inertial pos="0.5 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+      <actuator><motor name="drive" joint="arm" ctrlrange="-{effort} {effort}"/></actuator></mujoco>"""
+    (tmp_path / "arm.xml").write_text(text, encoding="utf-8")
+    code, _, err = ask("new", str(tmp_path / "arm.xml"))
+    assert code == 1
+    assert why in err
