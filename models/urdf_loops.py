@@ -24,6 +24,8 @@ _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 _CLOSING = re.compile(r"closing_(.+)_1")
 _MOST_YAML_BYTES = 1_000_000
+# The distance [m] of a hinge's two points.
+_HINGE_WIDTH_M = 0.05
 # What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
 LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
 
@@ -185,10 +187,6 @@ def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
         along = np.array(axis.get("xyz", "1 0 0").split(), dtype=float)
         further = [(link, place + turn @ along * _HINGE_WIDTH_M) for (link, place), turn in zip(ends, turns, strict=True)]
         _close(spec, f"{name} axis", further, _CONNECT)
-
-
-# The distance [m] of a hinge's two points.
-_HINGE_WIDTH_M = 0.05
 
 
 def _rotation(rpy: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ _LEAST_SHIFT_M = 1e-13
 # parallel to about 1e-6 rad.
 _STILL_SHARE = 1e-5
 # Poses about the reference at which J is taken, and their distance from it [rad; extents on a slide].
-_POSES, _DISTANCE = 6, 0.2
+_NEARBY_POSES, _POSE_DISTANCE = 6, 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ class Shift:
 
     @property
     def sentence(self) -> str:
-        """What was moved, and by how much."""
+        """The sentence that names the anchor and the length of its shift."""
         length = 1e3 * float(np.linalg.norm(self.by))
         return f"anchor of closure {self.name} moved by {length:.3g} mm along its hinge's axis, where no joint can close it"
 
@@ -48,7 +48,7 @@ def needless_gaps(loop: KinematicLoop, closures: Sequence[Closure], reference: n
     """Return the part (n_rows,) [m] of the gaps at the reference pose that no joint can change; zero in rows of angles."""
     phi, _ = loop.residual(reference)
     rng = Random(0)  # numpy.random takes long to load
-    steps = [np.array([rng.uniform(-_DISTANCE, _DISTANCE) for _ in reference]) for _ in range(_POSES)]
+    steps = [np.array([rng.uniform(-_POSE_DISTANCE, _POSE_DISTANCE) for _ in reference]) for _ in range(_NEARBY_POSES)]
     poses = [reference, *(reference + step * unit for step in steps)]
     still = np.zeros_like(phi)
     for closure in closures:

@@ -21,7 +21,7 @@ REFINED = ("motor_position", "ratio", "inertia", "gravity")
 # Nodes of a table: a controller's has hundreds, and the largest measures the error that it is left with.
 MOST_NODES = 4000
 MOST_JOINTS = 3
-# Newton on the way back has arrived when the motors are this share of their range from the target; its last step squares it.
+# Newton's method from motors to joints stops when the motors are within this share of their range of the target.
 _ARRIVED_SHARE = 1e-9
 
 

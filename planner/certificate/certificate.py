@@ -34,8 +34,8 @@ _MIN_SPAN = 1e-9
 # Largest error of the planned effort between nodes, as a share of the largest effort: beyond it, the effort is not the
 # motion's.
 DYNAMICS_SHARE = 0.02
-# Largest effort by inverse dynamics beyond its limit between nodes, as a share of the limit: a proof's mark, and meshes
-# are refined for it.
+# By how much the motion's effort by inverse dynamics may exceed its limit, as a share of the limit. Proofs refuse more, and
+# the planner refines meshes until it holds.
 INVERSE_DYNAMICS_SHARE = 2e-6
 # Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
 # share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.

@@ -20,7 +20,7 @@ from linkplan.planner.proof.linear import NotSeparatedError, solve
 from linkplan.planner.proof.walk import Ball, dense
 
 # Krawczyk's trial ball is enlarged up to so often by half, until the operator maps it into itself.
-_INFLATIONS = 6
+_MOST_INFLATIONS = 6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -87,7 +87,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
     step = -(C * arb_mat(n, 1, phi))
     one = arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
     radii = [abs(step[i, 0]).upper() * arb(1.25) + arb(2) ** -60 for i in range(n)]
-    for _ in range(_INFLATIONS):
+    for _ in range(_MOST_INFLATIONS):
         around = [arb(0, r) for r in radii]
         region = [x + d for x, d in zip(start, around, strict=True)]
         tangent = blocks.tangent(pose_of(blocks, s, region))[0]

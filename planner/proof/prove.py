@@ -24,13 +24,13 @@ from linkplan.planner.trajectory import Trajectory
 # Bits of the balls' midpoints: 27 more than the coefficients have.
 _PRECISION_BITS = 80
 # Coefficients of a Taylor form before its remainder.
-ORDER = 6
+TAYLOR_ORDER = 6
 # Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
 _MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
 # After so many boxes without a closed branch none is halved any more: the loops do not close.
 _MAX_LOST = 16
 # A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
-_LOOSE_SHARE, _TIGHTENED = 1e-2, 8
+_LOOSE_SHARE, _TIGHTENING_ROUNDS = 1e-2, 8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ def prove(
     trajectory: Trajectory,
     failures: Sequence[str] = (),
     until: Deadline = NO_DEADLINE,
-    order: int = ORDER,
+    order: int = TAYLOR_ORDER,
 ) -> Proof:
     """Return the proof of a trajectory's claims, from its coefficients alone.
 
@@ -247,7 +247,7 @@ class _Sweep:
             if verdict.answer is False:
                 record.refuted, record.refuted_at = verdict, when
                 return True
-            loose = box.halvings < _TIGHTENED and record.loosened_by(verdict, form, claim)
+            loose = box.halvings < _TIGHTENING_ROUNDS and record.loosened_by(verdict, form, claim)
             decided = decided and bool(verdict.answer) and not loose
             if verdict.answer and not loose:
                 record.add(verdict, when)

@@ -1,7 +1,10 @@
 """The findings of `linkplan check` on an assembled mechanism as a document."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from linkplan.models.poses.reach import Reach
 from linkplan.studies.check.check_report import effort_unit, inertia_unit
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
 from linkplan.studies.output.digits import error_figure
@@ -19,7 +22,16 @@ def inspection_blocks(found: Inspection) -> list[Block]:
     limits = [[a.name, a.target, a.lower, a.upper, a.unit] for a in mechanism.actuators]
     drives = table_of("Actuators", ["actuator", "acts on", "least effort", "most effort", "unit"], limits)
     notes = [Text(text=note, tone="note") for note in found.notes]
-    return [first, *verdict, _facts(found), _reaches(found), drives, *_sites(found), *_poses(found), *notes]
+    return [
+        first,
+        *verdict,
+        _facts(found),
+        reach_table(found, found.reaches),
+        drives,
+        *_sites(found),
+        *_poses(found),
+        *notes,
+    ]
 
 
 def _facts(found: Inspection) -> Facts:
@@ -37,7 +49,8 @@ def _facts(found: Inspection) -> Facts:
     return Facts(rows=rows)
 
 
-def _reaches(found: Inspection) -> Table:
+def reach_table(found: Inspection, reaches: Sequence[Reach], more: str = "") -> Table:
+    """Return the table of coordinates' reaches; `more` ends its title."""
     heads = ["coordinate", "from", "to", "unit", "what ends it below", "above"]
     rows = [
         [
@@ -48,9 +61,10 @@ def _reaches(found: Inspection) -> Table:
             can.lower.reason,
             can.upper.reason,
         ]
-        for joint, can in zip(found.mechanism.independent_joints, found.reaches, strict=True)
+        for can in reaches
+        for joint in [found.mechanism.independent_joints[can.coordinate]]
     ]
-    return table_of("Reach, the other coordinates at home", heads, rows)
+    return table_of(f"Reach, the other coordinates at home{more}", heads, rows)
 
 
 def _sites(found: Inspection) -> list[Table]:

@@ -8,16 +8,14 @@ import mujoco
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.text import text_of
+from linkplan.studies.check.inspection_blocks import reach_table
+from linkplan.studies.output.document import Block, Facts, Text
 
-# The summary's lines, with those on what to do next; problems, coordinates and notes take at most these.
-SUMMARY_LINES, LINES_OF_WHAT_IS_NEXT = 30, 2
+# The summary's lines, with two on what to do next; problems, coordinates and notes take at most these.
+SUMMARY_LINES = 30
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
 # A sentence of the summary is cut at this length; it stays on three lines of a narrow terminal.
 _MOST_CHARACTERS = 240
-_NAMED = (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_JOINT)
-_ALSO_NAMED = (mujoco.mjtObj.mjOBJ_ACTUATOR, mujoco.mjtObj.mjOBJ_EQUALITY, mujoco.mjtObj.mjOBJ_TENDON)
 
 
 def summary_blocks(found: Inspection) -> list[Block]:
@@ -39,9 +37,7 @@ def summary_blocks(found: Inspection) -> list[Block]:
             ("driven by", drives or "nothing"),
         ]
     )
-    blocks = [first, *(verdict or [Text(text="no problems found", tone="good")]), facts, *_reaches(found), *notes]
-    assert len(text_of(blocks).splitlines()) <= SUMMARY_LINES - LINES_OF_WHAT_IS_NEXT
-    return blocks
+    return [first, *(verdict or [Text(text="no problems found", tone="good")]), facts, *_reaches(found), *notes]
 
 
 def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
@@ -63,11 +59,16 @@ def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
 def _names(mechanism: Mechanism) -> re.Pattern | None:
     """Return the pattern of every name in a model, the longest first."""
     model = mechanism.model
-    sizes = {mujoco.mjtObj.mjOBJ_BODY: model.nbody, mujoco.mjtObj.mjOBJ_GEOM: model.ngeom}
-    sizes |= {mujoco.mjtObj.mjOBJ_SITE: model.nsite, mujoco.mjtObj.mjOBJ_JOINT: model.njnt}
-    sizes |= {mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu, mujoco.mjtObj.mjOBJ_EQUALITY: model.neq}
-    sizes |= {mujoco.mjtObj.mjOBJ_TENDON: model.ntendon}
-    names = {mujoco.mj_id2name(model, kind, i) for kind in (*_NAMED, *_ALSO_NAMED) for i in range(sizes[kind])}
+    sizes = {
+        mujoco.mjtObj.mjOBJ_BODY: model.nbody,
+        mujoco.mjtObj.mjOBJ_GEOM: model.ngeom,
+        mujoco.mjtObj.mjOBJ_SITE: model.nsite,
+        mujoco.mjtObj.mjOBJ_JOINT: model.njnt,
+        mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
+        mujoco.mjtObj.mjOBJ_EQUALITY: model.neq,
+        mujoco.mjtObj.mjOBJ_TENDON: model.ntendon,
+    }
+    names = {mujoco.mj_id2name(model, kind, i) for kind, size in sizes.items() for i in range(size)}
     names |= {joint.name for joint in mechanism.joints} | set(mechanism.closure_names)
     known = sorted((re.escape(name) for name in names if name), key=len, reverse=True)
     return re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w])") if known else None
@@ -85,26 +86,10 @@ def _some(names: Sequence[str], most: int) -> str:
     return f"{', '.join(names[:most])}{more}"
 
 
-def _reaches(found: Inspection) -> list[Table | Text]:
-    """Return the table of the first coordinates' reach, rods' spins left out."""
-    mechanism = found.mechanism
-    floating = floating_columns(mechanism)
+def _reaches(found: Inspection) -> list[Block]:
+    """Return the table of the first coordinates' reach; a floating base and rods' spins are left out."""
+    mechanism, floating = found.mechanism, floating_columns(found.mechanism)
     steered = [can for can in found.reaches if can.coordinate not in floating]
     of = [can for can in steered if int(mechanism.independent[can.coordinate]) not in mechanism.passive_dofs]
-    rows = [
-        [
-            joint.name,
-            joint.said(can.lower.position, 5),
-            joint.said(can.upper.position, 5),
-            joint.unit,
-            can.lower.reason,
-            can.upper.reason,
-        ]
-        for can in of[:MOST_COORDINATES]
-        for joint in [mechanism.joints[mechanism.independent[can.coordinate]]]
-    ]
-    if not rows:
-        return []
-    more = f"; of {len(of)} coordinates the first {len(rows)}" if len(of) > len(rows) else ""
-    title = f"Reach, the other coordinates at home{more}"
-    return [table_of(title, ["coordinate", "from", "to", "unit", "what ends it below", "above"], rows)]
+    more = f"; of {len(of)} coordinates the first {MOST_COORDINATES}" if len(of) > MOST_COORDINATES else ""
+    return [reach_table(found, of[:MOST_COORDINATES], more)] if of else []

@@ -107,7 +107,7 @@ class Session:
         return self.first.with_settings(settings)
 
     def _setting(self, key: str, value: float, slider: Slider) -> dict[str, object]:
-        """Return the settings of a slider's value, none if it is where it was."""
+        """Return the settings that a slider's value changes; none if the slider was not moved."""
         if value == slider.value and key in ("effort_percent", "payload_kg"):
             return {}
         if key == "effort_percent":

@@ -25,7 +25,7 @@ from linkplan.studies.export.formats import C_TRACKERS
 
 # A controller's flash rarely holds more; the file would have 100 megabytes of text.
 _MAX_NUMBERS = 4_000_000
-_TESTED = 64
+_TEST_INSTANTS = 64
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -213,7 +213,7 @@ def _test(tables: LawTables) -> str:
     """Return a C program that compares the law with its value in Python; its exit code is 1 if it is off."""
     prefix, upper, real = tables.prefix, tables.prefix.upper(), f"{tables.prefix}_real"
     random, n_u = np.random.default_rng(1), tables.gains.shape[1]
-    k = random.integers(0, len(tables.position), _TESTED)
+    k = random.integers(0, len(tables.position), _TEST_INSTANTS)
     position = tables.position[k] + 0.01 * random.normal(size=tables.position[k].shape)
     velocity = tables.velocity[k] + 0.1 * random.normal(size=position.shape)
     wanted = np.array([tables.effort(int(i), s, v) for i, s, v in zip(k, position, velocity, strict=True)])
@@ -231,7 +231,7 @@ int main(void)
 {{
   double off = 0;
   int k, j;
-  for (k = 0; k < {_TESTED}; ++k) {{
+  for (k = 0; k < {_TEST_INSTANTS}; ++k) {{
     {real} effort[{n_u}];
     {prefix}(t[k], position[k], velocity[k], effort);
     for (j = 0; j < {n_u}; ++j) {{

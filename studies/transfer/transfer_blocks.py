@@ -15,7 +15,7 @@ from linkplan.studies.transfer.units import units_of
 
 # The sentence on the direction of the map, which stands in every result.
 CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort; so motor power = joint power"
-_SAMPLES = 201
+_PLOT_SAMPLES = 201
 _TITLES = {
     "motor_position": "Motor positions",
     "ratio": "Transmission G",
@@ -190,8 +190,8 @@ def _curves(transfer: Transfer, k: int) -> list[Plot]:
     grid, outputs = transfer.table.grid, transfer.outputs
     joint, several = outputs.joints[k], len(outputs.joints) > 1
     home = outputs.mechanism.home[outputs.mechanism.independent[list(outputs.columns)]]
-    points = np.tile(home, (_SAMPLES, 1))
-    points[:, k] = np.linspace(grid.axes[k][0], grid.axes[k][-1], _SAMPLES)
+    points = np.tile(home, (_PLOT_SAMPLES, 1))
+    points[:, k] = np.linspace(grid.axes[k][0], grid.axes[k][-1], _PLOT_SAMPLES)
     x = np.array([joint.shown(value) for value in points[:, k]])
     found = []
     for name, title in _TITLES.items():

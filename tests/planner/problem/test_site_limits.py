@@ -189,7 +189,7 @@ def test_a_program_is_built_anew_where_another_quantity_is_limited():
 
 @pytest.mark.slow
 def test_a_motion_along_a_wall_is_solved_again_and_keeps_the_wall():
-    """From one goal to the next the wall may be overrun between other nodes; constraints are then tightened."""
+    """A motion to another goal may cross the wall between nodes; the constraints are then tightened."""
     planner = Replanner()
     motion = {"start_at": {"foot": ABOVE}, "duration_s": "free"}
 

@@ -10,7 +10,7 @@ from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import krawczyk, newton
 from linkplan.planner.proof.linear import NotSeparatedError, solve
 from linkplan.planner.proof.motion import Piece
-from linkplan.planner.proof.prove import ORDER, states_of
+from linkplan.planner.proof.prove import TAYLOR_ORDER, states_of
 from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.trajectory import Trajectory
 from tests.support.mp_functions import DIGITS, mp_effort, mp_motion, mp_pose, mp_values
@@ -44,12 +44,12 @@ def check_box(problem: Problem, motion: Trajectory, interval: int, centre: float
     slack = [arb(0)] * motion.n_s
     s = np.array([float(p(arb(centre)).mid()) for p in piece.position])
     guess = newton(blocks, s, motion.start_pose[list(blocks.dependent)])
-    middle, whole, _ = states_of(blocks, piece, (centre, radius), guess, slack, ORDER)
-    z = [TaylorForm.of(a, b, ORDER) for a, b in zip(middle.z, whole.z, strict=True)]
-    ctx.cap = ORDER + 2
+    middle, whole, _ = states_of(blocks, piece, (centre, radius), guess, slack, TAYLOR_ORDER)
+    z = [TaylorForm.of(a, b, TAYLOR_ORDER) for a, b in zip(middle.z, whole.z, strict=True)]
+    ctx.cap = TAYLOR_ORDER + 2
     first = middle.of_position.tau[0]
-    ctx.cap = ORDER + 3
-    tau = [TaylorForm.of(a, b, ORDER) for a, b in zip(first, whole.of_position.tau[0], strict=True)]
+    ctx.cap = TAYLOR_ORDER + 3
+    tau = [TaylorForm.of(a, b, TAYLOR_ORDER) for a, b in zip(first, whole.of_position.tau[0], strict=True)]
     for share in shares:
         at = mp.mpf(centre) + mp.mpf(radius) * mp.mpf(float(share))
         positions, v, a = mp_motion(motion, interval, at)
@@ -132,13 +132,18 @@ def test_the_blocks_forces_are_the_closure_forces():
         blocks, piece = blocks_of(problem.mechanism), Piece.of(motion, 3)
         s = np.array([float(p(arb(0.5)).mid()) for p in piece.position])
         middle, _, _ = states_of(
-            blocks, piece, (0.5, 2.0**-6), newton(blocks, s, motion.start_pose[list(blocks.dependent)]), [arb(0)], ORDER
+            blocks,
+            piece,
+            (0.5, 2.0**-6),
+            newton(blocks, s, motion.start_pose[list(blocks.dependent)]),
+            [arb(0)],
+            TAYLOR_ORDER,
         )
         at, v, a = mp_motion(motion, 3, mp.mpf(0.5))
         q = mp_pose(problem.mechanism, at, np.array([float(x[0].mid()) for x in middle.q]))
         u = [mp.mpf(float(p(arb(0.5)).mid())) for p in piece.effort]
         exact = mp_values(problem.mechanism.dynamics.closure_force, q, v, a, u)
-        ctx.cap = ORDER + 2
+        ctx.cap = TAYLOR_ORDER + 2
         for got, wanted in zip(middle.of_position.closure_forces, exact, strict=True):
             value = got if isinstance(got, arb) else got[0]
             assert abs(float(value.mid()) - float(wanted)) < 1e-9 * max(1.0, abs(float(wanted)))
