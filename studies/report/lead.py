@@ -49,7 +49,10 @@ def _peak_effort(plan: Plan, motion: Motion) -> tuple[str, str] | None:
 def _least_margin(plan: Plan) -> tuple[str, str]:
     """Return the margin that is least as a share of its limit, efforts apart, with its place and instant."""
     found = sorted(_margins(plan), key=lambda one: one[0])
-    return "least margin", found[0][1] if found else "no limit besides those of the efforts"
+    if not found:
+        return "least margin", "no limit besides those of the efforts"
+    share, words = found[0]
+    return "least margin, as a share of its limit or range", f"{100 * share:.3g} %: {words}"
 
 
 def _margins(plan: Plan) -> Iterator[tuple[float, str]]:
