@@ -11,6 +11,7 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.motion import Motion, motion_of
+from linkplan.studies.output.pin_forces import pin_forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,15 +76,6 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
         Line(name=actuator.name, values=motion.power[:, j], unit="W", limits=tuple(limits.power[j]))
         for j, actuator in enumerate(mechanism.actuators)
     ]
-    forces = [
-        Line(
-            name=name,
-            values=motion.closure_force[:, c],
-            unit="N",
-            limits=(-np.inf, float(limits.closure_force[c])) if len(limits.closure_force) else (-np.inf, np.inf),
-        )
-        for c, name in enumerate(mechanism.closure_names)
-    ]
     return {
         "position": over_time("Position of the independent joints", "position", positions),
         "dependent position": over_time(
@@ -98,8 +90,19 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
         ),
         "effort": over_time("Effort of the actuators", "effort", efforts),
         "power": over_time("Mechanical power of the actuators", "power", powers),
-        "force": over_time("Force of the closures", "closure force", forces),
     }
+
+
+def force_plots(plan: Plan, motion: Motion, group: str = "", period: float | None = None) -> list[Plot]:
+    """Return the plots of the forces in every pin: in cut pins, which the closures hold, and in the pins of the tree."""
+    mechanism, limits = plan.problem.mechanism, plan.problem.limits.closure_force
+    cut = [
+        Line(name=name, values=motion.closure_force[:, c], unit="N", limits=(-np.inf, float(limits[c])))
+        for c, name in enumerate(mechanism.closure_names)
+    ]
+    loads = pin_forces(mechanism, motion.pose, motion.velocity, motion.acceleration, motion.effort)
+    lines = [*cut, *(Line(name=name, values=force, unit="N") for name, force in loads.items())]
+    return plots("Force in the pins", "force", TIME, motion.time_s, lines, group=group, period=period)
 
 
 def _site_lines(plan: Plan, motion: Motion) -> list[Line]:

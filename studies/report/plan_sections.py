@@ -8,7 +8,7 @@ from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import file_text
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, Text
-from linkplan.studies.output.draw_plan import time_plots
+from linkplan.studies.output.draw_plan import force_plots, time_plots
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.motion import motion_of
 from linkplan.studies.output.plan_blocks import facts, solves
@@ -44,6 +44,7 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
         return [Section(title=title, blocks=[*first, about, *_notes(plan), lost, *_problem(plan)], depth=depth)]
     group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
     over_time = [plot for of in time_plots(plan, motion, group, period).values() for plot in of]
+    over_time += force_plots(plan, motion, group, period)
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
     below = depth + 1

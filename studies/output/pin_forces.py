@@ -1,0 +1,103 @@
+"""The force in every pin of a mechanism along a motion: what each jointed body and its parent exert on each other.
+
+In a copy of the model every such body gets three slides that never move. What inverse dynamics needs on these slides is the
+force through the body's joints, with everything that passes them: closures, tendons, actuators at sites.
+"""
+
+import mujoco
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import accelerations, joint_rates, sampled
+from linkplan.models.selected_model import whole_spec
+from linkplan.models.tree.coordinates import FREE, SLIDE, joint_label
+
+# The step [s] of the central difference for MuJoCo's accelerations of ball joints, whose coordinates are not its own.
+_DIFFERENCE_STEP_S = 1e-6
+
+
+def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the size (n,) [N] of the force in every pin of the tree, by the names of the joints that share the pin.
+
+    The force along the axis of a slide is no load of its guide and does not count. Where loops are overconstrained, the
+    forces of their closures have the least norm.
+
+    Args:
+        mechanism: the mechanism.
+        q: poses (n, n_q) of all joints.
+        v: speeds (n, n_s) of the independent joints.
+        a: accelerations (n, n_s) of the independent joints.
+        u: efforts (n, n_u) of the actuators.
+    """
+    model, pins = _with_slides(mechanism)
+    first = np.array([model.body_dofadr[body] + model.body_dofnum[body] - 3 for body in pins], dtype=int)
+    added = (first[:, None] + np.arange(3)).ravel()
+    kept = np.setdiff1d(np.arange(model.nv), added)
+    places = np.setdiff1d(np.arange(model.nq), model.jnt_qposadr[model.dof_jntid[added]])
+    outputs = [actuator.output for actuator in mechanism.actuators]
+    rates, second = joint_rates(mechanism, q, v), accelerations(mechanism, q, v, a)
+    qpos, qvel, qacc = mechanism.qpos_of(q), mechanism.qvel_of(q, rates), _qacc(mechanism, q, rates, second)
+    needed = sampled(mechanism.dynamics.tree_effort, q, rates, second)[:, :, 0]
+    maps = sampled(mechanism.dynamics.effort_matrix, q)
+    data, force = mujoco.MjData(model), np.zeros((len(pins), len(q)))
+    for k in range(len(q)):
+        data.qpos[places], data.qvel[kept], data.qacc[kept] = qpos[k], qvel[k], qacc[k]
+        required, loops, moments = _terms(model, data)
+        T = mechanism.qvel_of(np.broadcast_to(q[k], (len(kept), len(kept))), np.eye(len(kept))).T
+        multipliers = np.linalg.lstsq((loops[:, kept] @ T).T, needed[k] - maps[k] @ u[k])[0]
+        left = required - loops.T @ multipliers - moments[outputs].T @ u[k]
+        for pin, body in enumerate(pins):
+            force[pin, k] = np.linalg.norm(_across_slides(model, data, body, left[first[pin] : first[pin] + 3]))
+    return {name: force[pin] for pin, name in enumerate(pins.values())}
+
+
+def _with_slides(mechanism: Mechanism) -> tuple[mujoco.MjModel, dict[int, str]]:
+    """Return the model with three slides at the end of every jointed body, and the names of its pins by body."""
+    names: dict[int, list[str]] = {}
+    for joint in range(mechanism.model.njnt):
+        if int(mechanism.model.jnt_type[joint]) != FREE:
+            names.setdefault(int(mechanism.model.jnt_bodyid[joint]), []).append(joint_label(mechanism.model, joint))
+    spec = whole_spec(mechanism)
+    for key in list(spec.keys):  # their qpos would be too short
+        spec.delete(key)
+    bodies = list(spec.bodies)
+    for body in names:
+        for axis in np.eye(3):
+            slide = bodies[body].add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, limited=False)
+            # Armature [kg] has no effect without acceleration; without it a second slide along an axis has no inertia.
+            slide.armature, slide.frictionloss = 1.0, 0.0
+            slide.stiffness, slide.damping = np.zeros(3), np.zeros(3)
+    model = spec.compile()
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    return model, {body: ", ".join(own) for body, own in names.items()}
+
+
+def _qacc(mechanism: Mechanism, q: np.ndarray, rates: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the derivative (n, nv) of MuJoCo's qvel."""
+    h = _DIFFERENCE_STEP_S
+    later, earlier = (mechanism.qvel_of(q + step * rates, rates + step * second) for step in (h, -h))
+    return (later - earlier) / (2 * h)
+
+
+def _terms(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return M qacc + bias - passive (nv,), the Jacobian of equality constraints (rows, nv), moment arms (outputs, nv)."""
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
+    required, moments = np.zeros(model.nv), np.zeros((len(data.moment_rownnz), model.nv))
+    mujoco.mj_mulM(model, data, required, data.qacc)
+    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    jacobian = np.reshape(data.efc_J, (data.nefc, model.nv))[data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)]
+    return required + data.qfrc_bias - data.qfrc_passive, jacobian, moments
+
+
+def _across_slides(model: mujoco.MjModel, data: mujoco.MjData, body: int, force: np.ndarray) -> np.ndarray:
+    """Return a force in a body's axes as a vector in the world's, without its parts along the body's own slides."""
+    force = data.xmat[body].reshape(3, 3) @ force
+    joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body] - 3)
+    own = [data.xaxis[joint] for joint in joints if int(model.jnt_type[joint]) == SLIDE]
+    if own:
+        along, sizes, _ = np.linalg.svd(np.transpose(own), full_matrices=False)
+        along = along[:, sizes > 1e-9]
+        force = force - along @ (along.T @ force)
+    return force
