@@ -13,6 +13,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
+from linkplan.models.tree.ties import tied_points
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -176,16 +177,25 @@ def _joints_of(model: mujoco.MjModel, body: int) -> range:
 
 
 def _floating(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the joints of bodies on the world that translate in a plane or in space and that nothing drives."""
+    """Return the joints of bodies on the world that translate in a plane or in space.
+
+    A base that actuators drive does not float, nor does one that loops tie to the world or to what else stands on it.
+    """
     driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if int(model.actuator_trntype[a]) == 0}
     found = []
     for body in bodies:
         joints = _joints_of(model, body)
         kinds = [int(model.jnt_type[j]) for j in joints]
         moves = FREE in kinds or kinds.count(SLIDE) >= _PLANAR_SLIDES
-        if int(model.body_parentid[body]) == 0 and moves and not driven & set(joints):
+        if int(model.body_parentid[body]) == 0 and moves and not driven & set(joints) and not _is_tied(model, body):
             found += list(joints)
     return found
+
+
+def _is_tied(model: mujoco.MjModel, base: int) -> bool:
+    """Return True if a loop ties the tree that a base carries to another tree or to the world."""
+    ends = [tied_points(model, index) for index in np.flatnonzero(model.eq_active0)]
+    return any(sum(int(model.body_rootid[body]) == base for body, _ in end) == 1 for end in ends)
 
 
 def floating_joints(model: mujoco.MjModel) -> set[int]:

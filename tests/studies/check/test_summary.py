@@ -4,6 +4,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.summary import SUMMARY_LINES, grouped
+from tests.support.hexapod import hexapod
 
 ARM = '<body name="{side} {k}" pos="0.1 0 0"><joint name="{side} joint {k}" axis="0 1 0" range="-90 90"/><geom size="0.06"/>'
 
@@ -93,3 +94,12 @@ def test_pads_that_meet_when_the_gripper_closes_are_no_error(ask_json, tmp_path)
     code, found = ask_json("check", str(tmp_path / "gripper.xml"))
     assert (code, found["problems"]) == (0, [])
     assert any("left pad and right pad meet towards an end of the reach" in note for note in found["notes"])
+
+
+@pytest.mark.slow
+def test_a_platform_that_loops_hold_does_not_float(ask_json, tmp_path):
+    """A hexapod's platform is a free body, which six rods hold and move."""
+    (tmp_path / "hexapod.xml").write_text(hexapod(), encoding="utf-8")
+    code, found = ask_json("check", str(tmp_path / "hexapod.xml"))
+    assert not found["problems"], found["problems"]
+    assert code == 0
