@@ -16,6 +16,9 @@ from linkplan.studies.output.pin_forces import pin_forces
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# A joint whose value [rad or m] or speed [per second] is never larger rests at zero: the rest is rounding.
+_AT_REST = 1e-9
+
 
 def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
     """Return the figure of a plan's positions, speeds and efforts, saved at `path` if it is given."""
@@ -50,6 +53,7 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
                 limits=(joint.shown(float(bounds[k, 0])), joint.shown(float(bounds[k, 1]))),
             )
             for k in which
+            if np.any(np.abs(values[:, k]) > _AT_REST)
         ]
 
     def over_time(title: str, what: str, lines: Sequence[Line]) -> list[Plot]:

@@ -32,9 +32,9 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
         plan: to show, with or without a motion.
         depth: of the first section; the others are one level below.
         animated: whether the motion is animated; False if a comparison animates it.
-        verdict: whether the first section starts with the verdict; False if the page's header shows it.
+        verdict: whether the first section has the plan's name and verdict; False if the page's header shows them.
     """
-    title, first, about = f"Plan: {plan.problem.name}", _verdict(plan, said=verdict), _about(plan)
+    title, first, about = f"Plan: {plan.problem.name}" if verdict else "Overview", _verdict(plan, said=verdict), _about(plan)
     if plan.trajectory is None or plan.certificate is None:
         return [Section(title=title, blocks=[*first, about, *_notes(plan), _solves(plan), *_problem(plan)], depth=depth)]
     try:
@@ -95,7 +95,7 @@ def _animation(plan: Plan, group: str, period: float | None) -> Block:
     poses = follow(mechanism, trajectory.position_at(every), trajectory.start_pose)[back[len(dense) :]]
     return animation(
         mechanism,
-        f"{mechanism.name} along {problem.name}",
+        mechanism.name if mechanism.name == problem.name else f"{mechanism.name} along {problem.name}",
         group,
         shown,
         poses,
@@ -146,7 +146,7 @@ def _problem(plan: Plan) -> list[Block]:
 
 
 def _without_none(value: object) -> object:
-    """Return tables without the keys whose value is None, such as infinite limits."""
+    """Return tables without empty tables and the keys whose value is None, such as infinite limits."""
     if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items() if item is not None}
+        return {key: _without_none(item) for key, item in value.items() if item is not None and item != {}}
     return value

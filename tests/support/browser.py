@@ -50,3 +50,10 @@ class Opened:
     def settle(self) -> None:
         """Wait until what was asked for has been drawn."""
         self.ask("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0))))")
+
+
+def violations(page) -> list[str]:
+    """Return what axe-core finds against WCAG on a page: the rule and the first element that breaks it."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    found = axe.Axe().run(page).response["violations"]
+    return [f"{one['id']}: {one['help']}; {one['nodes'][0]['html']}" for one in found]

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from linkplan.planner.problem.problem import load_problem
-from tests.support.browser import chromium
+from tests.support.browser import chromium, violations
 
 
 @pytest.fixture(scope="module")
@@ -72,4 +72,5 @@ def test_a_browser_moves_a_slider_and_saves(served, folder):
         page.get_by_role("button", name="Save problem file").click()
         page.get_by_text("saved problem.toml").wait_for()
         assert errors == []
+        assert violations(page) == []
     assert load_problem(folder / "problem.toml").motion.duration_s == 0.25

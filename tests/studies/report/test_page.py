@@ -8,7 +8,7 @@ from linkplan.studies.output.lines import TIME
 from linkplan.studies.report.render import write_report
 from linkplan.studies.report.reports import comparison_report, plan_report, report_of
 from tests.support.bodies import QUARTER_TURN, body_plan
-from tests.support.browser import Opened, chromium
+from tests.support.browser import Opened, chromium, violations
 from tests.support.mechanisms import replaced
 from tests.support.plans import optimal
 from tests.support.reports import blocks
@@ -61,6 +61,20 @@ def test_it_opens_from_disk_without_the_network_and_without_a_word(browser, path
     assert opened.page.locator(".uplot").count() > 10
     assert opened.asked == [path.as_uri()]
     assert opened.errors == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_readers_with_a_screen_reader_or_weak_eyes_can_use_it(browser, path, scheme):
+    opened = Opened(browser, path, scheme=scheme)
+    opened.build()
+    assert violations(opened.page) == []
+
+
+def test_a_rule_that_is_broken_is_found(browser, path):
+    """The check itself: a picture without a text is found."""
+    opened = Opened(browser, path)
+    opened.ask("() => document.querySelector('main').append(new Image(9, 9))")
+    assert [one.split(":")[0] for one in violations(opened.page)] == ["image-alt"]
 
 
 def test_pointing_at_one_plot_moves_all_and_the_mechanism(browser, path):
