@@ -12,6 +12,7 @@ EXTRAS = {
     "distributed": ("Dask", "cluster"),
     "pandas": ("pandas", "pandas"),
     "pyarrow": ("pyarrow", "parquet"),
+    "xarray": ("xarray", "xarray"),
     "yaml": ("PyYAML", "urdf"),
 }
 

@@ -64,6 +64,26 @@ class MotionTable:
             found |= {f"site_{head}" if taken else head: place[:, k] for k, head in enumerate(heads)}
         return found
 
+    def named_arrays(self) -> tuple[dict, dict]:
+        """Return the variables and coordinates of a data set, each as the names of its dimensions and its values."""
+        joints, actuators = list(self.position), list(self.effort)
+        variables = {
+            "position": (("time_s", "joint"), np.column_stack([self.position[name] for name in joints])),
+            "speed": (("time_s", "joint"), np.column_stack([self.speed[name] for name in joints])),
+            "effort": (("time_s", "actuator"), np.column_stack([self.effort[name] for name in actuators])),
+        }
+        coordinates = {
+            "time_s": self.time_s,
+            "joint": joints,
+            "joint_unit": ("joint", [self.unit[name] for name in joints]),
+            "actuator": actuators,
+            "actuator_unit": ("actuator", [self.effort_unit[name] for name in actuators]),
+        }
+        if self.site:
+            variables["site"] = (("time_s", "site_name", "axis"), np.stack(list(self.site.values()), axis=1))
+            coordinates |= {"site_name": list(self.site), "axis": list(AXES)}
+        return variables, coordinates
+
 
 def sample_motion(problem: Problem, trajectory: Trajectory, time_s: object = None, *, jumps: bool = False) -> MotionTable:
     """Return a motion at times (n,) [s], or at a single time as numbers; otherwise as `motion_table`.

@@ -9,6 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
+    import xarray
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import InfeasibleError, LinkplanError
@@ -162,6 +163,20 @@ class Plan:
         """
         table = self.sample(None if time_s is None else np.atleast_1d(time_s))
         return load_extra("pandas", "Plan.to_frame").DataFrame(table.columns())
+
+    def to_dataset(self, time_s: np.ndarray | None = None) -> xarray.Dataset:
+        """Return the motion at times (n,) [s] as an xarray data set over time.
+
+        `position` and `speed` [deg or m, and per second] have the dimensions `time_s` and `joint`, `effort` [N.m or N] has
+        `time_s` and `actuator`; the coordinates `joint_unit` and `actuator_unit` have their units. `site` [m] has `time_s`,
+        `site_name` and `axis`, if the problem names sites.
+
+        Raises:
+            MissingPackageError: if xarray is not installed.
+            LinkplanError: as for `sample`.
+        """
+        table = self.sample(None if time_s is None else np.atleast_1d(time_s))
+        return load_extra("xarray", "Plan.to_dataset").Dataset(*table.named_arrays())
 
     def __repr__(self) -> str:
         duration = "no motion" if self.duration_s is None else f"{self.duration_s:.6g} s"

@@ -133,6 +133,17 @@ def test_a_frame_has_the_columns_of_the_saved_table(plan, tmp_path, monkeypatch)
     assert list(plan.to_frame([0.1])["time_s"]) == [0.1]
 
 
+def test_a_data_set_has_the_values_of_the_table(plan):
+    pytest.importorskip("xarray", reason="xarray is not installed")
+    found, table = plan.to_dataset(), plan.to_frame()
+    for joint in ("O", "C"):
+        assert found.position.sel(joint=joint).values == pytest.approx(table[f"{joint}_deg"].to_numpy(), rel=1e-12)
+        assert found.speed.sel(joint=joint).values == pytest.approx(table[f"{joint}_deg_s"].to_numpy(), rel=1e-12)
+        assert found.joint_unit.sel(joint=joint) == "deg"
+    assert found.effort.sel(actuator="act_O").values == pytest.approx(table["act_O_Nm"].to_numpy(), rel=1e-12)
+    assert plan.to_dataset(0.1).time_s.values == pytest.approx([0.1])
+
+
 def test_without_pandas_a_frame_is_refused_in_a_sentence(plan, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
     with pytest.raises(ImportError, match=r"Plan.to_frame needs pandas, which is not installed"):
