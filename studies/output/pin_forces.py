@@ -14,6 +14,8 @@ from linkplan.models.tree.coordinates import FREE, SLIDE, joint_label
 
 # The step [s] of the central difference for MuJoCo's accelerations of ball joints, whose coordinates are not its own.
 _DIFFERENCE_STEP_S = 1e-6
+# A singular value below this share of the largest is that of a dependent row.
+_DEPENDENT_SHARE = 1e-9
 
 
 def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
@@ -31,24 +33,33 @@ def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray
     """
     model, pins = _with_slides(mechanism)
     first = np.array([model.body_dofadr[body] + model.body_dofnum[body] - 3 for body in pins], dtype=int)
-    added = (first[:, None] + np.arange(3)).ravel()
+    added = first[:, None] + np.arange(3)
     kept = np.setdiff1d(np.arange(model.nv), added)
     places = np.setdiff1d(np.arange(model.nq), model.jnt_qposadr[model.dof_jntid[added]])
-    outputs = [actuator.output for actuator in mechanism.actuators]
     rates, second = joint_rates(mechanism, q, v), accelerations(mechanism, q, v, a)
-    qpos, qvel, qacc = mechanism.qpos_of(q), mechanism.qvel_of(q, rates), _qacc(mechanism, q, rates, second)
     needed = sampled(mechanism.dynamics.tree_effort, q, rates, second)[:, :, 0]
     maps = sampled(mechanism.dynamics.effort_matrix, q)
-    data, force = mujoco.MjData(model), np.zeros((len(pins), len(q)))
-    for k in range(len(q)):
+    qpos, qvel, qacc = mechanism.qpos_of(q), mechanism.qvel_of(q, rates), _qacc(mechanism, q, rates, second)
+    data = mujoco.MjData(model)
+
+    def terms(k: int) -> tuple[np.ndarray, ...]:
         data.qpos[places], data.qvel[kept], data.qacc[kept] = qpos[k], qvel[k], qacc[k]
-        required, loops, moments = _terms(model, data)
-        T = mechanism.qvel_of(np.broadcast_to(q[k], (len(kept), len(kept))), np.eye(len(kept))).T
-        multipliers = np.linalg.lstsq((loops[:, kept] @ T).T, needed[k] - maps[k] @ u[k])[0]
-        left = required - loops.T @ multipliers - moments[outputs].T @ u[k]
-        for pin, body in enumerate(pins):
-            force[pin, k] = np.linalg.norm(_across_slides(model, data, body, left[first[pin] : first[pin] + 3]))
-    return {name: force[pin] for pin, name in enumerate(pins.values())}
+        return (*_terms(model, data), np.array(data.xmat[list(pins)]), np.array(data.xaxis))
+
+    required, loops, moments, turns, axes = (np.array(of) for of in zip(*map(terms, range(len(q))), strict=True))
+    units = np.broadcast_to(np.eye(len(kept)), (len(q), len(kept), len(kept)))
+    T = mechanism.qvel_of(np.broadcast_to(q[:, None], units.shape), units).transpose(0, 2, 1)  # qvel = T q'
+    held = np.einsum("nrk,nkj->njr", loops[:, :, kept], T)
+    multipliers = np.einsum(
+        "nrj,nj->nr", np.linalg.pinv(held, rcond=_DEPENDENT_SHARE), needed - np.einsum("nju,nu->nj", maps, u)
+    )
+    outputs = [actuator.output for actuator in mechanism.actuators]
+    left = required - np.einsum("nrk,nr->nk", loops, multipliers) - np.einsum("nuk,nu->nk", moments[:, outputs], u)
+    force = np.einsum("npij,npj->pni", turns.reshape(len(q), len(pins), 3, 3), left[:, added])
+    return {
+        name: np.linalg.norm(_across_slides(model, body, axes, force[pin]), axis=1)
+        for pin, (body, name) in enumerate(pins.items())
+    }
 
 
 def _with_slides(mechanism: Mechanism) -> tuple[mujoco.MjModel, dict[int, str]]:
@@ -91,13 +102,9 @@ def _terms(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.n
     return required + data.qfrc_bias - data.qfrc_passive, jacobian, moments
 
 
-def _across_slides(model: mujoco.MjModel, data: mujoco.MjData, body: int, force: np.ndarray) -> np.ndarray:
-    """Return a force in a body's axes as a vector in the world's, without its parts along the body's own slides."""
-    force = data.xmat[body].reshape(3, 3) @ force
+def _across_slides(model: mujoco.MjModel, body: int, axes: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return forces (n, 3) without their parts along the body's own slides; `axes` (n, n_joints, 3) are in the world."""
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body] - 3)
-    own = [data.xaxis[joint] for joint in joints if int(model.jnt_type[joint]) == SLIDE]
-    if own:
-        along, sizes, _ = np.linalg.svd(np.transpose(own), full_matrices=False)
-        along = along[:, sizes > 1e-9]
-        force = force - along @ (along.T @ force)
-    return force
+    slides = [joint for joint in joints if int(model.jnt_type[joint]) == SLIDE]
+    along = axes[:, slides].transpose(0, 2, 1)
+    return force - np.einsum("nij,nj->ni", along @ np.linalg.pinv(along, rcond=_DEPENDENT_SHARE), force)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from tests.bench.ensemble import bench_ensemble
+from tests.bench.explore import bench_explore
 from tests.bench.loop import bench_loop
 from tests.bench.measurement import bench_measurement
 from tests.bench.packages import between_nodes
@@ -28,6 +29,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "sizes": lambda: bench_sizes(RESULTS),
     "loop": bench_loop,
     "ensemble": bench_ensemble,
+    "explore": bench_explore,
     "measurement": bench_measurement,
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),

@@ -1,11 +1,13 @@
 """Forces in the pins of the tree: they do not depend on the pin at which a loop is cut, and agree with closed forms."""
 
+import mujoco
 import numpy as np
 import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import accelerations, joint_rates, sampled
 from linkplan.studies.output.pin_forces import pin_forces
+from tests.support.linkages import loaded
 
 CRANK = '<geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" density="3000"/>'
 MODEL = """<mujoco><worldbody>
@@ -76,3 +78,23 @@ def test_a_tendon_that_passes_a_pin_loads_it():
     for effort in (0.0, -3.0):
         found = pin_forces(model, zero, zero, zero, np.array([[effort]]))
         assert found["pin"] == pytest.approx([9.81 + 2 * effort], abs=1e-9)
+
+
+def test_a_rod_on_a_ball_joint_balances_its_two_ends():
+    """The force in the ball joint is what the rod's mass needs less the force of its closure at the other end."""
+    linkage = loaded("rssr")
+    q, v, a = np.array([linkage.home]), np.array([[3.0, 0.5]]), np.array([[2.0, -1.0]])
+    u = linkage.equations.inverse_dynamics(q, v, a)[:, :1]
+    closure = sampled(linkage.dynamics.closure_force, q, v, a, u)[0, :, 0]
+    rates, second = joint_rates(linkage, q, v), accelerations(linkage, q, v, a)
+    data, rod = mujoco.MjData(linkage.model), linkage.model.body("rod").id
+
+    def centre(time: float) -> np.ndarray:
+        data.qpos[:] = linkage.qpos_of(q + rates * time + second * time**2 / 2)[0]
+        mujoco.mj_kinematics(linkage.model, data)
+        return data.xipos[rod].copy()
+
+    h = 1e-4  # [s]
+    accelerated = (centre(h) - 2 * centre(0.0) + centre(-h)) / h**2
+    needed = linkage.model.body_mass[rod] * (accelerated - linkage.model.opt.gravity)
+    assert pin_forces(linkage, q, v, a, u)["rod"] == pytest.approx(np.linalg.norm(needed - closure), rel=1e-6)
