@@ -103,7 +103,10 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     """Return a command's arguments, or the exit code if there is no command to run."""
     parser = build_parser()
     try:
-        arguments = parser.parse_args(argv)
+        arguments, unknown = parser.parse_known_args(argv)
+        if unknown:
+            parser.prog = " ".join(filter(None, (parser.prog, arguments.command)))
+            parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     except SystemExit as leave:
         return int(leave.code or 0)
     if arguments.version:

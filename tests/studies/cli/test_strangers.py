@@ -20,7 +20,7 @@ TYPED = [
     (["leg.toml", "plan"], ["invalid choice: 'leg.toml'", "'plan'"]),
     (["plna", "leg.toml"], ["invalid choice: 'plna'", "'plan'"]),
     (["-v"], ["unrecognized arguments: -v"]),
-    (["plan", "leg.toml", "--verbose"], ["unrecognized arguments: --verbose"]),
+    (["plan", "leg.toml", "--verbose"], ["unrecognized arguments: --verbose", "linkplan plan --help says more"]),
     (["plan", "leg.toml", "--set", "motion.duration_s", "=", "0.2"], ["unrecognized arguments: = 0.2"]),
     (["plan", "my", "leg.toml"], ["unrecognized arguments: leg.toml"]),
     (["plan"], ["required: PROBLEM"]),
