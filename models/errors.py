@@ -19,7 +19,14 @@ def escaped(text: str) -> str:
 
 
 class LinkplanError(Exception):
-    """The base of all errors that linkplan raises. Its text is one line for the user."""
+    """The base of all errors that linkplan raises. Its text is one line for the user.
+
+    Example:
+        try:
+            linkplan.load_mechanism("no-such-model")
+        except linkplan.LinkplanError as error:
+            print(error)
+    """
 
     def __init__(self, message: str) -> None:
         Exception.__init__(self, one_line(message))

@@ -57,6 +57,10 @@ class Mechanism:
     `notes` are remarks on the assembly. `source` is the [mechanism] table of a problem file.
 
     `equations` has its mass matrix, bias, closure, transmission and inverse dynamics, for arrays and as CasADi functions.
+
+    Example:
+        knee = linkplan.load_mechanism("optimus-knee")
+        print(knee.dof, [joint.name for joint in knee.independent_joints], knee.effort_limit)  # N.m
     """
 
     name: str

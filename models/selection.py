@@ -13,7 +13,6 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
-from linkplan.models.tree.ties import tied_points
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -194,8 +193,8 @@ def _floating(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
 def _is_tied(model: mujoco.MjModel, base: int) -> bool:
     """Return True if a loop ties the tree that a base carries to another tree or to the world."""
-    ends = [tied_points(model, index) for index in np.flatnonzero(model.eq_active0)]
-    return any(sum(int(model.body_rootid[body]) == base for body, _ in end) == 1 for end in ends)
+    pairs = [_tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
+    return any(len(pair) > 1 and sum(int(model.body_rootid[body]) == base for body in pair) == 1 for pair in pairs)
 
 
 def floating_joints(model: mujoco.MjModel) -> set[int]:

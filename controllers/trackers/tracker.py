@@ -17,7 +17,21 @@ import numpy as np
 
 
 class Tracker(Protocol):
-    """A law u = f(k, s, v) without history, filter, saturation or delay, which belong to the feedback loop."""
+    """A law u = f(k, s, v) without history, filter, saturation or delay, which belong to the feedback loop.
+
+    Example:
+        class Stiff:
+            name = "stiff"
+
+            def __init__(self, reference):
+                self.reference = reference
+
+            def effort(self, k, position, velocity):  # rad and rad/s on hinges
+                wanted = self.reference
+                return 200.0 * (wanted.position[k] - position) + (wanted.velocity[k] - velocity) + wanted.effort[k]
+
+        print(linkplan.track(linkplan.plan("knee-reach"), Stiff))
+    """
 
     @property
     def name(self) -> str:

@@ -68,13 +68,15 @@ Expression = Callable[[NamedInstant], ca.SX]
 class ExtraLimit:
     """A limit on every instant, lower <= expression <= upper.
 
-        ExtraLimit(name="knee behind toe", expression=lambda at: at.site("knee")[0] - at.site("toe")[0], upper=0.0, unit="m")
-
     Args:
         name: in messages.
         expression: from a `NamedInstant` to a CasADi scalar, twice differentiable along the motion.
         lower, upper: bounds, one of them finite.
         unit: of the expression, for messages.
+
+    Example:
+        bent = linkplan.ExtraLimit(name="angle of C", expression=lambda at: at.position["C"], lower=-3.0, unit="rad")
+        linkplan.Problem.from_file("knee-reach").replace(extra_limits=[bent])
     """
 
     kind: ClassVar[str] = "limit"
@@ -108,6 +110,10 @@ class ExtraCost:
         expression: from a `NamedInstant` to a CasADi scalar, twice differentiable along the motion.
         weight: positive, per SI unit of the integral.
         unit: of the integral, for messages.
+
+    Example:
+        calm = linkplan.ExtraCost(name="swing of A", expression=lambda at: at.velocity["A"] ** 2, weight=1e-3, unit="rad2/s")
+        linkplan.Problem.from_file("knee-reach").replace(extra_costs=[calm])
     """
 
     kind: ClassVar[str] = "cost"

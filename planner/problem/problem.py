@@ -72,12 +72,14 @@ class Problem:
 
     `from_tables`, and `dataclasses.replace`, by which the planner varies a problem, check consistency only. `source` is the
     problem as a file's tables with every value that was set, as `plan.json` keeps it.
+
+    Example:
+        knee = linkplan.load_mechanism("optimus-knee", payload="shank")
+        reach = linkplan.Problem.reach(knee, start_deg={"O": -49.07}, goal_deg={"O": 56.27}, duration_s=0.16)
     """
 
     name: str
-    """The name in messages, tables and files."""
     mechanism: Mechanism
-    """The mechanism."""
     motion: Motion
     objective: Objective  # or a term's name, or a mapping of weights
     limits: Limits
@@ -305,7 +307,7 @@ class Problem:
     def to_toml(self) -> str:
         """Return the problem as the text of a problem file, from which `from_file` returns the same problem.
 
-        The text does not contain extra costs and limits, which are Python code; a comment in its first line names them.
+        Extra costs and limits are Python code and not in it; a comment in its first line names them.
         """
         return file_text(self)
 
@@ -345,8 +347,7 @@ class Problem:
         if falsifying and self.unhonoured == "refuse":
             raise ProblemError(
                 f"mechanism '{self.mechanism.name}' cannot be planned, its model has forces that the planner does not"
-                " honour:"
-                f' {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
+                f' honour: {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
             )
         if self.mechanism.n_u == 0:
             raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
@@ -367,8 +368,7 @@ class Problem:
     def __repr__(self) -> str:
         motion = self.motion
         duration = "free" if motion.duration_s is None else f"{motion.duration_s:g} s"
-        objective = self.objective.name
-        return f"Problem({self.name!r}: {motion.kind} of {self.mechanism.name!r}, {objective}, {duration})"
+        return f"Problem({self.name!r}: {motion.kind} of {self.mechanism.name!r}, {self.objective.name}, {duration})"
 
 
 def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> Problem:

@@ -48,6 +48,9 @@ def decompose(
 
     Raises:
         LinkplanError: if the plan has no motion, or an argument is invalid.
+
+    Example:
+        print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], samples=4))
     """
     plan_to_track(plan)
     listed(trackers, "names or functions")

@@ -76,6 +76,9 @@ def experiment(
 
     Raises:
         LinkplanError: if the plan has no motion, an argument is invalid, or the folder has other files.
+
+    Example:
+        print(linkplan.experiment(linkplan.plan("knee-reach"), ["pd+ff"], samples=8))
     """
     plan_to_track(plan)
     listed(trackers, "names, objects, classes or functions")

@@ -64,6 +64,10 @@ def bode(
 
     Raises:
         LinkplanError: if a pose cannot be held, or an argument is invalid.
+
+    Example:
+        loop = linkplan.bode("optimus-knee", at_deg=[{"O": 0.0}], measure=None)
+        print(loop.stable, loop.message)
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
@@ -120,6 +124,10 @@ def tune(
 
     Raises:
         LinkplanError: for a bandwidth above half the sampling rate, several degrees of freedom, or an invalid argument.
+
+    Example:
+        gains = linkplan.tune("optimus-knee", bandwidth_hz=10.0)
+        print(gains.tracking)
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)

@@ -63,6 +63,9 @@ def load_mechanism(
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
             (`AssemblyError`), or a value is invalid (`ProblemError`).
+
+    Example:
+        knee = linkplan.load_mechanism("optimus-knee", payload="shank")
     """
     said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
     said["closure_tolerance_m"] = closure_tolerance_m
@@ -87,6 +90,10 @@ def check(
 
     Raises:
         LinkplanError: if a pose is out of reach, or the subject cannot be read.
+
+    Example:
+        found = linkplan.check("optimus-knee")
+        print(found.problems, found)
     """
     from linkplan.studies.check.refused_model import REFUSED, RefusedModel
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem

@@ -41,6 +41,9 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None, *, pro
 
     Raises:
         LinkplanError: if the problem is invalid.
+
+    Example:
+        print(linkplan.plan("knee-reach"))
     """
     found = Plan.of(plan_motion(_problem(problem), listener(progress)))
     return found.with_proof() if prove and found.trajectory is not None else found
@@ -65,6 +68,10 @@ def read_plan(
     Raises:
         CertificateError: if the motion does not pass.
         LinkplanError: if the folder or a file in it is missing, truncated, or not that of a plan, or its model has changed.
+
+    Example:
+        linkplan.plan("knee-reach").save("reach")
+        print(linkplan.read_plan("reach").duration_s)
     """
     folder = path_of(folder, "folder")
     answer = plan_folder.read_plan(folder, anyway=anyway, extra_costs=extra_costs, extra_limits=extra_limits)
@@ -88,6 +95,18 @@ def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
 
     Raises:
         LinkplanError: if `problem` is not an `OdeProblem`.
+
+    Example:
+        cart = linkplan.OdeProblem(
+            name="cart",
+            rate=lambda x, u, p, t: [x[1], u[0]],
+            start=[0, 0],
+            goal=[1, 0],
+            effort_limit=[[-1, 1]],
+            duration_s=2.5,
+            running_cost=lambda x, u, p, t: u[0] ** 2,
+        )
+        print(linkplan.solve_ocp(cart))
     """
     if not isinstance(problem, OdeProblem):
         raise ProblemError(f"solve_ocp takes an OdeProblem, got {problem!r}")
@@ -102,6 +121,12 @@ class Planner:
 
     Args:
         progress: called with lines on the progress.
+
+    Example:
+        planner = linkplan.Planner()
+        reach = linkplan.Problem.from_file("knee-reach")
+        for goal in (56.27, 55.0):
+            print(planner.plan(reach.replace(goal_deg={"O": goal})).objective)
     """
 
     def __init__(self, progress: Progress | None = None) -> None:
@@ -136,6 +161,10 @@ class Plan(planned.Plan):
 
     Times are in seconds from the motion's start. It is the planner's plan; its own members need files, figures and reports,
     which the planner cannot import.
+
+    Example:
+        plan = linkplan.plan("knee-reach").require()
+        print(plan.status, plan.objective, plan.sample(0.08).effort["act_O"])  # N.m
     """
 
     __slots__ = ()

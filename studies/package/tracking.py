@@ -49,6 +49,9 @@ def track(
 
     Raises:
         LinkplanError: if the plan has no motion, or the tracker or another argument is invalid.
+
+    Example:
+        print(linkplan.track(linkplan.plan("knee-reach"), "lqr"))
     """
     answer, say = _to_track(plan, tracking), listener(progress)
     mismatch = study.mismatch_of(answer, mass_factor, delay_periods)
@@ -80,6 +83,9 @@ def compare(
 
     Raises:
         LinkplanError: as for `track`.
+
+    Example:
+        print(linkplan.compare(linkplan.plan("knee-reach"), ["pd", "lqr"]))
     """
     answer = _to_track(plan, tracking)
     listed(trackers, "names, objects or functions")

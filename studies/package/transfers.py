@@ -65,6 +65,10 @@ def transfer(
 
     Raises:
         LinkplanError: if the joints cannot be coordinates at home, such as at a dead centre, or a value is invalid.
+
+    Example:
+        table = linkplan.transfer("optimus-knee", ["C"])
+        print(table.message)
     """
     if isinstance(joints, str) or not isinstance(joints, Sequence) or not all(isinstance(name, str) for name in joints):
         raise ProblemError(f"joints are a list of names, got {joints!r}")
