@@ -123,14 +123,24 @@ class Mechanism:
         return tuple(self.joints[i] for i in self.independent)
 
     @property
+    def channels(self) -> tuple[int, ...]:
+        """The indices among the independent joints of those with a feedback loop: the steered ones."""
+        return tuple(np.flatnonzero(self.steered).tolist())
+
+    @property
     def effort_limit(self) -> np.ndarray:
         """The actuators' limits (n_u, 2) [N.m or N]."""
         return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
 
     @property
+    def steered(self) -> np.ndarray:
+        """A mask (n_s,) of the coordinates that actuators may move: all but the passive degrees of freedom."""
+        return ~np.isin(self.independent, self.passive_dofs)
+
+    @property
     def cyclic(self) -> np.ndarray:
         """A mask (n_s,) of the passive degrees of freedom of round bodies, on which the dynamics do not depend."""
-        return round_spins(self.dynamics, self.home, np.isin(self.independent, self.passive_dofs))
+        return round_spins(self.dynamics, self.home, ~self.steered)
 
     def fingerprint(self, *, payload_apart: bool = False) -> str:
         """Return a hash of the compiled model and of the choice of coordinates, which determine the reduced dynamics.

@@ -124,10 +124,9 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
     """
     n = repeated(reference)
     A, B = linearise(mechanism, reference.pose[:n], reference.velocity[:n], reference.effort[:n])
-    steered = np.array([int(i) not in mechanism.passive_dofs for i in mechanism.independent])
-    kept = np.flatnonzero(np.tile(steered, 2))
+    kept = np.flatnonzero(np.tile(mechanism.steered, 2))
     A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
-    sizes = [np.broadcast_to(weight, steered.shape)[steered] for weight in (errors.position, errors.velocity)]
+    sizes = [np.broadcast_to(weight, mechanism.dof)[mechanism.steered] for weight in (errors.position, errors.velocity)]
     Q = np.diag(np.concatenate(sizes) ** -2.0)
     R = np.diag(np.asarray(errors.effort, dtype=float) ** -2.0)
     return regulate(A, B, Q, R, repeats=reference.cycle is not None), kept

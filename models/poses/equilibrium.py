@@ -44,7 +44,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
     for column, value in named.items():
         base[column] = value
     columns, still, near = list(unnamed), np.zeros(mechanism.dof), np.array(mechanism.home)
-    kept = ~np.isin(mechanism.independent, mechanism.passive_dofs)  # the slight weight of a rod's spin moves nothing else
+    kept = mechanism.steered  # the slight weight of a rod's spin moves nothing else
 
     def closed(x: np.ndarray) -> np.ndarray:
         s = base.copy()

@@ -118,7 +118,7 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
     best: np.ndarray = np.zeros(0, dtype=int)
     for q in _nearby(mechanism, pose, ranges):
         _, J = _rows(mechanism, targets, q)
-        J = J[:, ~np.isin(mechanism.independent, mechanism.passive_dofs)]
+        J = J[:, mechanism.steered]
         if not J.size:
             continue
         factors: Any = scipy.linalg.qr(J.T, mode="economic", pivoting=True)

@@ -18,6 +18,7 @@ rod, in the axes b x c, b, c:
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -81,7 +82,7 @@ class StereographicChart:
         return G @ ca.DM(self.axes)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)  # without slots: its constants are kept once computed
 class RodChart:
     """The chart of a rod. `hinge` and `line` are the directions (3,) of hinge and rod in the child's frame at c = 0."""
 
@@ -97,17 +98,17 @@ class RodChart:
         tilt = np.array([_LEAST_POLE_ANGLE, np.pi - _LEAST_POLE_ANGLE]) - self._home_angle
         return np.array([[-np.inf, np.inf], tilt, [-np.inf, np.inf]])
 
-    @property
+    @cached_property
     def _home_angle(self) -> float:
         """The angle [rad] between hinge and rod at c = 0."""
         return float(np.arctan2(np.linalg.norm(np.cross(self.hinge, self.line)), self.hinge @ self.line))
 
-    @property
+    @cached_property
     def _across(self) -> np.ndarray:
         across = np.cross(self.hinge, self.line)
         return across / np.linalg.norm(across)
 
-    @property
+    @cached_property
     def _frame(self) -> np.ndarray:
         """The axes (3, 3) of G: b x c, b, c."""
         return np.column_stack([np.cross(self._across, self.line), self._across, self.line])
@@ -166,12 +167,12 @@ class RodChart:
         sigma, theta = np.asarray(c)[..., 0], np.asarray(c)[..., 1] + self._home_angle
         return np.sin(sigma), np.cos(sigma), np.sin(theta), np.cos(theta)
 
-    @property
+    @cached_property
     def _euler(self) -> np.ndarray:
         """The axes (3, 3) b x a, b, a. In them the rotation, apart from `_back`, has Euler angles z, y, z."""
         return np.column_stack([np.cross(self._across, self.hinge), self._across, self.hinge])
 
-    @property
+    @cached_property
     def _back(self) -> np.ndarray:
         """The quaternion (4,) that turns the rod's line back to the hinge's axis."""
         return np.concatenate([[np.cos(self._home_angle / 2)], -np.sin(self._home_angle / 2) * self._across])
@@ -181,8 +182,9 @@ def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the Hamilton product of quaternions (..., 4), w first."""
     a, b = np.broadcast_arrays(a, b)
     w = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
-    v = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
-    return np.concatenate([w, v], axis=-1)
+    (_, i, j, k), (_, x, y, z) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    across = np.stack([j * z - k * y, k * x - i * z, i * y - j * x], axis=-1)  # four times as fast as np.cross
+    return np.concatenate([w, a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + across], axis=-1)
 
 
 def conjugate(quaternion: np.ndarray) -> np.ndarray:

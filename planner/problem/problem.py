@@ -275,7 +275,7 @@ class Problem:
     def adrift(self) -> np.ndarray:
         """A mask (n_s,) of coordinates with a free final value: passive degrees of freedom that the goal does not name."""
         named = np.isin(np.arange(self.mechanism.dof), list(self.motion.goal_named))
-        return np.isin(self.mechanism.independent, self.mechanism.passive_dofs) & ~named
+        return ~self.mechanism.steered & ~named
 
     @property
     def free_spins(self) -> np.ndarray:

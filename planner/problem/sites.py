@@ -155,7 +155,7 @@ def pose_at(
             f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {found.off_m.max():.4g} m away"
         )
     rows = independent_rows_of(mechanism, targets, found.pose, ranges)
-    active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
+    active = int(np.sum(mechanism.steered))
     if not rows:
         raise ProblemError(
             f"{where} does not constrain the motion: the named coordinates of {', '.join(p.site for p in points)} do not"

@@ -59,7 +59,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
         at = round(k)
         if at not in known:
             loop = frozen_loop(mechanism, reference, gains, timing, at)
-            every = [(margins(loop, channel, refine=False), channel) for channel in range(mechanism.dof)]
+            every = [(margins(loop, channel, refine=False), channel) for channel in mechanism.channels]
             known[at] = min(every, key=lambda one: stability(one[0]))
         return known[at]
 

@@ -260,7 +260,7 @@ def bode_study(
     trials = _settles(loops, in_contact, effort_limit)
     stable = [i for i, loop in enumerate(loops) if loop.stable and not in_contact[i]]
     found, steps, conditions = [], 0, {}
-    for channel in range(mechanism.dof):
+    for channel in mechanism.channels:
         bounds = [margins(loop, channel) for loop in loops]
         measured: dict[int, dict[str, Response]] = {}
         if setup is not None and stable:
@@ -336,7 +336,7 @@ def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort
     """Yield the margins along lines: a coordinate's line for that coordinate's loop, a motion's line for all loops."""
     for coordinate, line in lines:
         say(f"margins over {line.name} from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}")
-        for channel in range(mechanism.dof) if coordinate is None else [coordinate]:
+        for channel in mechanism.channels if coordinate is None else [coordinate]:
             judge = judge_of(mechanism, settings, effort_limit, timing, law, [channel])
 
             def at(x: float, judge=judge, line=line) -> Margins | None:
@@ -357,7 +357,7 @@ def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) 
     if line is not None:
         return [(0 if mechanism.dof == 1 else None, line)]
     lines: list[tuple[int | None, Line]] = []
-    for channel in range(mechanism.dof):
+    for channel in mechanism.channels:
         low, high = inner_reach(mechanism, channel)
         ends = min(low, positions[:, channel].min()), max(high, positions[:, channel].max())
         lines.append((channel, coordinate_line(mechanism, channel, *map(float, ends), positions[0])))

@@ -45,8 +45,8 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
     message = study.message[:1].upper() + study.message[1:]
     blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
     rows = [("mechanism", study.mechanism.name), ("tracker", study.law), ("feedback loop", study.loop_name)]
-    if study.mechanism.dof > 1:
-        names = ", ".join(joint.name for joint in study.mechanism.independent_joints)
+    if len(study.mechanism.channels) > 1:
+        names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
         text = (
             f"each loop is broken at the effort on its coordinate ({names}), made by"
             f" {', '.join(actuator.name for actuator in study.mechanism.actuators)} together; the others' loops are closed"
@@ -80,7 +80,7 @@ def _measured(study: BodeStudy) -> list[tuple[str, str]]:
 def _margins(study: BodeStudy) -> Table:
     """Return the table of margins, a row for each loop and pose."""
     mechanism = study.mechanism
-    several = mechanism.dof > 1
+    several = len(mechanism.channels) > 1
     inertias = " or ".join(dict.fromkeys("kg m2" if j.kind == "hinge" else "kg" for j in mechanism.independent_joints))
     heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
     heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
@@ -119,7 +119,7 @@ def crossovers_of(study: BodeStudy) -> list[str]:
         at, others = entry.margins.crossover_hz, entry.margins.other_crossovers_hz
         if others:
             joint = study.mechanism.independent_joints[entry.channel].name
-            loop = f"{joint} at {entry.point.name}" if study.mechanism.dof > 1 else entry.point.name
+            loop = f"{joint} at {entry.point.name}" if len(study.mechanism.channels) > 1 else entry.point.name
             frequencies = ", ".join(f"{f:.4g}" for f in others)
             found.append(f"{loop}: the gain is one at {frequencies} Hz too; the phase margin is least at {at:.4g} Hz")
     return found
@@ -127,7 +127,7 @@ def crossovers_of(study: BodeStudy) -> list[str]:
 
 def contacts_of(study: BodeStudy) -> str | None:
     """Return the sentence on contacts at the poses, or None if there is no contact."""
-    return contact_sentence(study.contacts, len(study.points) // study.mechanism.dof)
+    return contact_sentence(study.contacts, len(study.points) // len(study.mechanism.channels))
 
 
 def softness_of(study: BodeStudy) -> str | None:

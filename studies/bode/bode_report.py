@@ -14,7 +14,9 @@ def bode_record(study: BodeStudy) -> dict:
     by_pose: dict[bytes, dict] = {}
     for entry in study.points:
         row = by_pose.setdefault(entry.point.pose.tobytes(), _pose_record(entry.point))
-        row["loops"][study.law if mechanism.dof == 1 else _channel_name(study, entry.channel)] = _loop_record(entry)
+        row["loops"][study.law if len(mechanism.channels) == 1 else _channel_name(study, entry.channel)] = _loop_record(
+            entry
+        )
     slides = mechanism.independent_joints[0].kind == "slide"
     weights = ("lqr_position_m", "lqr_velocity_m_s") if slides else ("lqr_position_deg", "lqr_velocity_deg_s")
     names = (*(weights if study.law == "lqr" else ("kp", "kd")), "period_s", "delay_periods")

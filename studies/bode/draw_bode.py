@@ -13,8 +13,9 @@ from linkplan.studies.output.figure import figure_of, side_by_side
 def save_bode(study: BodeStudy, place: Path) -> None:
     """Draw every figure of a study into a folder: bode.png, nyquist.png, sensitivity.png and margins.png."""
     joints, title = study.mechanism.independent_joints, f"{study.mechanism.name}, {study.law}: {study.loop_name}"
-    suffixes = [""] if len(joints) == 1 else [f"-{joint.name}" for joint in joints]
-    for channel, suffix in enumerate(suffixes):
+    channels = study.mechanism.channels
+    suffixes = {channel: f"-{joints[channel].name}" if len(channels) > 1 else "" for channel in channels}
+    for channel, suffix in suffixes.items():
         entries = [entry for entry in study.points if entry.channel == channel]
         bode_figure(study, entries, place / f"bode{suffix}.png")
         figure_of([nyquist(study, entries)], place / f"nyquist{suffix}.png", title=title, panel_in=(6.4, 7.0))

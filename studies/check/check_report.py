@@ -194,7 +194,7 @@ def unheld_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list
     """
     said, least = [], _ROUNDING_SHARE * _scale(path.gravity_effort)
     for i, joint in enumerate(path.mechanism.independent_joints):
-        if int(path.mechanism.independent[i]) in path.mechanism.passive_dofs:
+        if not path.mechanism.steered[i]:
             continue
         missing = np.abs(path.unheld_effort[:, i])
         beyond = missing > least

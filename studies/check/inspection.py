@@ -167,7 +167,7 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
 def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steerable: bool) -> tuple[list[str], list[str]]:
     """Return the problems and notes on an independent joint; `idle` if no actuator acts on it at home."""
     problems, notes, column = [], [], can.coordinate
-    passive = int(mechanism.independent[column]) in mechanism.passive_dofs
+    passive = not mechanism.steered[column]
     if idle and not passive:
         sentence, fault = undriven(mechanism, column, steerable=steerable)
         (problems if fault else notes).append(sentence)
@@ -237,7 +237,7 @@ def _stop_finding(mechanism: Mechanism, can: Reach, *, upper: bool) -> tuple[str
 def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
     """Tell if a joint also moves with other coordinates, except passive ones, so that they can move it off its stop."""
     rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
-    free = np.isin(mechanism.independent, list(mechanism.passive_dofs))
+    free = ~mechanism.steered
     return bool(np.any(np.delete(rates * ~free, column) > ACTING_SHARE * rates.max()))
 
 

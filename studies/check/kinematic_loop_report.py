@@ -116,7 +116,7 @@ def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[Kinem
     """Return the report over the reach of each independent joint, the others at home."""
     found = []
     for column, can in enumerate(reaches):
-        if int(mechanism.independent[column]) in mechanism.passive_dofs:
+        if not mechanism.steered[column]:
             continue  # a rod that spins about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""

@@ -227,7 +227,7 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
     """Return a run's metrics; the names contain the units."""
     mechanism = plan.problem.mechanism
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)  # passive degrees of freedom are uncontrollable
+    steered = mechanism.steered  # passive degrees of freedom are uncontrollable
     names = [actuator.name for actuator in mechanism.actuators]
     record = {}
     for unit, which, factor in (("deg", hinge & steered, 180 / np.pi), ("m", ~hinge & steered, 1.0)):

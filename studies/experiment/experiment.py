@@ -135,7 +135,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)
     )
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    passive = np.isin(mechanism.independent, mechanism.passive_dofs)  # uncontrollable
+    passive = ~mechanism.steered  # uncontrollable
     middle = np.median(layout.values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # raises errors early
     _refuse_late_push(section, layout.values, float(reference.time_s[-1]))

@@ -64,7 +64,7 @@ def _units(mechanism: Mechanism) -> list[str]:
 def _of_unit(mechanism: Mechanism, unit: str) -> np.ndarray:
     """Return a mask (n_s,) of the controllable independent joints with a unit."""
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)
+    steered = mechanism.steered
     return steered & (hinge if unit == "deg" else ~hinge)
 
 

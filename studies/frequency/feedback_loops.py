@@ -6,7 +6,8 @@ G is the transfer function from commands to the state. Continuous, without hold 
 z = e^(j w T): G = (z I - A)^-1 (B z^-d + B_late z^-d-1). The sensitivity is S = (I + K G)^-1. The loop of coordinate i is
 broken at the effort on i while the other loops are closed. With efforts tau = E u on the coordinates this loop is
 1 / (E S E^-1)_ii - 1 (Skogestad & Postlethwaite, Multivariable Feedback Control, 2005, 3.2). A mechanism of one degree of
-freedom has a single loop, broken at its actuator.
+freedom has a single loop, broken at its actuator. Passive spins, which move nothing else, have no loop, and the poles of
+their own do not count.
 """
 
 from collections.abc import Sequence
@@ -62,10 +63,10 @@ class OperatingPoint:
 
     @property
     def name(self) -> str:
-        """The independent joints' positions as text."""
-        index = self.mechanism.independent
-        shown = zip(self.mechanism.independent_joints, self.pose[index], strict=True)
-        return ", ".join(f"{joint.name} = {joint.said(x)} {joint.unit}" for joint, x in shown)
+        """The positions of the independent joints with a feedback loop, as text."""
+        joints, at = self.mechanism.independent_joints, self.pose[self.mechanism.independent]
+        channels = self.mechanism.channels
+        return ", ".join(f"{joints[k].name} = {joints[k].said(at[k])} {joints[k].unit}" for k in channels)
 
     @property
     def inertia(self) -> np.ndarray:
@@ -117,11 +118,11 @@ def require_actuated(mechanism: Mechanism) -> None:
     """Refuse a mechanism that does not have one actuator for each degree of freedom."""
     if mechanism.n_u == 0:
         raise LinkplanError(f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
-    if mechanism.n_u != mechanism.dof:
+    if mechanism.n_u != len(mechanism.channels):
+        names = ", ".join(mechanism.independent_joints[k].name for k in mechanism.channels)
         raise LinkplanError(
             f"frequency responses need one actuator for every degree of freedom; '{mechanism.name}' has {mechanism.n_u}"
-            f" ({', '.join(a.name for a in mechanism.actuators)}) for {mechanism.dof}"
-            f" ({', '.join(j.name for j in mechanism.independent_joints)})"
+            f" ({', '.join(a.name for a in mechanism.actuators)}) for {len(mechanism.channels)} ({names})"
         )
 
 
@@ -201,10 +202,23 @@ class FeedbackLoop:
 
     @property
     def matrix(self) -> np.ndarray:
-        """The closed loop's matrix (M, M). The state of a sampled loop includes the past commands."""
-        if self.kind == CONTINUOUS:
-            return closed(self.A, self.B, self.gain)
-        return closed(*augmented(self.A, self.B, self.B_late, self.timing), self.gain)
+        """The closed loop's matrix (M, M), without passive spins. A sampled loop's state includes the past commands."""
+        return closed(*self._steered(), self._steered_gain)
+
+    def _steered(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (M, M) and B (M, n_u) of the open loop without passive spins."""
+        kept = self._kept
+        A, B, late = self.A[np.ix_(kept, kept)], self.B[kept], self.B_late[kept]
+        return (A, B) if self.kind == CONTINUOUS else augmented(A, B, late, self.timing)
+
+    @property
+    def _kept(self) -> np.ndarray:
+        """The indices of the state's entries that belong to steered coordinates."""
+        return np.flatnonzero(np.tile(self.point.mechanism.steered, 2))
+
+    @property
+    def _steered_gain(self) -> np.ndarray:
+        return self.gain[:, self._kept]
 
     @property
     def radius(self) -> float | None:
@@ -230,18 +244,16 @@ class FeedbackLoop:
 
     def system(self) -> control.StateSpace:
         """Return the open loop from commands to K x as python-control's state space."""
-        if self.kind == CONTINUOUS:
-            return control.StateSpace(self.A, self.B, self.gain, 0)
-        A, B = augmented(self.A, self.B, self.B_late, self.timing)
+        A, B = self._steered()
         C = np.zeros((len(self.gain), len(A)))
-        C[:, : self.gain.shape[1]] = self.gain
-        return control.StateSpace(A, B, C, 0, self.timing.period_s)
+        C[:, : len(self._kept)] = self._steered_gain
+        return control.StateSpace(A, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
 
     def closed_system(self) -> control.StateSpace:
         """Return the closed loop from commands added to the law's to the state x, as python-control's state space."""
-        late = (self.A, self.B) if self.kind == CONTINUOUS else augmented(self.A, self.B, self.B_late, self.timing)
-        C = np.eye(self.gain.shape[1], len(late[0]))
-        return control.StateSpace(self.matrix, late[1], C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
+        A, B = self._steered()
+        C = np.eye(len(self._kept), len(A))
+        return control.StateSpace(self.matrix, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
 
     def plant(self, frequency_hz: np.ndarray) -> np.ndarray:
         """Return G (n, 2 n_s, n_u), commands to the state, at frequencies [Hz].
@@ -330,24 +342,25 @@ def channel_effort(point: OperatingPoint, channel: int) -> tuple[np.ndarray, np.
     With one degree of freedom this is the actuator's effort. With several it is the effort on the coordinate: row i of E
     measures it, and column i of E^-1 applies one unit to it and none to the other coordinates.
     """
-    if point.mechanism.dof == 1:
+    channels = list(point.mechanism.channels)
+    if len(channels) == 1:
         return np.ones(1), np.ones(1)
-    effort_map = np.array(point.mechanism.dynamics.effort_map(point.pose))
-    return effort_map[channel], np.linalg.inv(effort_map)[:, channel]
+    effort_map = np.array(point.mechanism.dynamics.effort_map(point.pose))[channels]
+    i = channels.index(channel)
+    return effort_map[i], np.linalg.inv(effort_map)[:, i]
 
 
 def channel_unit(point: OperatingPoint, channel: int) -> str:
     """Return the unit of the effort at which a coordinate's loop is broken."""
-    if point.mechanism.dof == 1:
+    if len(point.mechanism.channels) == 1:
         return point.mechanism.actuators[0].unit
     return "N.m" if point.mechanism.independent_joints[channel].kind == "hinge" else "N"
 
 
 def broken_at(mechanism: Mechanism, channel: int) -> str:
     """Return the name of the effort at which a coordinate's loop is broken."""
-    return (
-        mechanism.actuators[0].name if mechanism.dof == 1 else f"the effort on {mechanism.independent_joints[channel].name}"
-    )
+    single = len(mechanism.channels) == 1
+    return mechanism.actuators[0].name if single else f"the effort on {mechanism.independent_joints[channel].name}"
 
 
 def quantity_unit(point: OperatingPoint, quantity: str, channel: int) -> str:

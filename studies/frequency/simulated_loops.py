@@ -12,7 +12,6 @@ from linkplan.controllers.imperfections.imperfections import Drives
 from linkplan.controllers.imperfections.plant import Plant, prepare
 from linkplan.controllers.mujoco_plant import MujocoStepper, simulation_conditions
 from linkplan.controllers.sampling import Sampling
-from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 
@@ -52,9 +51,6 @@ class SimulatedLoops:
         under_way: commands (p, n, n_u) of the last p = `timing.memory` periods before the start, or one (n, n_u) for all.
         timing: period, simulator steps, delay.
         effort_limit: (n_u, 2) [N.m or N].
-
-    Raises:
-        ModelError: for a mechanism with ball or free joints.
     """
 
     def __init__(
@@ -68,11 +64,6 @@ class SimulatedLoops:
         timing: Sampling,
         effort_limit: np.ndarray,
     ) -> None:
-        if not mechanism.coordinates.trivial:
-            raise ModelError(
-                f"mechanism '{mechanism.name}': frequency responses are simulated on hinges and slides only; it has ball or"
-                " free joints"
-            )
         model = copy.copy(mechanism.model)
         prepare(model, mechanism, timing.timestep_s, np.array(effort_limit))
         rates = joint_rates(mechanism, np.asarray(pose), np.asarray(velocity))

@@ -28,7 +28,7 @@ class Trials:
 
 
 def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MAX_TRIAL_PERIODS) -> Trials:
-    """Simulate loops of one timing in MuJoCo after a small kick to every independent joint, and judge which settle."""
+    """Simulate loops of one timing in MuJoCo after a small kick to every joint with a loop, and judge which settle."""
     mechanism, timing, n = loops[0].point.mechanism, loops[0].timing, len(loops)
     n_s = mechanism.dof
     state = np.array([loop.point.state for loop in loops])
@@ -40,7 +40,7 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
     batch = SimulatedLoops(
         mechanism,
         pose=np.array([loop.point.pose for loop in loops]),
-        velocity=np.repeat(kick[:, None], n_s, axis=1),
+        velocity=kick[:, None] * mechanism.steered,
         gain=np.array([loop.gain for loop in loops]),
         under_way=hold,
         timing=timing,
@@ -53,7 +53,7 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
         x, _ = batch.run(active, reference, push)
         speed = np.full(n, np.inf)
         with np.errstate(invalid="ignore"):
-            now = np.abs(x[:, :, n_s:]).max(axis=(0, 2))
+            now = np.abs(x[:, :, n_s:][:, :, mechanism.steered]).max(axis=(0, 2))
         speed[active] = np.where(np.isfinite(now), now, np.inf)
         history.append(speed)
         log_speed = np.log(np.maximum(np.array(history)[:, active], 1e-300))

@@ -25,13 +25,12 @@ GRAVITY_M_S2 = 9.81
 def driven_columns(mechanism: Mechanism) -> np.ndarray:
     """Return the columns of the independent coordinates on which actuators act, without passive ones."""
     arms = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1)
-    passive = {column for column, index in enumerate(mechanism.independent) if int(index) in mechanism.passive_dofs}
-    return np.array([k for k, arm in enumerate(arms) if arm > 1e-9 * arms.max() and k not in passive], dtype=int)
+    return np.flatnonzero((arms > 1e-9 * arms.max()) & mechanism.steered)
 
 
 def rests_by_itself(mechanism: Mechanism, column: int) -> bool:
     """Tell if a coordinate is passive or held by springs, so that a motion does not name it."""
-    return int(mechanism.independent[column]) in mechanism.passive_dofs or column in sprung_freedoms(mechanism)
+    return not mechanism.steered[column] or column in sprung_freedoms(mechanism)
 
 
 def hanging_columns(mechanism: Mechanism) -> list[int]:

@@ -1,0 +1,44 @@
+"""Feedback loops of mechanisms whose rods spin between ball joints: a spin has no loop, and moves nothing else."""
+
+import re
+
+import pytest
+
+import linkplan
+from tests.support.linkages import RSSR
+from tests.support.parallel_ankle import ankle_text
+
+HINGES = r'<joint name="rod_pitch_(\w+)" axis="0 1 0"/>\s*<joint name="rod_roll_\w+" axis="1 0 0"/>'
+SETTINGS = {"kp": 100.0, "kd": 3.0, "period_s": 5e-4}
+
+
+def ankle(*, balls: bool) -> linkplan.Mechanism:
+    """Return an ankle without dry friction, with two motors and two rods, on universal or on ball joints."""
+    text = re.sub(r'\s*frictionloss="[\d.]+"', "", ankle_text())
+    return linkplan.load_mechanism(re.sub(HINGES, r'<joint name="\1" type="ball" damping="5e-4"/>', text) if balls else text)
+
+
+@pytest.mark.slow
+def test_an_ankle_on_ball_joints_has_the_loops_of_one_on_universal_joints():
+    with_spins = ankle(balls=True)
+    assert (with_spins.dof, with_spins.n_u) == (4, 2)
+    spun = linkplan.bode(with_spins, tracking=SETTINGS, frequency_hz=[40.0, 120.0])
+    plain = linkplan.bode(ankle(balls=False), tracking=SETTINGS, measure=None)
+    assert spun.stable
+    assert spun.poses == plain.poses == ("motor_left = 0 deg, motor_right = 0 deg",)
+    assert spun.lti().nstates == plain.lti().nstates == 4
+    assert all(abs(pole) < 1.0 for pole in spun.lti(closed=True).poles())
+    for ours, theirs in zip(spun.study.points, plain.study.points, strict=True):
+        assert ours.margins.phase_margin_deg == pytest.approx(theirs.margins.phase_margin_deg, abs=0.1)
+        assert ours.margins.disk_margin == pytest.approx(theirs.margins.disk_margin, rel=2e-3)
+        assert ours.settles_in_mujoco
+    assert spun.study.worst_deviation[0] < 0.01  # [dB], measured in MuJoCo
+
+
+@pytest.mark.slow
+def test_a_spatial_four_bar_on_balls_has_a_single_loop(tmp_path):
+    loop = linkplan.bode(linkplan.load_mechanism(RSSR), tracker="lqr", measure=None)
+    assert loop.stable
+    assert loop.poses == ("crank = 0 deg",)
+    loop.plot(tmp_path / "bode.png")
+    assert (tmp_path / "bode.png").is_file()
