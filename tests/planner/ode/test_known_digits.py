@@ -217,7 +217,7 @@ def test_a_plan_that_failed_has_neither_objective_nor_duration():
         problem, duration_s=2.0, rate=lambda x, u, p, t: [x[1], u[0] - ca.sin(5 * x[0])], mesh=coarse  # noqa: ARG005
     )  # fmt: skip
     for plan in (plan_ode(problem), plan_ode(missed)):
-        assert plan.status == "failed"
+        assert plan.status == "failed", plan.message
         assert plan.trajectory is not None  # a motion that does not do is shown, not claimed
         assert (plan.objective, plan.objective_error, plan.duration_s) == (None, None, None)
 

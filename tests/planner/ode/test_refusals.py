@@ -214,10 +214,9 @@ def test_an_integrated_state_that_misses_its_tolerance_is_said():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("longest", [INF, 1e9])
-def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so(longest):
+def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so():
     """Rest to rest over 1 in T costs 12 / T^3."""
-    plan = planned(duration_s=(0.1, longest), effort_limit=[[-INF, INF]], running_cost=squared_effort, final_cost=None)
+    plan = planned(duration_s=(0.1, 1e9), effort_limit=[[-INF, INF]], running_cost=squared_effort, final_cost=None)
     assert plan.status == "failed"
     assert "the objective is unbounded in the duration, the longer the motion the better" in plan.message
     assert "bound duration_s from above" in plan.message
