@@ -115,7 +115,8 @@ def _scale(values: np.ndarray) -> float:
 def quantities(path: KinematicLoopPath) -> list[Column]:
     """Return the quantities of the table in their order: ratios, inertias, efforts, singularity, closure forces."""
     mechanism = path.mechanism
-    independent, actuators = list(enumerate(mechanism.independent_joints)), list(enumerate(mechanism.actuators))
+    independent = [(k, mechanism.independent_joints[k]) for k in mechanism.channels]
+    actuators = list(enumerate(mechanism.actuators))
     rows: list[tuple[str, str, np.ndarray, float]] = []  # head, unit, values, scale
     acting = acts(path)
     for j, actuator in actuators:
@@ -143,7 +144,8 @@ def _inertias(path: KinematicLoopPath) -> list[tuple[str, str, np.ndarray, float
     own = path.reduced_inertia.diagonal(axis1=1, axis2=2)
     same, actuators = _same(own, path.reflected_inertia), path.mechanism.actuators
     rows = []
-    for i, joint in enumerate(path.mechanism.independent_joints):
+    for i in path.mechanism.channels:
+        joint = path.mechanism.independent_joints[i]
         also = "".join(f" = at {actuator.name}" for j, actuator in enumerate(actuators) if same[j] == i)
         rows.append((f"inertia {joint.name}{also}", inertia_unit(joint), own[:, i], _scale(own[:, i])))
     for j, actuator in enumerate(actuators):

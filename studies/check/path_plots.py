@@ -104,9 +104,9 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     mechanism, (axis, x) = path.mechanism, over(path)
     order = rising_order(x)
     x = x[order]
-    joints = list(enumerate(mechanism.independent_joints))
-    if path.coordinate is not None and mechanism.dof > MAX_COORDINATES_DRAWN:
-        joints = [joints[path.coordinate]]
+    own_only = path.coordinate is not None and mechanism.dof > MAX_COORDINATES_DRAWN
+    shown = (path.coordinate,) if own_only else mechanism.channels
+    joints = [(k, mechanism.independent_joints[k]) for k in shown]
 
     def own(values: np.ndarray, unit, suffix: str = "") -> list[Line]:
         return [_line(f"{joint.name}{suffix}", values[:, i], unit(joint)) for i, joint in joints]
