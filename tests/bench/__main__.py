@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from tests.bench.c_code import bench_c
 from tests.bench.ensemble import bench_ensemble
 from tests.bench.loop import bench_loop
 from tests.bench.measurement import bench_measurement
@@ -29,6 +30,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "loop": bench_loop,
     "ensemble": bench_ensemble,
     "measurement": bench_measurement,
+    "c": bench_c,
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),
 }
