@@ -71,7 +71,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
             f"no <transmission>, which carries a constant of one joint: {why}; transmission.hpp and the tables carry it"
         )
     if transfer.carried.motor_speed is None or not np.isfinite(_speeds(transfer)).all():
-        found.append(f"speed limits are {_UNKNOWN_SPEED} where the motors' speeds are unknown (--motor-speed gives them)")
+        found.append(f"speed limits are {_UNKNOWN_SPEED} where no speeds of the motors are given")
     lacking = {
         "springs of joints": bool(np.any(model.jnt_stiffness)),
         "closures of other loops": model.neq > 0,

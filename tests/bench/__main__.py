@@ -12,6 +12,7 @@ from tests.bench.c_code import bench_c
 from tests.bench.ensemble import bench_ensemble
 from tests.bench.loop import bench_loop
 from tests.bench.measurement import bench_measurement
+from tests.bench.mpc import bench_mpc
 from tests.bench.packages import between_nodes
 from tests.bench.peer import bench_peer, bench_plans
 from tests.bench.precision import bench_precision
@@ -31,6 +32,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "ensemble": bench_ensemble,
     "measurement": bench_measurement,
     "c": bench_c,
+    "mpc": bench_mpc,
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),
 }
