@@ -21,7 +21,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "extras", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_text",
+        "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload", "model_text",
         "model_values", "urdf", "urdf_loops", "selection",
         "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
         "source_table", "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses",
@@ -46,7 +46,12 @@ MOST_ARROWS = 20
 # The root of the public package: installed as `linkplan` itself, above everything.
 PUBLIC = ROOT / "studies" / "package"
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-TRANSCRIPTION_MAY = {"linkplan.models.deadline", "linkplan.models.errors", "linkplan.models.names"}
+TRANSCRIPTION_MAY = {
+    "linkplan.models.compiled.functions",
+    "linkplan.models.deadline",
+    "linkplan.models.errors",
+    "linkplan.models.names",
+}
 
 
 def module_of(path: Path) -> str:

@@ -38,8 +38,10 @@ class MPC:
     `alone` (n, blocks n_u, m): map from an error to the LQR's corrections at the beginning of each block. `ahead`
     (n, blocks + 1): instants at which the blocks begin. `begin` (n, n_q + n_s) and `mean` (n, n_u): the reference's (q, v)
     and mean effort of a block that begins at an instant. `own` (n, n_q + n_s): the predicted (q, v) after it.
-    `effort_limit` (n_u, 2). `kept` (m,): indices of the controlled states in
-    x = (s, v). The memory is NaN while the LQR acts.
+    `effort_limit` (n_u, 2). `room` (n, 2, blocks n_u): limits of the corrections of the blocks that begin at an instant.
+    `bounds` (n, 2, n_u + blocks n_u): those of the LQR's effort and corrections, beyond which corrections are improved.
+    `kept` (m,): indices of the controlled states in x = (s, v). `weights`: Q and R of a block. The memory is NaN while the
+    LQR acts.
     """
 
     reference: SampledReference
@@ -50,8 +52,10 @@ class MPC:
     mean: np.ndarray
     own: np.ndarray
     effort_limit: np.ndarray
+    room: np.ndarray
+    bounds: np.ndarray
     kept: np.ndarray
-    periods: int
+    weights: tuple[np.ndarray, np.ndarray]
     predictor: Predictor
     name: str = "mpc"
 
@@ -65,54 +69,52 @@ class MPC:
         error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)[:, self.kept]
         effort = reference.effort[k] - times(self.regulator.gains[at], error)
         # The first row is the effort that the LQR applies now, the others are its corrections in the blocks.
-        room = self._room(at)
-        low, high = (np.concatenate(limits) for limits in zip(self.effort_limit.T, room, strict=True))
         predicted, next_memory = np.hstack([effort, times(self.alone[at], error)]), self.start(len(position))
-        # Efforts beyond a limit by this share of the range between the limits are rounding.
-        slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
-        for row in np.flatnonzero(np.any((predicted < low - slack) | (predicted > high + slack), axis=1)):
+        low, high = self.bounds[at]
+        for row in np.flatnonzero(((predicted < low) | (predicted > high)).any(axis=1)):
             before = predicted[row, effort.shape[1] :] if np.isnan(memory[row, 0]) else memory[row]
-            found = self._improved(k, position[row], velocity[row], np.clip(before, *room))
+            found = self._improved(k, position[row], velocity[row], before)
             if found is not None:
                 next_memory[row], effort[row] = found, self._applied(k, found[: effort.shape[1]])
         return effort, next_memory
 
-    def _room(self, at: int) -> np.ndarray:
-        """Return the limits (2, blocks n_u) of the corrections of the blocks that begin at an instant."""
-        mean = self.mean[self.ahead[at, :-1]]
-        return np.stack([(limit - mean).ravel() for limit in self.effort_limit.T])
-
     def _applied(self, k: int, correction: np.ndarray) -> np.ndarray:
         """Return the effort (n_u,) that uses the share of its room that the first correction (n_u,) uses of the mean's."""
-        about, limit = self.reference.effort[k], np.where(correction < 0, *self.effort_limit.T)
+        about, limit = self.reference.effort[k], np.where(correction < 0, self.effort_limit[:, 0], self.effort_limit[:, 1])
         room = limit - self.mean[k % len(self.ahead)]
         limited = np.isfinite(room)
         share = np.divide(correction, room, out=np.where(limited, 0.0, 1.0), where=limited & (room != 0))
         return about + np.clip(share, 0.0, 1.0) * np.where(limited, limit - about, correction)
 
-    def _improved(self, k: int, s: np.ndarray, v: np.ndarray, corrections: np.ndarray) -> np.ndarray | None:
-        """Return improved corrections (blocks n_u,) from one state, or None where no motion or no program is found.
+    def _improved(self, k: int, s: np.ndarray, v: np.ndarray, before: np.ndarray) -> np.ndarray | None:
+        """Return corrections (blocks n_u,) from one state that improve those `before`, or None where none are found.
 
         A prediction fails for example beyond the poses where the loop closes.
         """
         reference, at = self.reference, k % len(self.ahead)
-        blocks, found = self.ahead[at, :-1], self.regulator
+        blocks, room = self.ahead[at, :-1], self.room[at]
+        corrections = np.minimum(np.maximum(before, room[0]), room[1])
         # If a cycle advances by whole turns, subtract the turns made so far.
         s = s - (reference.position[k] - reference.position[at])
         hessian, gradient, gap = evaluated(
             self.predictor.program, reference.pose[at], s, v,
             self.begin[blocks].T, self.mean[blocks].T, self.own[blocks].T, corrections.reshape(HORIZON_BLOCKS, -1).T,
-            self.periods * found.Q, self.periods * found.R, found.cost[self.ahead[at, -1]],
+            *self.weights, self.regulator.cost[self.ahead[at, -1]],
         )  # fmt: skip
         if not (gap.item() <= MAX_LOOP_GAP_M and np.isfinite(hessian).all() and np.isfinite(gradient).all()):
             return None
-        low, high = self._room(at) - corrections
+        low, high = room - corrections
         change, _, flag, _ = daqp.solve(hessian.T, gradient.ravel(), np.empty((0, len(low))), high, low)
         return corrections + change if flag > 0 and np.isfinite(change).all() else None
 
 
 def mpc(
-    mechanism: Mechanism, reference: SampledReference, errors: Errors, horizon_s: float, effort_limit: np.ndarray
+    mechanism: Mechanism,
+    reference: SampledReference,
+    errors: Errors,
+    horizon_s: float,
+    effort_limit: np.ndarray,
+    compile_mode: str = "auto",
 ) -> MPC:
     """Return the MPC tracker of a reference.
 
@@ -122,6 +124,8 @@ def mpc(
         errors: errors and efforts of unit cost.
         horizon_s: length of the prediction [s], rounded up to blocks of whole control periods.
         effort_limit: (n_u, 2) [N.m or N].
+        compile_mode: "auto" compiles the program of the prediction in the background from the second use on, "always" at
+            once, "never" interprets it, with the same numbers ten times slower.
 
     Raises:
         LinkplanError: if no stabilising gain exists, or for an invalid horizon.
@@ -130,6 +134,7 @@ def mpc(
         raise LinkplanError(f"the horizon of mpc is a positive number of seconds, got {horizon_s:g}")
     found, kept = regulator(mechanism, reference, errors)
     n, m, n_u = found.B.shape
+    limits = np.array(effort_limit, dtype=float)
     loop = found.A - found.B @ found.gains
     periods = max(1, int(np.ceil(horizon_s / (HORIZON_BLOCKS * reference.period_s) - 1e-9)))
     way, mean, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, n_u)), np.arange(n)
@@ -142,7 +147,13 @@ def mpc(
         here = ahead[:, b]
         alone[:, b] = -found.gains[here] @ so_far
         so_far, ahead[:, b + 1] = way[here] @ so_far, at[here]
-    model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s)
+    corrected = mean[ahead[:, :-1]].reshape(n, -1)
+    room = np.stack([np.tile(end, HORIZON_BLOCKS) - corrected for end in limits.T], axis=1)
+    bounds = np.concatenate([np.tile(limits.T, (n, 1, 1)), room], axis=2)
+    # Efforts beyond a limit by this share of the range between the limits are rounding.
+    slack = 1e-9 * np.diff(bounds, axis=1) * [[-1], [1]]
+    bounds += np.where(np.isfinite(slack), slack, 0.0)
+    model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s, compile_mode)
     begin = np.hstack([reference.pose[:n], reference.velocity[:n]])
     return MPC(
         reference=reference,
@@ -152,8 +163,10 @@ def mpc(
         begin=begin,
         mean=mean,
         own=sampled(model.step, begin, mean)[:, :, 0],
-        effort_limit=np.array(effort_limit, dtype=float),
+        effort_limit=limits,
+        room=room,
+        bounds=bounds,
         kept=kept,
-        periods=periods,
+        weights=(periods * found.Q, periods * found.R),
         predictor=model,
     )

@@ -1,12 +1,15 @@
 """The quadratic program of a predicted motion: the reduced dynamics under held corrections, linearised along the motion."""
 
 import functools
+import hashlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
 from linkplan.controllers.trackers.closing import closed_near
+from linkplan.models.compiled.functions import compiled_as_asked, tools_hash
 from linkplan.models.mechanism import Mechanism
 
 # Evaluations of the dynamics in one Runge-Kutta step.
@@ -30,8 +33,19 @@ class Predictor:
     program: ca.Function
 
 
-def predictor(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: float) -> Predictor:
-    """Return the predictor of a mechanism's errors over blocks of a length [s], in the states `kept` (m,) of (s, v)."""
+def predictor(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: float, compile_mode: str = "auto") -> Predictor:
+    """Return the predictor of a mechanism's errors over blocks of a length [s], in the states `kept` (m,) of (s, v).
+
+    `compile_mode` is "auto", "always" or "never" (`models.compiled`); compiled functions give the same numbers.
+    """
+    found = _interpreted(mechanism, kept, blocks, block_s)
+    if compile_mode == "never":
+        return found
+    digest = hashlib.sha256(tools_hash(Path(__file__).parent) + found.program.serialize().encode())
+    return compiled_as_asked(f"k{digest.hexdigest()[:32]}", Predictor, lambda: found, compile_mode)
+
+
+def _interpreted(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: float) -> Predictor:
     n_q, n_s, n_u, m = mechanism.n_q, mechanism.dof, mechanism.n_u, len(kept)
     state, effort = ca.MX.sym("state", n_q + n_s), ca.MX.sym("effort", n_u)
     step = ca.Function("step", [state, effort], [runge_kutta(mechanism, state, effort, block_s)])

@@ -185,7 +185,7 @@ class SolverSection(Section, frozen=True):
     """Settings of the solver."""
 
     compile: Annotated[
-        kinds.Compile, key("C functions from the cache, compiled in the background of the second solve; or always; or never")
+        kinds.Compile, key("C functions, of mpc too, from the cache or compiled beside the second use; or always; or never")
     ] = "auto"
     max_time_s: Annotated[
         kinds.SolveTime, key("limit on the processor time of a whole plan: search, refinement, certificate", "s")

@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from linkplan.models.compiled.functions import compiler
 from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.interrupts import asked, solving
@@ -23,7 +24,6 @@ from linkplan.planner.solvers.outcome import (
     Solver,
 )
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
-from linkplan.planner.transcription.compiled import compiler
 from linkplan.planner.transcription.program import Program
 
 __all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "solve"]

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from linkplan.models.compiled.functions import CodeT, compiled_as_asked
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_in_background, compiled, node_key
+from linkplan.planner.transcription.compiled import chain_key, node_key
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, stretched_durations
 from linkplan.planner.transcription.interval import (
     ChainFunctions,
@@ -204,15 +205,8 @@ def _interval(
     at_once = mode == "always" or (mode == "auto" and n_intervals >= _MIN_COMPILED_INTERVALS)
 
     def code(kind: type[CodeT], key: str, build: Callable[[], CodeT]) -> CodeT:
-        found = None if mode == "never" else cached(key, kind)
-        if found is not None:
-            return found
-        if at_once:
-            return compiled(key, kind, build, deadline)
-        found = _built(_BuildRequest(key=(key, kind), by=build))
-        if mode == "auto":
-            compile_in_background(key, found)
-        return found
+        built = build if at_once else lambda: _built(_BuildRequest(key=(key, kind), by=build))
+        return compiled_as_asked(key, kind, built, "always" if at_once else mode, deadline)
 
     at_open_ends = open_end_path(chosen, rows)
     node = code(NodeFunctions, node_key(system, at_open_ends), lambda: build_node(system, at_open_ends))

@@ -194,7 +194,8 @@ def build_parser() -> Parser:
     text = f"one of {', '.join(f'{name} ({what})' for name, what in (FORMATS | FOLDER_FORMATS).items())}"
     export.add_argument("--to", required=True, metavar="FORMAT", help=text)
     _file(export, "the file to write; it must not be there; for c a folder", required=True)
-    export.add_argument("--joints", metavar="A,B", help="for ros: the output joints (default: the independent joints)")
+    text = "for ros, and for a model in c: the output joints as coordinates (default: the independent joints)"
+    export.add_argument("--joints", metavar="A,B", help=text)
     text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"
     export.add_argument("--tracker", default="pd+ff", metavar="NAME", help=text)
     text = "time between samples (default: ten samples in every interval of the plan's mesh)"

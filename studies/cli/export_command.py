@@ -23,8 +23,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
-    joints = [] if arguments.joints is None else [name.strip() for name in arguments.joints.split(",")]
-    content = exported(plan, arguments.to, arguments.every_s, joints)
+    content = exported(plan, arguments.to, arguments.every_s, _joints(arguments))
     write_new(target, content)
     said = {"file": str(target), "format": arguments.to, "bytes": len(content), "plan": plan.problem.name}
     show(arguments, said, f"{target}: {plan.problem.name}, {FORMATS[arguments.to]}")
@@ -37,8 +36,6 @@ def _export_c(arguments: argparse.Namespace) -> int:
     from linkplan.studies.export.c_blocks import cost_blocks
 
     choose("tracker for C", arguments.tracker, C_TRACKERS, ProblemError)
-    if arguments.joints is not None:
-        raise ProblemError("--joints is for ros; C code has the mechanism's own coordinates (mechanism.independent)")
     if arguments.every_s is not None:
         raise ProblemError("--every-s is for files of samples; a law in C has the instants of tracking.period_s")
     target, say = output_folder(arguments), progress(arguments)
@@ -47,6 +44,8 @@ def _export_c(arguments: argparse.Namespace) -> int:
     if Path(arguments.plan).is_dir() or tables_of(arguments.plan, [])[3]:
         from linkplan.studies.export.c_law import law_tables, write_law
 
+        if arguments.joints is not None:
+            raise ProblemError("--joints is for ros, and for a model in C; a plan's law has the plan's own coordinates")
         plan = plan_asked(arguments, say)
         if plan.trajectory is None:
             return no_plan(arguments, plan)
@@ -59,9 +58,13 @@ def _export_c(arguments: argparse.Namespace) -> int:
         from linkplan.planner.problem.build import mechanism_from_tables
         from linkplan.studies.export.c_files import write_model
         from linkplan.studies.export.c_model import model_code
+        from linkplan.studies.export.output_joints import with_outputs
 
         _, tables, folder, _ = tables_of(arguments.plan, arguments.set, selection_asked(arguments))
-        code = model_code(mechanism_from_tables(tables, folder))
+        mechanism = mechanism_from_tables(tables, folder)
+        if arguments.joints is not None:
+            mechanism = with_outputs(mechanism, _joints(arguments))
+        code = model_code(mechanism)
         say(f"{code.mechanism.name}: C code")
 
         def write(place: Path) -> None:
@@ -71,3 +74,7 @@ def _export_c(arguments: argparse.Namespace) -> int:
     write_whole(target, write, "export.json")
     show(arguments, said, cost_blocks(said, target))
     return DONE if passed else NO
+
+
+def _joints(arguments: argparse.Namespace) -> list[str]:
+    return [] if arguments.joints is None else [name.strip() for name in arguments.joints.split(",")]

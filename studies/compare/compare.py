@@ -175,6 +175,7 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
         _errors(plan, reference),
         plan.problem.tracking.horizon_s,
         np.array(plan.problem.limits.actuators_effort),
+        plan.problem.solver.compile,
     ),
 }
 

@@ -25,5 +25,7 @@ def cost_blocks(record: dict, target: Path) -> list[Block]:
         found.append(Text(text=text, tone="note"))
     rows = [[row["compiler"], row["real"], row["flash_bytes"], row["stack_bytes"]] for row in record["sizes"]]
     if rows:
-        found.append(table_of("Object code", ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"], rows))
+        without = f", without {', '.join(record['sizes_without'])}" if record.get("sizes_without") else ""
+        heads = ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"]
+        found.append(table_of(f"Object code{without}", heads, rows))
     return found

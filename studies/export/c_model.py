@@ -14,6 +14,8 @@ from linkplan.studies.export.c_text import MATH, block_comment, declared_array, 
 
 # Newton steps of a closure from the last pose: two leave 1e-9 after a stride of two degrees, three leave rounding.
 NEWTON_STEPS = 3
+# The function that a controller rarely needs, and that is longer than all others together.
+DERIVATIVES = "inverse_dynamics_derivatives"
 # States in the test vector.
 _VECTOR_LENGTH = 16
 
@@ -49,7 +51,7 @@ def model_code(mechanism: Mechanism, newton_steps: int = NEWTON_STEPS) -> ModelC
     gamma, still = dynamics.velocity_map(q), ca.SX.zeros(mechanism.dof)
     ratio, inertia = dynamics.effort_map(q).T, dynamics.reduced_inertia(q)
     effort = dynamics.inverse_dynamics(q, v, a)
-    slopes = [("effort_by_s", ca.jacobian(effort, q) @ gamma), ("effort_by_v", ca.jacobian(effort, v))]
+    slopes = ca.cse([ca.jtimes(effort, q, gamma), ca.jacobian(effort, v)])  # a third of the operations is common
     phi = dynamics.closure(q)
     size = ca.mmax(ca.fabs(phi)) if phi.numel() else ca.SX(0)
     inner = [
@@ -67,7 +69,7 @@ def model_code(mechanism: Mechanism, newton_steps: int = NEWTON_STEPS) -> ModelC
         "reduced_inertia": "M (N_S x N_S), and inertia times acceleration = M a",
         "bias": "effort at zero acceleration: gravity, Coriolis, springs, dampers, friction",
         "inverse_dynamics": "effort = M a + bias, that the actuators must put on the coordinates: G^T u = effort",
-        "inverse_dynamics_derivatives": "its derivatives (N_S x N_S) by s, the loops kept closed, and by v; by a it is M",
+        DERIVATIVES: "its derivatives (N_S x N_S) by s, the loops kept closed, and by v; by a it is M",
         "acceleration": "a = M^-1 (G^T u - bias)",
     }
     parts = {
@@ -76,7 +78,7 @@ def model_code(mechanism: Mechanism, newton_steps: int = NEWTON_STEPS) -> ModelC
         "reduced_inertia": ([("q", q)], [("inertia", inertia)]),
         "bias": ([("q", q), ("v", v)], [("effort", dynamics.inverse_dynamics(q, v, still))]),
         "inverse_dynamics": ([("q", q), ("v", v), ("a", a)], [("effort", effort)]),
-        "inverse_dynamics_derivatives": ([("q", q), ("v", v), ("a", a)], slopes),
+        DERIVATIVES: ([("q", q), ("v", v), ("a", a)], [("effort_by_s", slopes[0]), ("effort_by_v", slopes[1])]),
         "acceleration": ([("q", q), ("v", v), ("u", u)], [("a", dynamics.acceleration(q, v, u))]),
     }
     if mechanism.n_u == 0:
@@ -94,7 +96,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
     mechanism, upper = code.mechanism, code.prefix.upper()
     joints = [f"  q[{k}] {joint.name} [{_unit(joint)}]" for k, joint in enumerate(mechanism.joints)]
     joints += [
-        f"  s[{k}] {joint.name} [{_unit(joint)}], effort [{_effort(joint)}]"
+        f"  s[{k}] {joint.name} [{_unit(joint)}], effort [{_effort(joint)}]{_passive(mechanism, k)}"
         for k, joint in enumerate(mechanism.independent_joints)
     ]
     joints += [f"  u[{k}] {motor.name} [{motor.unit}]" for k, motor in enumerate(mechanism.actuators)]
@@ -105,6 +107,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
             "q: positions of all joints, s: of the independent ones, v = ds/dt, a = dv/dt, u: efforts of the actuators.",
             "Matrices are stored row by row. Arrays must not overlap. SI units. Nothing is allocated, no state is kept.",
             f"Numbers are double, or float where {upper}_FLOAT is defined (for this header and the source file).",
+            f"{code.prefix}_{DERIVATIVES} is left out where {upper}_WITHOUT_DERIVATIVES is defined.",
             "",
             *joints,
             "",
@@ -136,6 +139,10 @@ def source_text(code: ModelCode) -> str:
     """Return the source file."""
     mechanism, real = code.mechanism, code.real
     bodies = [("static " if k < len(code.inner) else "") + one.definition(real) for k, one in enumerate(code.functions)]
+    bodies = [
+        f"#ifndef {code.prefix.upper()}_WITHOUT_DERIVATIVES\n{body}#endif\n" if one.name.endswith(DERIVATIVES) else body
+        for body, one in zip(bodies, code.functions, strict=True)
+    ]
     lines = [f'#include "{code.prefix}.h"', "", MATH.format(upper=code.prefix.upper())]
     lines += [declared_array(f"const {real} {code.prefix}_home", mechanism.home, real), ""]
     lines += [helpers("".join(bodies), real), *bodies[: len(code.inner)], _close_text(code), *bodies[len(code.inner) :]]
@@ -182,6 +189,10 @@ def _close_text(code: ModelCode) -> str:
     lines = [_close_prototype(code), "{", f"  {real} step[{len(mechanism.dependent)}], gap[1];", "  int k;", *given]
     lines += [f"  for (k = 0; k < {code.newton_steps}; ++k) {{", f"    {prefix}_closure_step(q, step);", *moved, "  }"]
     return "\n".join([*lines, f"  {prefix}_closure_gap(q, gap);", "  return gap[0];", "}", ""])
+
+
+def _passive(mechanism: Mechanism, k: int) -> str:
+    return ", spins freely: any constant will do" if mechanism.independent[k] in mechanism.passive_dofs else ""
 
 
 def _unit(joint) -> str:

@@ -16,18 +16,18 @@ def joint_trajectory_text(samples: Samples, joints: Sequence[str] = ()) -> str:
     """Return the YAML of a trajectory_msgs/msg/JointTrajectory: the independent joints, in radians or metres.
 
     `effort` of a joint is the actuators' effort on that coordinate, Gamma^T B u [N.m or N]. For a motor on the joint it is
-    its torque times its gear. With `joints`, these output joints stand in place of the independent ones: there are as many,
-    and the power of their efforts is that of the actuators.
+    its torque times its gear. With `joints`, these output joints stand in place of the independent ones: there are as many
+    as degrees of freedom, rods' passive spins aside, and the power of their efforts is that of the actuators.
 
     Raises:
         LinkplanError: if the joints cannot be the mechanism's coordinates.
     """
     mechanism = samples.plan.problem.mechanism
     if joints:
-        if len(joints) != mechanism.dof:
-            raise ProblemError(f"joints are {mechanism.dof}, one for each degree of freedom, got {len(joints)}")
         shown = [mechanism.joint_index(name, ProblemError) for name in joints]
-        effort = _effort_on(with_outputs(mechanism, joints), samples, joints)
+        if len(joints) > mechanism.dof:
+            raise ProblemError(f"joints are {mechanism.dof}, one for each degree of freedom, got {len(joints)}")
+        effort = _effort_on(checked_outputs(with_outputs(mechanism, joints), joints), samples, joints)
     else:
         shown, effort = mechanism.independent.tolist(), samples.generalised_effort()
     names = [json.dumps(mechanism.joints[i].name, ensure_ascii=False) for i in shown]
@@ -54,6 +54,22 @@ def joint_trajectory_text(samples: Samples, joints: Sequence[str] = ()) -> str:
         begins.append(f"time_from_start: {{sec: {seconds}, nanosec: {rest}}}")
         lines += [f"  {'-' if first else ' '} {text}" for first, text in zip([True, *[False] * 4], begins, strict=True)]
     return "\n".join(lines) + "\n"
+
+
+def checked_outputs(outputs: Mechanism, joints: Sequence[str]) -> Mechanism:
+    """Return a mechanism whose coordinates are output joints and passive spins.
+
+    Raises:
+        ProblemError: if it has other coordinates.
+    """
+    passive = [outputs.joints[i].name for i in outputs.passive_dofs]
+    others = [joint.name for joint in outputs.independent_joints if joint.name not in (*joints, *passive)]
+    if others:
+        asked = outputs.dof - len(set(passive) - set(joints))
+        raise ProblemError(
+            f"joints are {asked}, one for each degree of freedom, got {len(joints)}; {', '.join(others)} would be left out"
+        )
+    return outputs
 
 
 def _effort_on(outputs: Mechanism, samples: Samples, joints: Sequence[str]) -> np.ndarray:

@@ -149,6 +149,23 @@ class TransferResult:
         """
         return self._serial().model.text
 
+    @property
+    def serial_urdf(self) -> str:
+        """The serial equivalent as URDF; where the ratio is constant it has a transmission.
+
+        What it cannot express is in `to_dict()["serial_urdf"]`.
+
+        Raises:
+            LinkplanError: if the linkage has none, with the reason.
+        """
+        from linkplan.studies.transfer.serial_urdf import urdf_notes, urdf_text
+
+        self._serial()
+        text = urdf_text(self.found)
+        if text is None:
+            raise LinkplanError(f"no URDF: {urdf_notes(self.found)[0]}")
+        return text
+
     def errors_along(self, time_s: Sequence[float] | np.ndarray, position: Rows) -> dict[str, np.ndarray]:
         """Return the errors of models without loops along a motion of the output joints, in N.m or N.
 

@@ -15,20 +15,23 @@ from linkplan.paths import path_of
 from linkplan.planner.plan import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.tracking import TrackingResult
+from linkplan.transfers import TransferResult
 
 if TYPE_CHECKING:
     from linkplan.studies.output.document import Report
     from linkplan.studies.render.render import Rendered
 
-Result = Plan | TrackingResult | BodeResult | TuneResult | ExperimentResult | DecompositionResult | CheckResult
+Result = (
+    Plan | TrackingResult | BodeResult | TuneResult | ExperimentResult | DecompositionResult | CheckResult | TransferResult
+)
 
 
 def report(result: Result | str | Path, path: str | Path) -> Path:
     """Write a result's report, one HTML file that opens offline, and return its path.
 
     Args:
-        result: of `plan`, `track`, `compare`, `bode`, `tune`, `experiment`, `decompose` or `check`; or a folder in which a
-            command or `save` wrote one.
+        result: of `plan`, `track`, `compare`, `bode`, `tune`, `experiment`, `decompose`, `check` or `transfer`; or a folder
+            in which a command or `save` wrote one.
         path: of the file. An older report is replaced, any other file is refused.
 
     Raises:
@@ -58,6 +61,7 @@ def _document(result: object) -> Report:
         (ExperimentResult, lambda one: reports.experiment_report(one.outcome)),
         (DecompositionResult, lambda one: reports.decomposition_report(one.decomposition)),
         (CheckResult, lambda one: reports.check_report(one.found)),
+        (TransferResult, lambda one: reports.transfer_report(one.found)),
     ]
     for kind, document in kinds:
         if isinstance(result, kind):

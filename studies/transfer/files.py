@@ -10,12 +10,13 @@ from linkplan.studies.output.figure import figure_of
 from linkplan.studies.transfer.columns import columns_of, inverse_columns, npz_arrays
 from linkplan.studies.transfer.cpp_header import cpp_header
 from linkplan.studies.transfer.serial_study import along_columns
+from linkplan.studies.transfer.serial_urdf import urdf_text
 from linkplan.studies.transfer.study import Transfer
 from linkplan.studies.transfer.transfer_blocks import transfer_plots
 
 
 def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> None:
-    """Write tables, serial.xml, along.csv, transmission.hpp and transfer.png into a folder, as far as there are any.
+    """Write tables, serial.xml, serial.urdf, along.csv, transmission.hpp and transfer.png, as far as there are any.
 
     With `parquet`, the tables are written as Parquet too.
     """
@@ -30,6 +31,9 @@ def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> No
             (place / f"{name}.parquet").write_bytes(parquet_bytes(columns, about))
     if transfer.serial is not None:
         (place / "serial.xml").write_text(transfer.serial.model.text, encoding="utf-8")
+        urdf = urdf_text(transfer)
+        if urdf is not None:
+            (place / "serial.urdf").write_text(urdf, encoding="utf-8")
         if transfer.serial.errors is not None:
             (place / "along.csv").write_bytes(csv_bytes(along_columns(transfer.serial)))
     (place / "transmission.hpp").write_text(cpp_header(transfer), encoding="utf-8")

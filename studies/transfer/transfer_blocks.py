@@ -10,6 +10,7 @@ from linkplan.studies.output.document import Axis, Block, Curve, Facts, Plane, P
 from linkplan.studies.output.lines import Line, overlaid_width, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.transfer.serial_study import error_plots, serial_blocks, serial_record
+from linkplan.studies.transfer.serial_urdf import urdf_notes, urdf_record
 from linkplan.studies.transfer.study import Transfer
 from linkplan.studies.transfer.units import units_of
 
@@ -37,6 +38,7 @@ def transfer_blocks(transfer: Transfer) -> list[Block]:
         _error_table(transfer),
         *[Text(text=note, tone="note") for note in notes(transfer)],
         *serial_blocks(transfer.serial, transfer.serial_note),
+        *([] if transfer.serial is None else [Text(text=f"URDF: {note}", tone="note") for note in urdf_notes(transfer)]),
         *table_plots(transfer),
     ]
 
@@ -104,6 +106,7 @@ def transfer_record(transfer: Transfer) -> dict:
         },
         "serial": None if transfer.serial is None else serial_record(transfer.serial, transfer.outputs.mechanism),
         "serial_note": transfer.serial_note,
+        "serial_urdf": None if transfer.serial is None else urdf_record(transfer),
         "notes": notes(transfer),
     }
 

@@ -8,10 +8,12 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from tests.bench.c_code import bench_c
 from tests.bench.ensemble import bench_ensemble
 from tests.bench.explore import bench_explore
 from tests.bench.loop import bench_loop
 from tests.bench.measurement import bench_measurement
+from tests.bench.mpc import bench_mpc
 from tests.bench.packages import between_nodes
 from tests.bench.peer import bench_peer, bench_plans
 from tests.bench.precision import bench_precision
@@ -31,6 +33,8 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "ensemble": bench_ensemble,
     "explore": bench_explore,
     "measurement": bench_measurement,
+    "c": bench_c,
+    "mpc": bench_mpc,
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),
 }

@@ -10,11 +10,13 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.solvers import solve as solving
 from linkplan.planner.solvers.solve import build_solver, run_solver
+from tests.bench import c_code
 from tests.bench import sizes as bench_sizes
 from tests.bench.__main__ import PARTS, between_nodes, main
 from tests.bench.opti_peer import build_peer, drift
 from tests.bench.shares import Timed, timed_solves
 from tests.bench.timing import GOAL, START, first_program, medians_s
+from tests.support.compiled import needs_gcc
 from tests.support.planar import random_planar
 from tests.support.plans import problem_of
 from tests.support.tolerances_planner import ROUNDING
@@ -125,3 +127,12 @@ def test_the_exponent_of_a_power_law_is_its_own():
     ]
     assert bench_sizes.exponent(sizes, "build_s") == pytest.approx(1.25)
     assert bench_sizes.exponent(sizes, "solve_s") == pytest.approx(0.0, abs=ROUNDING)
+
+
+@needs_gcc
+def test_exported_c_is_measured_where_it_computes_what_casadi_computes(monkeypatch):
+    monkeypatch.setattr(c_code, "STATES", 50)
+    each, off = c_code.measured(load_mechanism("slider-crank"))
+    assert off < 1e-12
+    assert set(each) == {"C", "close", "CasADi", "CasADi in C", "mj_inverse"}
+    assert each["mj_inverse"] > each["C"]

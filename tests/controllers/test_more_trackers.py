@@ -13,14 +13,19 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.lqr import discretise, linearise
+from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS
 from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.prediction import predictor
 from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.models.compiled.functions import compiler
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.machines import run_alone, run_machines
 from tests.support.plans import optimal
 from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 
 MORE = ("lqi", "gs-pd+ff", "ct", "mpc")
 PERIOD = 1e-3
@@ -269,6 +274,26 @@ def test_mpc_answers_as_lqr_where_slopes_along_the_motion_ahead_are_beyond_numbe
     overflowing = replace(law.predictor, program=ca.Function("program", given, [ca.inf * hessian, *others]))
     found, _ = replace(law, predictor=overflowing).step(60, position, velocity, law.start(12))
     np.testing.assert_array_equal(found, lqr)
+
+
+@needs_compiler
+def test_a_compiled_prediction_gives_the_interpreted_one_s_efforts_to_the_last_bit(monkeypatch, tmp_path):
+    monkeypatch.setenv("LINKPLAN_CACHE", str(tmp_path))
+    law, mechanism = tracker_of("mpc", "knee-sprint", 1e-4), optimal("knee-sprint").problem.mechanism
+    laws = {
+        mode: replace(law, predictor=predictor(mechanism, law.kept, HORIZON_BLOCKS, 5e-3, mode))
+        for mode in ("always", "never")
+    }
+    assert laws["always"].predictor.program.class_name() == "External"
+    assert laws["never"].predictor.program.class_name() == "MXFunction"
+    again = predictor(mechanism, law.kept, HORIZON_BLOCKS, 5e-3)  # found in the cache
+    assert again.program.class_name() == "External"
+    for k in (100, 600):
+        position, velocity = states_about("knee-sprint", k // 10, 6, 0.1)
+        (fast, ahead), (slow, interpreted) = (one.step(k, position, velocity, one.start(6)) for one in laws.values())
+        assert np.isfinite(ahead).all(axis=1).any()  # programs were solved
+        np.testing.assert_array_equal(fast, slow)
+        np.testing.assert_array_equal(ahead, interpreted)
 
 
 def test_mpc_follows_a_plan_with_a_switch_as_modelled():

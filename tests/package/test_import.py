@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PUBLIC = ROOT / "studies" / "package"
 HEAVY = {"casadi", "mujoco", "numpy", "scipy", "matplotlib", "control"}
 # Strings of the library that hold a dash and are no message: what is handed to a compiler.
-NO_MESSAGES = {"compiled.py"}
+NO_MESSAGES = {"functions.py"}
 
 
 def loaded_by(code: str) -> set[str]:

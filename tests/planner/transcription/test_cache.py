@@ -10,12 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linkplan.models.deadline import Deadline
-from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.transcription import cache
-from linkplan.planner.transcription import compiled as module
-from linkplan.planner.transcription.cache import (
+from linkplan.models.compiled import cache
+from linkplan.models.compiled import functions as module
+from linkplan.models.compiled.cache import (
     cache_folder,
     evict,
     find_entry,
@@ -24,7 +21,10 @@ from linkplan.planner.transcription.cache import (
     trusted_folder,
     work_folder,
 )
-from linkplan.planner.transcription.compiled import cached, compiled, compiler
+from linkplan.models.compiled.functions import cached, compiled, compiler
+from linkplan.models.deadline import Deadline
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.transcription.node import NodeFunctions, build_node
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")

@@ -8,10 +8,10 @@ import warnings
 import numpy as np
 import pytest
 
+from linkplan.models.compiled.cache import wanted_again
+from linkplan.models.compiled.functions import cached, compile_in_background, compiler
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.transcription.cache import wanted_again
-from linkplan.planner.transcription.compiled import cached, compile_in_background, compiler
 from linkplan.planner.transcription.node import NodeFunctions, build_node
 from tests.support.tolerances_planner import ROUNDING
 
@@ -57,7 +57,7 @@ def test_one_process_at_a_time_compiles_a_key(functions):
 
 @pytest.mark.usefixtures("folder")
 def test_nobody_is_warned_of_a_process_that_is_left_to_itself(functions, monkeypatch):
-    monkeypatch.setattr("linkplan.planner.transcription.compiled.compiler", lambda: ("sleep", "1", ";"))
+    monkeypatch.setattr("linkplan.models.compiled.functions.compiler", lambda: ("sleep", "1", ";"))
     compile_in_background("k1", functions)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -68,7 +68,7 @@ def test_nobody_is_warned_of_a_process_that_is_left_to_itself(functions, monkeyp
 
 @pytest.mark.usefixtures("folder")
 def test_a_compiler_that_fails_leaves_no_litter(folder, functions, monkeypatch):
-    monkeypatch.setattr("linkplan.planner.transcription.compiled.compiler", lambda: ("false",))
+    monkeypatch.setattr("linkplan.models.compiled.functions.compiler", lambda: ("false",))
     compile_in_background("k1", functions)
     assert compile_in_background("k1", functions).wait() == 1
     assert sorted(path.name for path in folder.iterdir()) == ["k1.begun", "k1.wanted"]

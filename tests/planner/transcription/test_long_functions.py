@@ -7,7 +7,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription import compiled, node
+from linkplan.models.compiled import functions as compiled
+from linkplan.planner.transcription import node
 from tests.support.tolerances_planner import ROUNDING
 
 

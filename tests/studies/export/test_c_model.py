@@ -1,6 +1,7 @@
 """A mechanism in C against Python on ten thousand random states: double to rounding, float to the bound that is stated."""
 
 import functools
+import json
 import shutil
 import subprocess
 import tempfile
@@ -10,23 +11,29 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.cli.main import main
 from linkplan.studies.export import c_files
 from linkplan.studies.export.c_blocks import cost_blocks
 from linkplan.studies.export.c_files import write_model
-from linkplan.studies.export.c_model import ModelCode, model_code, random_states
+from linkplan.studies.export.c_model import ModelCode, header_text, model_code, random_states
 from linkplan.studies.export.c_operations import in_single_precision, operations
 from linkplan.studies.export.c_source import function_of, identifier
+from linkplan.studies.export.output_joints import with_outputs
+from linkplan.studies.export.ros import checked_outputs
 from linkplan.studies.output.text import text_of
 from tests.support import parallel_ankle
 from tests.support.compiled import called, library, needs_gcc, symbols
 from tests.support.cortex import needs_cortex, run_on_cortex
+from tests.support.pages import blocks
 
 # C against CasADi, relative to the largest value: rounding in another order. Measured 3e-15.
 C_DOUBLE = 1e-12
 STATES = 10_000
+BIPED_PAGE = Path(__file__).parents[3] / "docs" / "serial-equivalent.md"
 
 
 @functools.cache
@@ -140,6 +147,44 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
     assert "too long" in text_of(cost_blocks(record, tmp_path))
 
 
+@needs_gcc
+def test_long_derivatives_may_be_left_out_and_are_then_not_measured(monkeypatch, tmp_path):
+    code, _, whole = exported("optimus-knee")
+    others = [row for row in whole["functions"] if not row["function"].endswith("derivatives")]
+    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", sum(sum(row["operations"].values()) for row in others))
+    monkeypatch.setattr(c_files, "COMPILERS", {"gcc": ["-O2"]})
+    record = write_model(code, tmp_path)
+    assert record["sizes_without"] == ["optimus_knee_inverse_dynamics_derivatives"]
+    assert whole["sizes_without"] == []
+    assert record["sizes"][0]["flash_bytes"] < 0.8 * whole["sizes"][0]["flash_bytes"]
+    assert "without optimus_knee_inverse_dynamics_derivatives" in text_of(cost_blocks(record, tmp_path))
+
+
+def test_a_model_in_the_coordinates_of_its_output_joints(tmp_path, monkeypatch):
+    monkeypatch.setattr(c_files, "COMPILERS", {})
+    assert main(["export", "optimus-knee", "--to", "c", "--joints", "C", "-o", str(tmp_path / "c")]) == 0
+    header = (tmp_path / "c" / "optimus_knee.h").read_text()
+    assert "s[0] C [rad]" in header
+    record = json.loads((tmp_path / "c" / "export.json").read_text())
+    (row,) = [row for row in record["functions"] if row["function"].endswith("_transmission")]
+    assert row["operations"]["multiplications"] > 10  # the linkage's G, not the motor's
+
+
+def test_spins_of_rods_are_named_and_are_no_output_joints(tmp_path):
+    (text,) = [block.text for block in blocks(BIPED_PAGE) if block.marks.get("file") == "biped.xml"]
+    (tmp_path / "biped.xml").write_text(text)
+    table = {"model": str(tmp_path / "biped.xml"), "keep": ["left/ankle"], "fix_base": True}
+    toes = ["left/toe-pitch", "left/toe-roll"]
+    mechanism = with_outputs(mechanism_from_tables({"mechanism": table}), toes)
+    code = model_code(mechanism)
+    header = header_text(code, [])
+    assert header.count("spins freely") == 2
+    assert "s[3] left/toe-roll [rad], effort [N.m]\n" in header
+    assert checked_outputs(mechanism, toes) is mechanism
+    with pytest.raises(ProblemError, match=r"joints are 2.*got 1; left/toe-roll would be left out"):
+        checked_outputs(mechanism, toes[:1])
+
+
 def test_operations_are_counted_and_carried_out_in_single_precision():
     x = ca.SX.sym("x", 2)
     y = ca.sin(x[0]) * x[1] / (x[0] + 2) + ca.if_else(x[1] > 0, ca.sqrt(x[0]), ca.fabs(x[1]))
@@ -179,6 +224,8 @@ def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
         (["optimus-knee", "--to", "c++"], "unknown format 'c++'"),
         (["knee-reach", "--to", "c", "--tracker", "mpc"], "legal: pd, pd+ff, lqr, gs-pd+ff"),
         (["knee-reach", "--to", "c", "--every-s", "0.1"], "--every-s"),
+        (["knee-reach", "--to", "c", "--joints", "C"], "the plan's own coordinates"),
+        (["optimus-knee", "--to", "c", "--joints", "Q"], "'Q'"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):

@@ -1,6 +1,6 @@
 """A separate process that compiles the functions written by a planner and puts the library into the cache.
 
-    python -m linkplan.planner.transcription.finish_compiling FOLDER WORK KEY TIMEOUT_S COMMAND...
+    python -m linkplan.models.compiled.finish_compiling FOLDER WORK KEY TIMEOUT_S COMMAND...
 
 The process loads neither CasADi nor numpy, has a low priority, holds the lock of WORK, and removes WORK at its end.
 """
@@ -14,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from linkplan.planner.transcription.cache import evict, keep_entry
+from linkplan.models.compiled.cache import evict, keep_entry
 
 
 def run_with_children(command: list[str], work: Path | None, timeout_s: float) -> None:

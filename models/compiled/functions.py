@@ -1,0 +1,227 @@
+"""Compiled functions: CasADi writes C, the machine's compiler builds it, and a cache keeps the library by a key.
+
+CasADi's interpreter is about ten times slower on long expressions than compiled code. The functions of one library are the
+fields of a dataclass, whose other fields are kept with them. The key hashes what the functions compute and the tools that
+compile them (`tools_hash`), so a cached library is found before the functions are built. Without a usable cache (`cache.py`)
+or a compiler, the functions are interpreted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import casadi as ca
+
+from linkplan.models.compiled.cache import (
+    detached_work_folder,
+    evict,
+    find_entry,
+    keep_entry,
+    mark_used,
+    sweep,
+    trusted_folder,
+    wanted_again,
+    work_folder,
+)  # fmt: skip
+from linkplan.models.compiled.finish_compiling import run_with_children
+from linkplan.models.deadline import NO_DEADLINE, Deadline, waiting_for_child
+from linkplan.models.errors import one_line
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+# The functions of one library.
+CodeT = TypeVar("CodeT", bound="DataclassInstance")
+# -O1 compiles in half the time of -O2, and its straight-line code is as fast. Products and sums are not fused, so compiled
+# functions give exactly the interpreter's numbers, and a plan does not depend on the state of the cache.
+_FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
+# Larger sources (a leg of thirteen joints has seven million bytes) take minutes with optimisation and seconds with -O0.
+# Their code is then three times as fast as the interpreter's instead of ten.
+_LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
+# Time after which a hanging compiler is ended; these functions compile in seconds.
+_COMPILER_TIMEOUT_S = 120.0
+# Functions with more instructions do not compile within that time: writing three million takes 27 s.
+_MAX_INSTRUCTIONS = 2_000_000
+# The sources that write the C code: this package.
+_SOURCES = sorted(Path(__file__).parent.glob("*.py"))
+
+
+@functools.cache
+def compiler() -> tuple[str, ...] | None:
+    """Return the command of the C compiler ($CC, cc, gcc or clang), or None if no compiler is installed."""
+    wanted = os.environ.get("CC")
+    for candidate in [wanted] if wanted else ["cc", "gcc", "clang"]:
+        words: list[str] = []
+        with contextlib.suppress(ValueError):  # unclosed quotes
+            words = shlex.split(candidate)
+        if words and shutil.which(words[0]):
+            return tuple(words)
+    return None
+
+
+@functools.cache
+def tools_hash(folder: Path) -> bytes:
+    """Return a hash of what compiled functions depend on: CasADi, the compiler and its flags, and the sources.
+
+    The sources are those that write C and those of `folder`, which determine the expressions.
+    """
+    digest = hashlib.sha256()
+    for path in (*_SOURCES, *sorted(folder.glob("*.py"))):
+        digest.update(path.read_bytes())
+    command = compiler() or ()
+    digest.update(repr((ca.__version__, command, _FLAGS, os.uname().machine if hasattr(os, "uname") else "")).encode())
+    for word in command:  # the compiler's file identifies its version without starting a process
+        with contextlib.suppress(OSError):
+            program = Path(shutil.which(word) or "").resolve()
+            if program.is_file():
+                found = program.stat()
+                digest.update(repr((str(program), found.st_size, found.st_mtime_ns)).encode())
+    return digest.digest()
+
+
+def cached(key: str, kind: type[CodeT]) -> CodeT | None:
+    """Return the compiled functions kept under a key, or None if they are missing or cannot be loaded."""
+    try:
+        folder = trusted_folder(make=False)
+        sweep(folder)
+        found = (folder / f"{key}.so").stat()
+        return _loaded(folder, key, kind, (found.st_ino, found.st_size, found.st_mtime_ns))
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError):
+        return None
+
+
+@functools.lru_cache(maxsize=64)
+def _loaded(folder: Path, key: str, kind: type[CodeT], file: tuple[int, ...]) -> CodeT | None:
+    """Return the functions of a library, loaded once as long as its file is unchanged."""
+    del file
+    entry = find_entry(folder, key)
+    if entry is None:
+        return None
+    mark_used(folder, key)
+    library, record = entry
+    functions = {name: ca.external(name, str(library)) for name in record.pop("functions")}
+    return kind(**functions, **record)
+
+
+def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: Deadline = NO_DEADLINE) -> CodeT:
+    """Return functions from the cache or compile them; if that fails, return interpreted functions.
+
+    The compiler may use half of the time until `deadline`.
+    """
+    found = cached(key, kind)
+    if found is not None:
+        return found
+    functions = build()
+    left = 0.5 * deadline.left_s
+    if compiler() is None or left <= 0 or _is_endless(functions):
+        return functions
+    try:
+        folder = trusted_folder(make=True)
+        with work_folder(folder) as work:
+            record, command = _written(functions, work, key)
+            with waiting_for_child():
+                run_with_children(command, work, min(_COMPILER_TIMEOUT_S, left))
+            library = keep_entry(work / f"{key}.so", record, folder, key)
+        evict(folder, key)
+        return replace(functions, **{name: ca.external(name, str(library)) for name in _names(functions)})
+    except (OSError, subprocess.SubprocessError, RuntimeError) as error:
+        if isinstance(error, subprocess.TimeoutExpired) and left < _COMPILER_TIMEOUT_S:  # the deadline ended it
+            return functions
+        # A full disk or a broken compiler makes the functions slower but not wrong.
+        warnings.warn(f"functions are interpreted, compiling them failed: {one_line(error)}", RuntimeWarning, stacklevel=2)
+        return functions
+
+
+def compiled_as_asked(
+    key: str, kind: type[CodeT], build: Callable[[], CodeT], mode: str, deadline: Deadline = NO_DEADLINE
+) -> CodeT:
+    """Return functions compiled as a mode asks for: "always", "never", or "auto".
+
+    "auto" takes them from the cache, or interpreted while a second wish for them has them compiled in the background.
+    """
+    if mode == "always":
+        return compiled(key, kind, build, deadline)
+    found = None if mode == "never" else cached(key, kind)
+    if found is not None:
+        return found
+    found = build()
+    if mode == "auto":
+        compile_in_background(key, found)
+    return found
+
+
+def _names(functions: DataclassInstance) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(functions) if isinstance(getattr(functions, field.name), ca.Function))
+
+
+class _DetachedProcess(subprocess.Popen):
+    """A process that nobody waits for: deleting the object while it runs gives no warning."""
+
+    def __del__(self) -> None:
+        super().__del__(_warn=lambda *_, **__: None)
+
+
+def compile_in_background(key: str, functions: DataclassInstance) -> subprocess.Popen | None:
+    """Compile functions in a separate process if they were wanted before; return the process.
+
+    The first request only leaves a mark in the cache, because functions that are used once are not worth compiling. A later
+    request, in this process or another, starts the compilation. Without a compiler or disk space nothing happens.
+    """
+    if compiler() is None or _is_endless(functions):
+        return None
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        folder = trusted_folder(make=True)
+        if not wanted_again(folder, key):
+            return None
+        work, lock = detached_work_folder(folder)
+        try:
+            record, command = _written(functions, work, key)
+            (work / f"{key}.record").write_text(json.dumps(record), encoding="utf-8")
+            # -P: Python does not import from the current folder.
+            finish = [sys.executable, "-P", "-m", "linkplan.models.compiled.finish_compiling"]
+            nothing, passed = subprocess.DEVNULL, () if lock is None else (lock,)
+            # A new session: an interrupt of the planner does not end it. It inherits the lock of the work folder.
+            return _DetachedProcess(
+                [*finish, str(folder), str(work), key, str(_COMPILER_TIMEOUT_S), *command],
+                stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True, pass_fds=passed,
+            )  # fmt: skip
+        finally:
+            if lock is not None:
+                os.close(lock)
+    return None
+
+
+def _is_endless(functions: DataclassInstance) -> bool:
+    """Check whether functions are too long to compile within the timeout."""
+    return sum(getattr(functions, name).n_instructions() for name in _names(functions)) > _MAX_INSTRUCTIONS
+
+
+def _written(functions: DataclassInstance, work: Path, key: str) -> tuple[dict, list[str]]:
+    """Write the functions as C into a folder; return their record for the cache and the command that compiles them."""
+    generator, names = ca.CodeGenerator(f"{key}.c"), _names(functions)
+    for name in names:
+        generator.add(getattr(functions, name))
+    generator.generate(f"{work}{os.sep}")
+    flags = _FLAGS if (work / f"{key}.c").stat().st_size <= _LARGE_BYTES else _LARGE_FLAGS
+    command = [*(compiler() or ()), *flags, f"{key}.c", "-o", f"{key}.so", "-lm"]
+    record: dict[str, object] = {"functions": list(names)}
+    for field in fields(functions):
+        value = getattr(functions, field.name)
+        if field.name.endswith("pattern"):
+            record[field.name] = [part.tolist() for part in value]
+        elif field.name not in names and value is not None:
+            record[field.name] = value
+    return record, command
