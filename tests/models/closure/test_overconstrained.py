@@ -106,8 +106,8 @@ def test_forces_are_mujocos_least_norm_ones_all_round(name):
         assert relative_error(force, hard) < RANDOM_LIMIT
 
 
-# Three parallel cranks on one bar; a slide on a diagonal follows a crank, and a second slide is pinned to the first. The pin's
-# x and z rows are one row twice at every pose, within loops that are solved by all their rows.
+# Three parallel cranks on one bar; a slide on a diagonal follows a crank, and a second slide is pinned to the first. The
+# pin's x and z rows are one row twice at every pose, within loops that are solved by all their rows.
 REPEATED_ROWS = """<mujoco model="diagonal"><default><geom contype="0" conaffinity="0" size=".01"/></default><worldbody>
   <body><joint name="A" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .1"/>
     <body name="bar" pos="0 0 .1"><joint name="B" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .4 0 0"/></body></body>

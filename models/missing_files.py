@@ -1,0 +1,65 @@
+"""Meshes and textures of an MJCF file that are not on disk. Published models often come without them.
+
+A mesh that is only drawn or touched is left out with its geoms. A mesh that gives its body a mass cannot be: the model is
+refused then, because its dynamics would be others.
+"""
+
+from pathlib import Path
+
+import mujoco
+
+from linkplan.models.errors import ModelError
+
+_OPENING = "opening file"
+
+
+def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...]:
+    """Delete the meshes and textures whose files are not there, and return a note that names them.
+
+    Args:
+        spec: a parsed MJCF file.
+        folder: the file's folder.
+
+    Raises:
+        ModelError: if a body has its mass from a mesh that is not there.
+    """
+    meshes = [mesh for mesh in spec.meshes if mesh.file and not _is_there(folder / spec.meshdir, mesh.file)]
+    textures = [
+        texture for texture in spec.textures if texture.file and not _is_there(folder / spec.texturedir, texture.file)
+    ]
+    if not (meshes or textures) or not _fails_for_a_file(spec):
+        return ()
+    names = [mesh.file for mesh in meshes] + [texture.file for texture in textures]
+    for mesh in meshes:
+        for geom in [geom for geom in spec.geoms if geom.meshname == mesh.name]:
+            _refuse_lost_mass(geom, mesh)
+            spec.delete(geom)
+        spec.delete(mesh)
+    gone = {texture.name for texture in textures}
+    for material in spec.materials:
+        material.textures = ["" if name in gone else name for name in material.textures]
+    for texture in textures:
+        spec.delete(texture)
+    return (f"files that are not there are left out with what they draw: {', '.join(dict.fromkeys(names))}",)
+
+
+def _is_missing(folder: Path, name: str) -> bool:
+    return bool(name) and not any(place.is_file() for place in (folder / name, Path(name), folder / Path(name).name))
+
+
+def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:
+    try:
+        spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        return _OPENING in str(error)
+    return False
+
+
+def _refuse_lost_mass(geom: mujoco.MjsGeom, mesh: mujoco.MjsMesh) -> None:
+    body = geom.parent
+    if body.name == "world" or body.explicitinertial or geom.mass == 0 or geom.density == 0:
+        return
+    raise ModelError(
+        f"body '{body.name}' has its mass from mesh '{mesh.file}', which is not there; put the file there, or give the body"
+        " an <inertial>"
+    )

@@ -1,0 +1,195 @@
+"""Published models from file to report: `python -m tests.bench.published FOLDER`, which holds `models.toml` and the models.
+
+Each entry of `models.toml` has a `name`, a `file` in the folder and, for a part of a robot, `options`, the command line's
+own (`["--keep", "left-hip-roll", "--fix-base"]`). A model goes through check, new, plan, compare and report without an
+editor; the table has its freedoms beside the rank of MuJoCo's own constraint Jacobian, processor times, the tracking error,
+and the distance of the plan's efforts from a projection of MuJoCo's mass matrix, bias and passive forces.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import tomllib
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from linkplan.models.errors import LinkplanError, one_line
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import read_plan
+
+# Processor time [s] after which a command is ended.
+_MOST_TIME_S = 120
+# Singular values below this share of the largest are a file's rounding.
+_ROUNDING_SHARE = 1e-6
+
+
+@dataclass(slots=True)
+class Row:
+    """A model's row: freedoms by linkplan and by MuJoCo, processor times [s] by command, errors, a verdict."""
+
+    name: str
+    freedoms: int | None = None
+    freedoms_by_rank: int | None = None
+    time_s: dict[str, float] = field(default_factory=dict)
+    tracking_deg: float | None = None
+    effort_error: float | None = None
+    verdict: str = ""
+
+
+def constraint_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return MuJoCo's Jacobian (n, nv) of the active equalities at the data's pose."""
+    mujoco.mj_forward(model, data)
+    rows = np.zeros((data.nefc, model.nv))
+    if mujoco.mj_isSparse(model):
+        mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    else:
+        rows[:] = data.efc_J.reshape(data.nefc, model.nv)
+    return rows[: data.ne]
+
+
+def freedoms_by_rank(mechanism: Mechanism) -> int:
+    """Return nv less the rank of MuJoCo's constraint Jacobian at home, by singular values."""
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = mechanism.qpos_of(mechanism.home)
+    rows = constraint_jacobian(mechanism.model, data)
+    values = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(1)
+    return mechanism.model.nv - int(np.sum(values > _ROUNDING_SHARE * max(values.max(), 1e-300)))
+
+
+def effort_error(plan: Plan, n: int = 41) -> float:
+    """Return the largest distance of a plan's generalised efforts from N^T (M q'' + h - passive), over their peak.
+
+    N spans the null space of MuJoCo's constraint Jacobian. q'' is a difference quotient of the planned speeds.
+    """
+    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    model = mechanism.model
+    data, step = mujoco.MjData(model), 1e-5 * trajectory.duration_s
+    times = np.linspace(0.02, 0.98, n) * trajectory.duration_s
+    grid = np.sort(np.concatenate([times - step, times, times + step, [0.0]]))
+    poses = follow(mechanism, trajectory.position_at(grid), trajectory.start_pose)[1:]
+    speeds = trajectory.velocity_at(grid)[1:]
+    distance, peak = 0.0, 0.0
+    for k, time in enumerate(times):
+        rates = []
+        for j in range(3 * k, 3 * k + 3):
+            full = np.array(mechanism.dynamics.velocity_map(poses[j])) @ speeds[j]
+            rates.append(mechanism.qvel_of(poses[j], full))
+        q, v = poses[3 * k + 1], rates[1]
+        data.qpos[:], data.qvel[:], data.act[:] = mechanism.qpos_of(q), v, 0.0
+        null = null_space(constraint_jacobian(model, data))
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        friction = model.dof_frictionloss * np.tanh(v / mechanism.friction_transition)
+        needed = mass @ ((rates[2] - rates[0]) / (2 * step)) + data.qfrc_bias - data.qfrc_passive + friction
+        moment = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        effort = trajectory.effort_at(np.array([time]))[0]
+        given = sum(u * moment[actuator.index] for u, actuator in zip(effort, mechanism.actuators, strict=True))
+        distance = max(distance, float(np.abs(null.T @ (needed - given)).max()))
+        peak = max(peak, float(np.abs(null.T @ given).max()), float(np.abs(null.T @ data.qfrc_bias).max()))
+    return distance / max(peak, 1e-300)
+
+
+def null_space(rows: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (nv, n_s) of the velocities that constraint rows (n, nv) allow."""
+    if not rows.size:
+        return np.eye(rows.shape[1])
+    _, values, right = np.linalg.svd(rows)
+    return right[int(np.sum(values > _ROUNDING_SHARE * values.max())) :].T
+
+
+def command(row: Row, *words: str) -> tuple[int, str]:
+    """Run a command of linkplan; return its exit code and its last line, and note its processor time."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-m", "linkplan", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (_MOST_TIME_S, _MOST_TIME_S)),
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    row.time_s[words[0]] = round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1)
+    lines = (done.stderr.strip() or done.stdout.strip()).splitlines()
+    return done.returncode, next((line for line in reversed(lines) if line.strip()), "")
+
+
+def tracking_error_deg(folder: Path) -> float | None:
+    """Return the least largest position error [deg] among the nominal runs of a comparison's folder."""
+    found = json.loads((folder / "comparison.json").read_text()) if (folder / "comparison.json").is_file() else {}
+    errors = [value for key, value in _walk(found) if key.startswith("max_error") and isinstance(value, float)]
+    return min(errors, default=None)
+
+
+def _walk(value: object) -> list[tuple[str, object]]:
+    if isinstance(value, dict):
+        return [pair for key, one in value.items() for pair in [(key, one), *_walk(one)]]
+    return [pair for one in value for pair in _walk(one)] if isinstance(value, list) else []
+
+
+def go_through(entry: dict, folder: Path) -> Row:
+    """Return the row of one entry of `models.toml`."""
+    row, model = Row(name=entry["name"]), str(folder / entry["file"])
+    options = list(entry.get("options", []))
+    with tempfile.TemporaryDirectory() as scratch:
+        place = Path(scratch)
+        command(row, "check", model, *options, "-o", str(place / "checked"))
+        code, said = command(row, "new", model, *options, "-o", str(place / "first.toml"))
+        row.verdict = "planned" if code == 0 else f"new: {said}"
+        if (place / "first.toml").is_file():
+            table = tomllib.loads((place / "first.toml").read_text())["mechanism"]
+            _add_freedoms(row, table | {"model": model})
+        if code == 0:
+            _planned(row, place)
+    return row
+
+
+def _add_freedoms(row: Row, table: dict) -> None:
+    from linkplan.planner.problem.build import mechanism_from_tables
+
+    try:
+        mechanism = mechanism_from_tables({"mechanism": table}) if len(table) > 1 else load_mechanism(table["model"])
+    except LinkplanError as error:
+        row.verdict = one_line(error)
+        return
+    row.freedoms, row.freedoms_by_rank = mechanism.dof, freedoms_by_rank(mechanism)
+
+
+def _planned(row: Row, place: Path) -> None:
+    plan = str(place / "planned")
+    for words in (
+        ("plan", str(place / "first.toml"), "-o", plan),
+        ("compare", plan, "-o", str(place / "compared")),
+        ("report", str(place / "compared"), "-o", str(place / "report.html")),
+    ):
+        code, said = command(row, *words)
+        if code == 1 and words[0] == "compare":
+            row.verdict += f"; compare: {said}"
+        elif code:
+            row.verdict = f"{words[0]}: {said}"
+            return
+    row.tracking_deg = tracking_error_deg(place / "compared")
+    row.effort_error = effort_error(read_plan(plan))
+
+
+def main() -> None:
+    """Print a JSON object a line for each model."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("names", nargs="*", help="of the models; default: all")
+    asked = parser.parse_args()
+    for entry in tomllib.loads((asked.folder / "models.toml").read_text())["model"]:
+        if not asked.names or entry["name"] in asked.names:
+            print(json.dumps(asdict(go_through(entry, asked.folder))), flush=True)
+
+
+if __name__ == "__main__":
+    main()
