@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 
 from linkplan.models.errors import ModelError
+from linkplan.models.users import delete_geoms
 
 _OPENING = "opening file"
 
@@ -23,17 +24,16 @@ def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...
     Raises:
         ModelError: if a body has its mass from a mesh that is not there.
     """
-    meshes = [mesh for mesh in spec.meshes if mesh.file and not _is_there(folder / spec.meshdir, mesh.file)]
-    textures = [
-        texture for texture in spec.textures if texture.file and not _is_there(folder / spec.texturedir, texture.file)
-    ]
+    meshes = [mesh for mesh in spec.meshes if _is_missing(folder / spec.meshdir, mesh.file)]
+    textures = [texture for texture in spec.textures if _is_missing(folder / spec.texturedir, texture.file)]
     if not (meshes or textures) or not _fails_for_a_file(spec):
         return ()
     names = [mesh.file for mesh in meshes] + [texture.file for texture in textures]
     for mesh in meshes:
-        for geom in [geom for geom in spec.geoms if geom.meshname == mesh.name]:
+        geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
+        for geom in geoms:
             _refuse_lost_mass(geom, mesh)
-            spec.delete(geom)
+        delete_geoms(spec, geoms)
         spec.delete(mesh)
     gone = {texture.name for texture in textures}
     for material in spec.materials:

@@ -26,7 +26,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan
 
 # Processor time [s] after which a command is ended.
-_MOST_TIME_S = 120
+_MOST_TIME_S = 60
 # Singular values below this share of the largest are a file's rounding.
 _ROUNDING_SHARE = 1e-6
 
@@ -124,15 +124,10 @@ def command(row: Row, *words: str) -> tuple[int, str]:
 
 def tracking_error_deg(folder: Path) -> float | None:
     """Return the least largest position error [deg] among the nominal runs of a comparison's folder."""
-    found = json.loads((folder / "comparison.json").read_text()) if (folder / "comparison.json").is_file() else {}
-    errors = [value for key, value in _walk(found) if key.startswith("max_error") and isinstance(value, float)]
-    return min(errors, default=None)
-
-
-def _walk(value: object) -> list[tuple[str, object]]:
-    if isinstance(value, dict):
-        return [pair for key, one in value.items() for pair in [(key, one), *_walk(one)]]
-    return [pair for one in value for pair in _walk(one)] if isinstance(value, list) else []
+    if not (folder / "compare.json").is_file():
+        return None
+    runs = json.loads((folder / "compare.json").read_text())["trackers"].values()
+    return min((run["max_error_deg"] for run in runs if run.get("max_error_deg") is not None), default=None)
 
 
 def go_through(entry: dict, folder: Path) -> Row:
