@@ -1,4 +1,4 @@
-"""Meshes and textures of an MJCF file that are not on disk. Published models often come without them.
+"""What an MJCF file names and does not have: meshes and textures that were not published with it, geoms of its scene.
 
 A mesh that is only drawn or touched is left out with its geoms. A mesh that gives its body a mass cannot be: the model is
 refused then, because its dynamics would be others.
@@ -26,8 +26,9 @@ def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...
     """
     meshes = [mesh for mesh in spec.meshes if _is_missing(folder / spec.meshdir, mesh.file)]
     textures = [texture for texture in spec.textures if _is_missing(folder / spec.texturedir, texture.file)]
+    notes = _without_lost_pairs(spec)
     if not (meshes or textures) or not _fails_for_a_file(spec):
-        return ()
+        return notes
     names = [mesh.file for mesh in meshes] + [texture.file for texture in textures]
     for mesh in meshes:
         geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
@@ -40,7 +41,20 @@ def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...
         material.textures = ["" if name in gone else name for name in material.textures]
     for texture in textures:
         spec.delete(texture)
-    return (f"files that are not there are left out with what they draw: {', '.join(dict.fromkeys(names))}",)
+    return (
+        *notes,
+        f"files that are not there are left out with what they draw: {', '.join(dict.fromkeys(names))}",
+    )
+
+
+def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Delete the pairs for contact with geoms of another file, such as a scene's floor, and return a note on them."""
+    there = {geom.name for geom in spec.geoms}
+    lost = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= there]
+    names = sorted({name for pair in lost for name in (pair.geomname1, pair.geomname2)} - there)
+    for pair in lost:
+        spec.delete(pair)
+    return (f"pairs for contact with geoms of other files are left out: {', '.join(names)}",) if lost else ()
 
 
 def _is_missing(folder: Path, name: str) -> bool:

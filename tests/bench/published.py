@@ -65,36 +65,33 @@ def freedoms_by_rank(mechanism: Mechanism) -> int:
 
 
 def effort_error(plan: Plan, n: int = 41) -> float:
-    """Return the largest distance of a plan's generalised efforts from N^T (M q'' + h - passive), over their peak.
+    """Return the largest distance of a plan's inverse dynamics from G^T (M q'' + h - passive), over their peak.
 
-    N spans the null space of MuJoCo's constraint Jacobian. q'' is a difference quotient of the planned speeds.
+    The columns of G span the null space of MuJoCo's constraint Jacobian, one for each independent coordinate; q'' is a
+    difference quotient of the planned speeds.
     """
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
-    model = mechanism.model
+    model, dynamics = mechanism.model, mechanism.dynamics
     data, step = mujoco.MjData(model), 1e-5 * trajectory.duration_s
     times = np.linspace(0.02, 0.98, n) * trajectory.duration_s
     grid = np.sort(np.concatenate([times - step, times, times + step, [0.0]]))
     poses = follow(mechanism, trajectory.position_at(grid), trajectory.start_pose)[1:]
-    speeds = trajectory.velocity_at(grid)[1:]
+    speeds, accelerations = trajectory.velocity_at(grid)[1:], trajectory.acceleration_at(times)
     distance, peak = 0.0, 0.0
-    for k, time in enumerate(times):
-        rates = []
-        for j in range(3 * k, 3 * k + 3):
-            full = np.array(mechanism.dynamics.velocity_map(poses[j])) @ speeds[j]
-            rates.append(mechanism.qvel_of(poses[j], full))
-        q, v = poses[3 * k + 1], rates[1]
-        data.qpos[:], data.qvel[:], data.act[:] = mechanism.qpos_of(q), v, 0.0
-        null = null_space(constraint_jacobian(model, data))
+    for k in range(n):
+        around = [(poses[j], speeds[j]) for j in range(3 * k, 3 * k + 3)]
+        before, v, after = (mechanism.qvel_of(q, np.array(dynamics.velocity_map(q)) @ s) for q, s in around)
+        q, s = around[1]
+        data.qpos[:], data.qvel[:] = mechanism.qpos_of(q), v
+        basis = null_space(constraint_jacobian(model, data))
+        by_joint = np.array([mechanism.rates_of(q, column)[mechanism.independent] for column in basis.T])
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
         friction = model.dof_frictionloss * np.tanh(v / mechanism.friction_transition)
-        needed = mass @ ((rates[2] - rates[0]) / (2 * step)) + data.qfrc_bias - data.qfrc_passive + friction
-        moment = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-        effort = trajectory.effort_at(np.array([time]))[0]
-        given = sum(u * moment[actuator.index] for u, actuator in zip(effort, mechanism.actuators, strict=True))
-        distance = max(distance, float(np.abs(null.T @ (needed - given)).max()))
-        peak = max(peak, float(np.abs(null.T @ given).max()), float(np.abs(null.T @ data.qfrc_bias).max()))
+        needed = mass @ ((after - before) / (2 * step)) + data.qfrc_bias - data.qfrc_passive + friction
+        projected = np.linalg.solve(by_joint, basis.T @ needed)
+        own = np.array(dynamics.inverse_dynamics(q, s, accelerations[k])).ravel()
+        distance, peak = max(distance, float(np.abs(projected - own).max())), max(peak, float(np.abs(own).max()))
     return distance / max(peak, 1e-300)
 
 

@@ -32,3 +32,13 @@ def test_a_mesh_whose_mass_a_body_needs_is_not_left_out(tmp_path):
     file.write_text(ARM.format(inertial=""))
     with pytest.raises(ModelError, match=r"body 'arm' has its mass from mesh 'shell\.stl'.*<inertial>"):
         compile_model(file)
+
+
+def test_contact_pairs_with_a_floor_of_another_file_are_left_out_and_named(tmp_path):
+    file = tmp_path / "arm.xml"
+    body = '<body><joint axis="0 1 0"/><geom name="foot" size=".1"/></body>'
+    pair = '<contact><pair geom1="floor" geom2="foot"/></contact>'
+    file.write_text(f"<mujoco><worldbody>{body}</worldbody>{pair}</mujoco>")
+    _, model, notes = compile_model(file)
+    assert model.npair == 0
+    assert any("floor" in note for note in notes)
