@@ -29,7 +29,8 @@ def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...
     notes = _without_lost_pairs(spec)
     if not (meshes or textures) or not _fails_for_a_file(spec):
         return notes
-    names = [mesh.file for mesh in meshes] + [texture.file for texture in textures]
+    names = list(dict.fromkeys(Path(one.file).name for one in (*meshes, *textures)))
+    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
     for mesh in meshes:
         geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
         for geom in geoms:
@@ -41,10 +42,8 @@ def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...
         material.textures = ["" if name in gone else name for name in material.textures]
     for texture in textures:
         spec.delete(texture)
-    return (
-        *notes,
-        f"files that are not there are left out with what they draw: {', '.join(dict.fromkeys(names))}",
-    )
+    said = f"files that are not there are left out with what they draw: {', '.join(names[:6])}{more}"
+    return (*notes, said)
 
 
 def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:

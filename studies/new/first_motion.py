@@ -320,8 +320,8 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
 
 
 def _is_large(mechanism: Mechanism) -> bool:
-    """Tell if a mechanism has the size of a robot's leg, so that each digit of the least objective costs seconds."""
-    return mechanism.n_q > 12 or mechanism.dof > 6
+    """Tell if a mechanism has the size of a robot's leg, or loops solved by all rows: each digit then costs seconds."""
+    return mechanism.n_q > 12 or mechanism.dof > 6 or bool(mechanism.projected)
 
 
 def _many_hang(mechanism: Mechanism) -> bool:
