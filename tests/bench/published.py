@@ -28,7 +28,7 @@ from linkplan.planner.plan_folder import read_plan
 # Processor time [s] after which a command is ended.
 _MOST_TIME_S = 60
 # Singular values below this share of the largest are a file's rounding.
-_ROUNDING_SHARE = 1e-6
+_ROUNDING_SHARE = 1e-5
 
 
 @dataclass(slots=True)
