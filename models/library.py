@@ -11,6 +11,7 @@ import numpy as np
 from linkplan.models.catalogue import MODELS as BUILT_IN
 from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text, is_there
 from linkplan.models.errors import ModelError, one_line
+from linkplan.models.missing_files import leave_out_missing_files
 from linkplan.models.model_text import MAX_MODEL_BYTES, refuse_oversized
 from linkplan.models.model_values import refuse_unusable
 from linkplan.models.names import nearest
@@ -79,7 +80,10 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     """Return a model's name, the specification of what is selected, and notes on what was left out."""
     name, spec = _read_spec(source)
     root = urdf_root(source)
-    notes = () if root is None else complete(spec, source, root)
+    if root is not None:
+        notes = complete(spec, source, root)
+    else:
+        notes = () if is_text(str(source)) or str(source) in BUILT_IN else leave_out_missing_files(spec, Path(source).parent)
     _name_all(spec.bodies, "body")
     if not selection:
         return name, spec, notes

@@ -13,6 +13,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
+from linkplan.models.users import delete_users, leave_the_ground
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -75,7 +76,12 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     locked = {j: position for j, position in locked.items() if int(model.jnt_bodyid[j]) not in dropped}
     kept = [j for j in range(model.njnt) if j not in locked and int(model.jnt_bodyid[j]) not in dropped]
     places = {model.joint(j).name: _slice(model, j) for j in kept}
-    notes = [*_lock(spec, model, locked, qpos), *_drop(spec, model, dropped), *(_off_the_ground(spec) if floating else ())]
+    away = {model.joint(j).name for j in range(model.njnt) if int(model.jnt_bodyid[j]) in dropped}
+    notes = [
+        *_lock(spec, model, locked, qpos, away),
+        *_drop(spec, model, dropped),
+        *(leave_the_ground(spec) if floating else ()),
+    ]
     for key in list(spec.keys):
         spec.delete(key)
     small = spec.compile()
@@ -240,7 +246,9 @@ def _slice(model: mujoco.MjModel, joint: int) -> slice:
     return slice(at, at + {FREE: 7, BALL: 4}.get(int(model.jnt_type[joint]), 1))
 
 
-def _lock(spec: mujoco.MjSpec, model: mujoco.MjModel, locked: Mapping[int, float | None], qpos: np.ndarray) -> list[str]:
+def _lock(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, locked: Mapping[int, float | None], qpos: np.ndarray, away: set[str]
+) -> list[str]:
     """Lock joints at positions, or at those of `qpos` (nq,); delete what acts on them, and return notes."""
     if not locked:
         return []
@@ -260,7 +268,7 @@ def _lock(spec: mujoco.MjSpec, model: mujoco.MjModel, locked: Mapping[int, float
             said.setdefault(_words(model, j, position), []).append(model.joint(j).name or f"of {model.body(body).name}")
         _place(spec.body(model.body(body).name), pose)
     gone = {model.joint(j).name for j in locked}
-    acting = _delete_users(spec, gone)
+    acting = delete_users(spec, gone, away)
     for name in gone:
         spec.delete(spec.joint(name))
     notes = ["locked: " + "; ".join(f"{', '.join(names)} {where}" for where, names in said.items())]
@@ -330,41 +338,6 @@ def _tie_to_sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             body.add_site(name=f"{name} anchor {which + 1}", pos=model.eq_data[index, 3 * which : 3 * which + 3])
         closure.objtype = mujoco.mjtObj.mjOBJ_SITE
         closure.name, closure.name1, closure.name2 = name, f"{name} anchor 1", f"{name} anchor 2"
-
-
-def _delete_users(spec: mujoco.MjSpec, joints: set[str]) -> list[str]:
-    """Delete the actuators and sensors on joints, and return the actuators' names.
-
-    Raises:
-        ModelError: if a tendon or an equality constraint uses one of the joints.
-    """
-    for tendon in spec.tendons:
-        for wrap in tendon.path:
-            if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT and wrap.target.name in joints:
-                raise ModelError(f"joint '{wrap.target.name}' cannot be locked: tendon '{tendon.name}' uses it")
-    for closure in spec.equalities:
-        used = joints & {closure.name1, closure.name2} if closure.objtype == mujoco.mjtObj.mjOBJ_JOINT else set()
-        if used:
-            raise ModelError(
-                f"joint '{min(used)}' cannot be locked: the coupling of joints {closure.name1} and"
-                f" {closure.name2 or 'none'} moves it; lock the other joint by it, or leave both free"
-            )
-    acting = [one for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_JOINT and one.target in joints]
-    names = [f"actuator {one.name or 'on ' + one.target}" for one in acting]
-    gone = {mujoco.mjtObj.mjOBJ_JOINT: joints, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
-    sensing = [one for one in spec.sensors if one.objname in gone.get(one.objtype, ())]
-    for one in [*acting, *sensing]:
-        spec.delete(one)
-    return names
-
-
-def _off_the_ground(spec: mujoco.MjSpec) -> list[str]:
-    """Delete the world's geoms, and return a note: a robot whose base is fixed stands on nothing."""
-    ground = list(spec.worldbody.geoms)
-    names = list(dict.fromkeys(geom.name or "geoms without a name" for geom in ground))
-    for geom in ground:
-        spec.delete(geom)
-    return [f"the base is fixed in the air: left out are the world's {', '.join(names)}"] if ground else []
 
 
 def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) -> list[str]:

@@ -79,15 +79,15 @@ def may_collide(model: mujoco.MjModel) -> bool:
 
 
 def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair, ...]:
-    """Return the pairs of geoms in contact at poses (n, n_q)."""
-    model = mechanism.model
+    """Return the pairs of geoms in contact at poses (n, n_q); surfaces that touch by rounding are not in contact."""
+    model, rounding = mechanism.model, FILE_ROUNDING_SHARE * mechanism.extent_m
     if not may_collide(model):
         return ()
     sample = _pose_sampler(mechanism, model)
     found: dict[Pair, list[tuple[int, float]]] = {}
     for k, one in enumerate(sample(poses)):
         for pair, (clearance, _) in one.clearance.items():
-            if clearance <= 0:
+            if clearance < -rounding:
                 found.setdefault(pair, []).append((k, -clearance))
     return tuple(
         ContactPair(

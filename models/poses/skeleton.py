@@ -1,5 +1,6 @@
 """A stick drawing of a mechanism: each body as the polygon of its pins."""
 
+import functools
 from dataclasses import dataclass
 
 import casadi as ca
@@ -42,6 +43,15 @@ def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarr
     A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
     in a moving body is drawn from that body's own pin. A body with a single pin is drawn to its centre of mass.
     """
+    found = {}
+    for body, function in _pin_functions(mechanism).items():
+        found[body] = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
+    return found
+
+
+@functools.lru_cache(maxsize=8)
+def _pin_functions(mechanism: Mechanism) -> dict[int, ca.Function]:
+    """Return the functions from q to a body's pins (3, n_pins), by body; a page draws hundreds of poses in turn."""
     model = mechanism.model
     tree = build_tree(model, mechanism.qpos_of(mechanism.reference))
     pins: dict[int, list[ca.SX]] = {}
@@ -67,11 +77,7 @@ def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarr
     for body, points in pins.items():
         if len(points) == 1 and body != 0:
             points.append(tree.point(body, np.array(model.body_ipos[body])))
-    found = {}
-    for body in sorted(pins):
-        function = ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*pins[body]))])
-        found[body] = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
-    return found
+    return {body: ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*pins[body]))]) for body in sorted(pins)}
 
 
 def _solid(model: mujoco.MjModel, body: int) -> int:

@@ -316,6 +316,6 @@ def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[list[int]])
             continue
         C = maps[0]
         block = np.zeros((len(of), n_rows))
-        block[:, kept] = C @ np.linalg.inv(C.T @ C)
+        block[:, kept] = np.linalg.pinv(C).T  # C (C^T C)^-1, also where chosen rows depend on one another
         spread[of] = np.where(np.abs(block) > 1e-12, block, 0.0)
     return ca.sparsify(ca.DM(spread))

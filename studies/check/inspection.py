@@ -28,8 +28,9 @@ from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE, Kinematic
 from linkplan.studies.check.softness import massless_findings, softness_note
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
-# A larger gap of a loop at the model's reference pose [m] is a fault of the file; a smaller one is rounding.
-OPEN_M = 1e-6
+# A larger gap of a loop at the model's reference pose [m] is a fault of the file; a smaller one is rounding: exporters write
+# positions to a hundredth of a millimetre.
+OPEN_M = 1e-5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

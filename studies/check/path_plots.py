@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
 MAX_COORDINATES_DRAWN = 6
+# The coordinates that have figures of their own; the page has all.
+MAX_FIGURES = 3
 # The plots in the figure of a mechanism's reach.
 _OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")
 
@@ -44,12 +46,12 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) 
 def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
 
-    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each coordinate also has
-    a figure loop-N.png.
+    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each of them also has a
+    figure loop-N.png.
     """
     from linkplan.studies.output.figure import figure_of, one_screen
 
-    reaches, mechanism = found.reaches[:3], found.mechanism
+    reaches, mechanism = found.reaches[:MAX_FIGURES], found.mechanism
     panels: list = []
     for can in reaches:
         swept = measure(mechanism, can.poses, "reach", coordinate=can.coordinate)

@@ -35,10 +35,10 @@ def run_check(arguments: argparse.Namespace) -> int:
 
     def draw(place: Path) -> None:
         from linkplan.models.selected_model import whole_model_text
-        from linkplan.studies.check.path_plots import inspection_figure, path_figure
+        from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
 
         inspection_figure(found, place / "mechanism.png")
-        for number, path in enumerate(whole.paths, 1):
+        for number, path in enumerate(whole.paths[:MAX_FIGURES], 1):
             path_figure(path, found.reaches, place / f"loop-{number}.png")
         if mechanism.selection:
             (place / "selected.xml").write_text(whole_model_text(mechanism), encoding="utf-8")

@@ -16,6 +16,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
+from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
@@ -41,7 +42,7 @@ from linkplan.studies.new.hanging import (
 
 Say = Callable[[str], None]
 # The shares of the largest first motion that are tried.
-_SHARES = (1.0, 0.5, 0.25, 0.1)
+_SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
 # Processor time [s] for all motions, and the least time that a motion gets.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
 _SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=PATIENT),)
@@ -144,9 +145,13 @@ def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iter
     """
     driven = driven_columns(mechanism).tolist()
     alone = [[column] for column in driven] if len(driven) > 1 else []
-    # Several hanging joints swing in many ways: shorter motions excite them less and are tried first.
-    for share in reversed(_SHARES) if _many_hang(mechanism) else _SHARES:
-        for kind in ([driven], alone):
+    together = [driven]
+    # Several hanging joints swing in many ways: shorter motions excite them less and are tried first. One drive excites
+    # undriven springs less than all do, and a large motion of a robot's leg needs most of the time.
+    sprung = bool(sprung_freedoms(mechanism))
+    shares = reversed(_SHARES) if _many_hang(mechanism) else _SMALL_FIRST if sprung else _SHARES
+    for share in shares:
+        for kind in (alone, together) if alone and sprung else (together, alone):
             for moved, side in itertools.product(kind, (1, -1)):
                 tables = _clear_motion(mechanism, moved, share, side)
                 if isinstance(tables, str):
@@ -293,10 +298,11 @@ def _obstacle(problem: Problem) -> str | None:
 
 
 def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[str, dict]:
-    """Return a problem's tables: from rest to rest with least effort, or with least effort rate if several joints hang.
+    """Return a problem's tables: from rest to rest with least effort, or least effort rate.
 
     With several hanging joints, the motion of least effort waits near the lowest pose, and many motions have nearly the same
-    cost: the solver takes hundreds of iterations. The motion of least effort rate stays near the holding efforts.
+    cost: the solver takes hundreds of iterations. With springs in series with the drives, its efforts jump at start and goal
+    and let the springs ring. The motion of least effort rate stays near the holding efforts.
     """
     motion: dict = {"kind": "reach"}
     named = [k for k in range(mechanism.dof) if k in driven_columns(mechanism) or not rests_by_itself(mechanism, k)]
@@ -309,8 +315,13 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
     return {
         "mechanism": dict(mechanism.source),
         "motion": motion,
-        "objective": {"minimize": "effort_rate" if _many_hang(mechanism) else "effort"},
-    }
+        "objective": {"minimize": "effort_rate" if _many_hang(mechanism) or sprung_freedoms(mechanism) else "effort"},
+    } | ({"mesh": {"intervals": 20, "tolerance_deg": 1e-3}} if _is_large(mechanism) else {})
+
+
+def _is_large(mechanism: Mechanism) -> bool:
+    """Tell if a mechanism has the size of a robot's leg, or loops solved by all rows: each digit then costs seconds."""
+    return mechanism.n_q > 12 or mechanism.dof > 6 or bool(mechanism.projected)
 
 
 def _many_hang(mechanism: Mechanism) -> bool:
@@ -319,7 +330,7 @@ def _many_hang(mechanism: Mechanism) -> bool:
 
 
 def _duration_s(problem: Problem) -> float:
-    """Return a duration [s] in two digits: twice the shortest one on a smooth path, so that the efforts are moderate.
+    """Return a duration [s] in two digits: some times the shortest one on a smooth path, so that the efforts are moderate.
 
     With hanging joints it is at least two swings of a pendulum of the mechanism's size, else at least 0.1 s.
     """
@@ -327,7 +338,8 @@ def _duration_s(problem: Problem) -> float:
     shortest = first_guess(problem, problem.start_pose()).duration_s
     swing = 2 * np.pi * np.sqrt(mechanism.extent_m / GRAVITY_M_S2)
     least = 2 * swing if hanging_columns(mechanism) else 0.1
-    return float(f"{max(2 * shortest, least):.2g}")
+    longer = 4 if sprung_freedoms(mechanism) else 2  # quick motions let undriven springs ring
+    return float(f"{max(longer * shortest, least):.2g}")
 
 
 def _gains(mechanism: Mechanism, problem: Problem, duration: float) -> dict:

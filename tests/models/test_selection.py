@@ -200,3 +200,30 @@ def test_a_wrong_selection_is_refused_in_one_line(asked, words):
         linkplan.load_mechanism(ROBOT, **asked)
     assert all(word in str(refused.value) for word in words), str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+# A waist that two joints on the pelvis drive through tendon couplings, as differential drives are often modelled; a pair for
+# contact names the floor.
+COUPLED_WAIST = """<mujoco model="waist"><compiler angle="degree"/><worldbody><geom name="floor" type="plane" size="0 0 1"/>
+  <body name="pelvis" pos="0 0 1"><freejoint/><geom size=".05"/>
+    <body name="drive"><joint name="drive" axis="1 0 0"/><geom size=".02"/></body>
+    <body name="waist"><joint name="waist" axis="1 0 0"/><geom size=".03"/>
+      <body name="leg" pos="0 0 -.1"><joint name="hip" axis="0 1 0"/>
+        <geom name="foot" type="capsule" size=".01" fromto="0 0 0 .1 0 -.2"/></body></body></body></worldbody>
+  <contact><pair geom1="floor" geom2="foot"/></contact>
+  <tendon><fixed name="differential"><joint joint="drive" coef="1"/><joint joint="waist" coef="-2"/></fixed></tendon>
+  <equality><tendon name="geared" tendon1="differential"/></equality>
+  <actuator><motor name="drive" joint="drive" ctrlrange="-1 1"/><motor name="hip" joint="hip" ctrlrange="-9 9"/></actuator>
+  </mujoco>"""
+
+
+def test_couplings_of_locked_and_dropped_joints_and_pairs_with_the_ground_are_dropped():
+    _, model, notes = compile_model(COUPLED_WAIST, None, Selection(keep=("hip",), fix_base=True))
+    assert [model.joint(j).name for j in range(model.njnt)] == ["hip"]
+    assert (model.ntendon, model.neq, model.npair, model.nu) == (0, 0, 0, 1)
+    assert any("tendon differential" in note for note in notes)
+
+
+def test_a_joint_whose_coupling_moves_a_free_one_cannot_be_locked():
+    with pytest.raises(LinkplanError, match="'waist' cannot be locked: tendon 'differential'"):
+        compile_model(COUPLED_WAIST, None, Selection(lock={"waist": 0.0}))

@@ -106,6 +106,38 @@ def test_forces_are_mujocos_least_norm_ones_all_round(name):
         assert relative_error(force, hard) < RANDOM_LIMIT
 
 
+# Three parallel cranks on one bar; a slide on a diagonal follows a crank, and a second slide is pinned to the first. The
+# pin's x and z rows are one row twice at every pose, within loops that are solved by all their rows.
+REPEATED_ROWS = """<mujoco model="diagonal"><default><geom contype="0" conaffinity="0" size=".01"/></default><worldbody>
+  <body><joint name="A" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .1"/>
+    <body name="bar" pos="0 0 .1"><joint name="B" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .4 0 0"/></body></body>
+  <body name="second" pos=".2 0 0"><joint name="C" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .1"/></body>
+  <body name="third" pos=".4 0 0"><joint name="D" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .1"/></body>
+  <body name="one" pos="0 .1 0"><joint name="S" type="slide" axis="1 0 1"/><geom/></body>
+  <body name="two" pos="0 .1 0"><joint name="T" type="slide" axis="1 0 1"/><geom/></body></worldbody>
+  <equality><connect body1="bar" body2="second" anchor=".2 0 0"/><connect body1="bar" body2="third" anchor=".4 0 0"/>
+    <joint joint1="S" joint2="C" polycoef="0 .1 0 0 0"/><connect body1="one" body2="two" anchor="0 0 0"/></equality>
+  <actuator><motor joint="A" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+def test_closure_forces_balance_every_joint_when_rows_of_a_pin_depend_on_one_another():
+    mechanism = load_mechanism(REPEATED_ROWS)
+    dynamics = mechanism.dynamics
+    assert (mechanism.dof, len(mechanism.projected)) == (1, 1)
+    q, v, u = close_at(mechanism, np.array([0.7])), np.array([3.0]), np.array([2.0])
+    a = np.array(dynamics.acceleration(q, v, u)).ravel()
+    step = 1e-6  # [s], of the finite difference that gives q''
+    rates = np.array(dynamics.velocity_map(q)) @ v
+    ahead, behind = (
+        np.array(dynamics.velocity_map(close_at(mechanism, np.array([0.7]) + sign * step * v))) @ v for sign in (1, -1)
+    )
+    acceleration = np.array(dynamics.velocity_map(q)) @ a + (ahead - behind) / (2 * step)
+    needed = np.array(dynamics.tree_effort(q, rates, acceleration)).ravel() - np.array(dynamics.effort_matrix(q)) @ u
+    force = np.array(dynamics.closure_force(q, v, a, u)).ravel()
+    assert np.abs(needed).max() > 0.01, "the loops carry load"
+    assert np.array(dynamics.closure_jacobian(q)).T @ force == pytest.approx(needed, abs=1e-6 * np.abs(needed).max())
+
+
 @pytest.mark.parametrize("name", LINKAGES)
 def test_ordinary_loops_are_solved_in_chosen_rows(name):
     assert load_mechanism(LINKAGES[name]).projected == ()

@@ -1,0 +1,78 @@
+"""What an MJCF file names and does not have: meshes and textures that were not published with it, geoms of its scene.
+
+A mesh that is only drawn or touched is left out with its geoms. A mesh that gives its body a mass cannot be: the model is
+refused then, because its dynamics would be others.
+"""
+
+from pathlib import Path
+
+import mujoco
+
+from linkplan.models.errors import ModelError
+from linkplan.models.users import delete_geoms
+
+_OPENING = "opening file"
+
+
+def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...]:
+    """Delete the meshes and textures whose files are not there, and return a note that names them.
+
+    Args:
+        spec: a parsed MJCF file.
+        folder: the file's folder.
+
+    Raises:
+        ModelError: if a body has its mass from a mesh that is not there.
+    """
+    meshes = [mesh for mesh in spec.meshes if _is_missing(folder / spec.meshdir, mesh.file)]
+    textures = [texture for texture in spec.textures if _is_missing(folder / spec.texturedir, texture.file)]
+    notes = _without_lost_pairs(spec)
+    if not (meshes or textures) or not _fails_for_a_file(spec):
+        return notes
+    names = list(dict.fromkeys(Path(one.file).name for one in (*meshes, *textures)))
+    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+    for mesh in meshes:
+        geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
+        for geom in geoms:
+            _refuse_lost_mass(geom, mesh)
+        delete_geoms(spec, geoms)
+        spec.delete(mesh)
+    gone = {texture.name for texture in textures}
+    for material in spec.materials:
+        material.textures = ["" if name in gone else name for name in material.textures]
+    for texture in textures:
+        spec.delete(texture)
+    said = f"files that are not there are left out with what they draw: {', '.join(names[:6])}{more}"
+    return (*notes, said)
+
+
+def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Delete the pairs for contact with geoms of another file, such as a scene's floor, and return a note on them."""
+    there = {geom.name for geom in spec.geoms}
+    lost = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= there]
+    names = sorted({name for pair in lost for name in (pair.geomname1, pair.geomname2)} - there)
+    for pair in lost:
+        spec.delete(pair)
+    return (f"pairs for contact with geoms of other files are left out: {', '.join(names)}",) if lost else ()
+
+
+def _is_missing(folder: Path, name: str) -> bool:
+    return bool(name) and not any(place.is_file() for place in (folder / name, Path(name), folder / Path(name).name))
+
+
+def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:
+    try:
+        spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        return _OPENING in str(error)
+    return False
+
+
+def _refuse_lost_mass(geom: mujoco.MjsGeom, mesh: mujoco.MjsMesh) -> None:
+    body = geom.parent
+    if body.name == "world" or body.explicitinertial or geom.mass == 0 or geom.density == 0:
+        return
+    raise ModelError(
+        f"body '{body.name}' has its mass from mesh '{mesh.file}', which is not there; put the file there, or give the body"
+        " an <inertial>"
+    )

@@ -1,0 +1,76 @@
+"""Deleting elements of a specification together with what refers to them, so that the rest compiles."""
+
+from collections.abc import Iterable
+
+import mujoco
+
+from linkplan.models.errors import ModelError
+
+
+def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str]) -> list[str]:
+    """Delete what refers to locked joints, and return the names of their actuators and couplings.
+
+    Args:
+        spec: is changed.
+        joints: names of the locked joints.
+        away: names of the joints that are dropped. A coupling of locked and dropped joints alone is deleted.
+
+    Raises:
+        ModelError: if a tendon or an equality constraint ties one of the joints to one that stays free.
+    """
+    names: list[str] = []
+    for tendon in list(spec.tendons):
+        used = {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
+        if used & joints and used - joints - away:
+            raise ModelError(f"joint '{min(used & joints)}' cannot be locked: tendon '{tendon.name}' uses it")
+        if used & joints:
+            names += [f"tendon {tendon.name}", *_delete_tendon(spec, tendon)]
+    for closure in [one for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT]:
+        used = {closure.name1, closure.name2} - {""}
+        if used & joints and used - joints - away:
+            raise ModelError(
+                f"joint '{min(used & joints)}' cannot be locked: the coupling of joints {closure.name1} and"
+                f" {closure.name2} moves it; lock the other joint by it, or leave both free"
+            )
+        if used & joints:
+            names.append(f"the coupling of {' and '.join(sorted(used))}")
+            spec.delete(closure)
+    acting = [one for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_JOINT and one.target in joints]
+    names += [f"actuator {one.name or 'on ' + one.target}" for one in acting]
+    gone = {mujoco.mjtObj.mjOBJ_JOINT: joints, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
+    sensing = [one for one in spec.sensors if one.objname in gone.get(one.objtype, ())]
+    for one in [*acting, *sensing]:
+        spec.delete(one)
+    return names
+
+
+def _delete_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon") -> list[str]:
+    """Delete a tendon with its equalities, actuators and sensors, and return the actuators' names."""
+    kind = mujoco.mjtObj.mjOBJ_TENDON
+    acting = [one for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_TENDON and one.target == tendon.name]
+    names = [f"actuator {one.name or 'on ' + one.target}" for one in acting]
+    gone = {kind: {tendon.name}, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
+    sensing = [one for one in spec.sensors if one.objname in gone.get(one.objtype, ())]
+    tied = mujoco.mjtEq.mjEQ_TENDON
+    tying = [one for one in spec.equalities if one.type == tied and tendon.name in (one.name1, one.name2)]
+    for one in [*acting, *sensing, *tying, tendon]:
+        spec.delete(one)
+    return names
+
+
+def delete_geoms(spec: mujoco.MjSpec, geoms: Iterable["mujoco._specs.MjsGeom"]) -> None:
+    """Delete geoms with the pairs for contact that name them."""
+    gone = list(geoms)
+    names = {geom.name for geom in gone if geom.name}
+    for pair in [pair for pair in spec.pairs if {pair.geomname1, pair.geomname2} & names]:
+        spec.delete(pair)
+    for geom in gone:
+        spec.delete(geom)
+
+
+def leave_the_ground(spec: mujoco.MjSpec) -> list[str]:
+    """Delete the world's geoms, and return a note: a robot whose base is fixed stands on nothing."""
+    ground = list(spec.worldbody.geoms)
+    names = list(dict.fromkeys(geom.name or "geoms without a name" for geom in ground))
+    delete_geoms(spec, ground)
+    return [f"the base is fixed in the air: left out are the world's {', '.join(names)}"] if ground else []

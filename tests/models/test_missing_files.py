@@ -1,0 +1,44 @@
+"""Models whose meshes and textures were not published with them."""
+
+import pytest
+
+from linkplan.models.errors import ModelError
+from linkplan.models.library import compile_model
+from linkplan.models.mechanism import load_mechanism
+
+ARM = """<mujoco model="arm"><compiler meshdir="assets"/>
+  <asset><mesh name="shell" file="shell.stl"/><texture name="wood" type="2d" file="wood.png"/>
+    <material name="wooden" texture="wood"/></asset>
+  <worldbody><body name="arm"><joint name="A" axis="0 1 0"/>{inertial}
+    <geom type="mesh" mesh="shell"/>
+    <geom type="capsule" size=".01" fromto="0 0 0 .2 0 0" material="wooden"/></body></worldbody>
+  <actuator><motor joint="A" ctrlrange="-1 1"/></actuator></mujoco>"""
+INERTIAL = '<inertial pos=".1 0 0" mass="1" diaginertia=".01 .01 .01"/>'
+
+
+def test_missing_meshes_and_textures_are_left_out_and_named(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM.format(inertial=INERTIAL))
+    _, model, (note,) = compile_model(file)
+    assert (model.ngeom, model.nmesh, model.ntex) == (1, 0, 0)
+    assert model.body("arm").mass[0] == 1.0
+    assert "shell.stl" in note
+    assert "wood.png" in note
+    assert note in load_mechanism(file).notes
+
+
+def test_a_mesh_whose_mass_a_body_needs_is_not_left_out(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM.format(inertial=""))
+    with pytest.raises(ModelError, match=r"body 'arm' has its mass from mesh 'shell\.stl'.*<inertial>"):
+        compile_model(file)
+
+
+def test_contact_pairs_with_a_floor_of_another_file_are_left_out_and_named(tmp_path):
+    file = tmp_path / "arm.xml"
+    body = '<body><joint axis="0 1 0"/><geom name="foot" size=".1"/></body>'
+    pair = '<contact><pair geom1="floor" geom2="foot"/></contact>'
+    file.write_text(f"<mujoco><worldbody>{body}</worldbody>{pair}</mujoco>")
+    _, model, notes = compile_model(file)
+    assert model.npair == 0
+    assert any("floor" in note for note in notes)
