@@ -108,8 +108,9 @@ def _towards_a_proof(state: RefinementState) -> Action | None:
     best = state.best
     if best is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
         return None
-    needs = best.certificate.effort_overrun > MARKED_SHARE
-    return Restore(needs) if needs.any() else None
+    # Once the motion is changed, it is brought well within the allowance, which samples may just miss.
+    beyond = best.certificate.effort_overrun > MARKED_SHARE if state.restored else beyond_efforts(best)
+    return Restore(beyond) if beyond.any() else None
 
 
 def _finer(state: RefinementState, over: np.ndarray) -> Action | None:

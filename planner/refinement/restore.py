@@ -8,7 +8,6 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.refinement.case import Iterate
 from linkplan.planner.refinement.certified_iterate import certify_iterate
-from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import progress, record, step_of
 from linkplan.planner.refinement.marking import widths_of
 from linkplan.planner.refinement.state import RefinementState
@@ -45,8 +44,7 @@ class Restore:
         motion = case.motion(solution) if solution.converged else None
         if motion is None:
             return counted
-        arcs = None if None in fixed.values() else FixedArcs(efforts=before.bang_efforts, paths=before.constrained_paths)
-        at = certify_iterate(state.asked, Iterate(motion=motion, solution=solution, fixed=arcs))
+        at = certify_iterate(state.asked, Iterate(motion=motion, solution=solution, fixed=coarse.fixed))
         better = at.passed and at.certificate.effort_overrun.max() < best.certificate.effort_overrun.max()
         return replace(counted, at=at, best=at, ended=False) if better else counted
 
