@@ -116,7 +116,7 @@ class Plan:
 
         trajectory = self.require_motion("prove")
         failures = (self.message,) if self.certificate is None else self.certificate.failures
-        return prove(self.problem, trajectory, failures, until)
+        return prove(self.problem, trajectory, failures, until, existence=until is NO_DEADLINE)
 
     @property
     def duration_s(self) -> float | None:

@@ -19,9 +19,8 @@ class Blocks:
     """The model's blocks as walks, and the closure as a function of numbers.
 
     `closure` is q -> E phi (rank,), `tangent` is q -> d(E phi)/dq (rank, n_q), `tree` is (q, q', q'') -> generalised forces
-    (n_q,) of the tree with open loops, `arms` is q -> B (n_q, n_u), `convective` is (q, q') -> J' q' (rank,), `other_rows`
-    is q -> the rows of phi that are not among the independent ones. `force_map` is q -> the matrix
-    (n_rows, rank) from multipliers to the forces of least norm on all rows.
+    (n_q,) of the tree with open loops, `arms` is q -> B (n_q, n_u), `convective` is (q, q') -> J' q' (rank,). `force_map` is
+    q -> the matrix (n_rows, rank) from multipliers to the forces of least norm on all rows.
     """
 
     mechanism: Mechanism
@@ -33,7 +32,6 @@ class Blocks:
     tree: Walk
     arms: Walk
     convective: Walk
-    other_rows: Walk
     force_map: Walk
     n_rows: int
 
@@ -54,9 +52,6 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
     q, rates = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("qd", mechanism.n_q)
     phi = dynamics.independent_closure(q)
     jacobian = ca.jacobian(phi, q)
-    whole = dynamics.closure(q)
-    others = [row for row in range(whole.numel()) if mechanism.projected or row not in mechanism.closure_rows]
-    remaining = whole[others] if others else ca.SX(0, 1)
     return Blocks(
         mechanism=mechanism,
         independent=tuple(int(i) for i in mechanism.independent),
@@ -67,7 +62,6 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
         tree=walk_of(dynamics.tree_effort),
         arms=walk_of(ca.Function("arms", [q], [ca.sparsify(dynamics.effort_matrix(q))])),
         convective=walk_of(ca.Function("convective", [q, rates], [ca.jtimes(jacobian @ rates, q, rates)])),
-        other_rows=walk_of(ca.Function("other_rows", [q], [ca.sparsify(remaining)])),
         force_map=walk_of(ca.Function("force_map", [q], [ca.sparsify(dynamics.force_map(q))])),
         n_rows=mechanism.n_closure_rows,
     )

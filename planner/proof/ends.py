@@ -87,10 +87,7 @@ def _start(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
     """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`."""
     mechanism, motion = problem.mechanism, problem.motion
-    lines = [
-        ("the state integrated under the planned efforts", "an integration with error control"),
-        ("contacts between geoms", "distances between geoms are compared at samples"),
-    ]
+    lines = [("contacts between geoms", "distances between geoms are compared at samples")]
     if any(actuator.is_servo for actuator in mechanism.actuators):
         lines.append(("ctrl of servos", "a servo's clamp is a switch"))
     if any(limit.is_tube for limit in problem.limits.site):

@@ -34,11 +34,15 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proof:
-    """Findings on one motion; `boxes` were evaluated in `seconds` of processor time."""
+    """Findings on one motion; `boxes` were evaluated in `seconds` of processor time.
+
+    `existence_seconds` were spent besides on a motion of the model near the plan.
+    """
 
     findings: tuple[Finding, ...]
     boxes: int
     seconds: float
+    existence_seconds: float = 0.0
 
     def of(self, answer: str) -> tuple[Finding, ...]:
         """Return the findings with an answer: "proved", "refuted", "undecided" or "sampled"."""
@@ -62,12 +66,14 @@ class Proof:
     def sentence(self) -> str:
         """Return the verdict and its cost in one sentence."""
         counts = ", ".join(f"{len(self.of(answer))} {answer}" for answer in ANSWERS if self.of(answer))
-        return f"{self.verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s"
+        besides = f", existence in {self.existence_seconds:.2g} s" if self.existence_seconds >= 0.01 else ""
+        return f"{self.verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s{besides}"
 
     def record(self) -> dict:
         """Return the lists of findings by answer, and the cost."""
         lists = {answer: [asdict(finding) for finding in self.of(answer)] for answer in ANSWERS}
-        return lists | {"complete": self.complete, "boxes": self.boxes, "seconds": self.seconds}
+        cost = {"boxes": self.boxes, "seconds": self.seconds, "existence_seconds": self.existence_seconds}
+        return lists | {"complete": self.complete} | cost
 
 
 def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | None = None, where: str = "") -> Finding:

@@ -14,6 +14,7 @@ from linkplan.planner.proof.blocks import Blocks, blocks_of
 from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
 from linkplan.planner.proof.claims import Claim, claims_of
 from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings, sampled_findings
+from linkplan.planner.proof.existence import ATTEMPTS, EXISTENCE_SECONDS, EXISTENCE_SHARE, Neighbourhood, no_motion
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.planner.proof.linear import NotSeparatedError
 from linkplan.planner.proof.motion import Piece, State
@@ -27,6 +28,8 @@ _PRECISION_BITS = 80
 TAYLOR_ORDER = 6
 # Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
 _MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
+# Stands among a box's claims for the existence of a motion near the plan.
+_NEARBY = -1
 # After so many boxes without a closed branch none is halved any more: the loops do not close.
 _MAX_LOST = 16
 # A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
@@ -93,6 +96,8 @@ def prove(
     failures: Sequence[str] = (),
     until: Deadline = NO_DEADLINE,
     order: int = TAYLOR_ORDER,
+    *,
+    existence: bool = True,
 ) -> Proof:
     """Return the proof of a trajectory's claims, from its coefficients alone.
 
@@ -102,15 +107,23 @@ def prove(
         failures: sentences of its certificate on what samples have refuted.
         until: when this deadline passes, the open claims are undecided.
         order: the coefficients of Taylor forms before their remainder.
+        existence: whether a motion of the model is looked for near the trajectory.
     """
     begun, before = time.process_time(), (ctx.prec, ctx.cap)
     ctx.prec = _PRECISION_BITS
     try:
         found, boxes = _along(problem, trajectory, until, order)
+        of_claims = time.process_time()
+        if existence and any(finding.answer == "refuted" for finding in found):
+            found.append(no_motion("a limit is refuted"))
+        else:
+            soon = until.within(max(EXISTENCE_SECONDS, EXISTENCE_SHARE * (of_claims - begun)))
+            found += _existence(problem, trajectory, soon, order, existence=existence)
     finally:
         ctx.prec, ctx.cap = before
     findings = (*end_findings(problem, trajectory), *found, *sampled_findings(problem, failures))
-    return Proof(findings=findings, boxes=boxes, seconds=time.process_time() - begun)
+    took = {"seconds": of_claims - begun, "existence_seconds": time.process_time() - of_claims}
+    return Proof(findings=findings, boxes=boxes, **took)
 
 
 def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int) -> tuple[list[Finding], int]:
@@ -120,9 +133,31 @@ def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int
     except UnknownOperationError as error:
         reason = f"the model has an operation that balls do not enclose ({error})"
         return [Finding(name="closure and efforts", answer="sampled", reason=reason)], 0
-    sweep = _Sweep(problem=problem, trajectory=trajectory, blocks=blocks, claims=claims, until=until, order=order)
+    shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until, "order": order}
+    sweep = _Sweep(claims=claims, **shared)
     sweep.run()
     return sweep.findings(), sweep.boxes
+
+
+def _existence(problem: Problem, trajectory: Trajectory, until: Deadline, order: int, *, existence: bool) -> list[Finding]:
+    """Return the findings on a motion of the model near a trajectory whose loops are proved to close."""
+    if not existence:
+        return [no_motion("`linkplan prove` looks for one")]
+    found = [no_motion("there is no time left")]
+    for attempt in ATTEMPTS:
+        if until.passed or all(finding.answer == "proved" for finding in found):
+            break
+        try:
+            blocks, near = blocks_of(problem.mechanism), Neighbourhood(problem.mechanism, trajectory, *attempt)
+        except UnknownOperationError as error:
+            return [no_motion(f"the model has an operation that balls do not enclose ({error})")]
+        shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until, "order": order}
+        sweep = _Sweep(claims=[], near=near, **shared)
+        sweep.run()
+        found = near.findings() if near.failure or not sweep.closure.undecided else [no_motion("the branch is lost")]
+        if near.hopeless:
+            break
+    return found
 
 
 @dataclass(eq=False, kw_only=True)
@@ -139,6 +174,7 @@ class _Sweep:
     records: list[_Record] = field(default_factory=list)
     closure: _Record = field(default_factory=_Record)
     start_gap: float = 0.0
+    near: Neighbourhood | None = None
 
     def run(self) -> None:
         trajectory, n = self.trajectory, len(self.trajectory.breaks_s) - 1
@@ -149,6 +185,8 @@ class _Sweep:
         pieces = (Piece.of(trajectory, k) for k in range(n))
         anchor = None
         for piece in pieces:
+            if self.near and self.near.failure:
+                return
             anchor = self._start(piece) if anchor is None else anchor
             anchor = self._interval(piece, replace(anchor, slope=0 * anchor.slope, tau=0.0))
 
@@ -180,11 +218,11 @@ class _Sweep:
 
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval; return where the branch is at its end."""
-        stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=list(range(len(self.claims))))]
+        stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=[_NEARBY] if self.near else list(range(len(self.claims))))]
         most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
         while stack:
             box = stack.pop()
-            open_claims = [i for i in box.claims if self.records[i].refuted is None]
+            open_claims = [i for i in box.claims if i == _NEARBY or self.records[i].refuted is None]
             if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
                 continue
             lost = len(self.closure.undecided) >= _MAX_LOST
@@ -230,6 +268,8 @@ class _Sweep:
 
     def _decided(self, i: int, states: tuple[State, State], piece: Piece, box: _Box) -> bool:
         """Record a claim's bound on a box; return False if the box has to be halved for it."""
+        if i == _NEARBY:
+            return self.near.takes(states, (box.centre, box.radius), box.halvings, self.order)
         claim, record = self.claims[i], self.records[i]
         record.boxes += 1
         try:
@@ -257,13 +297,17 @@ class _Sweep:
         """Record claims as undecided on a box."""
         ends = tuple(piece.begin_s + (box.centre + x * box.radius) * float(piece.width) for x in (-1, 1))
         for i in claims:
-            self.records[i].undecided.append(ends)
+            if i == _NEARBY:
+                self.near.failure = f"the time or the boxes are used up at t = {ends[0]:.4g} s"
+            else:
+                self.records[i].undecided.append(ends)
         if not closed:
             self.closure.undecided.append(ends)
 
     def findings(self) -> list[Finding]:
         """Return the findings of all claims, the closure first."""
-        return [*_closure_findings(self), *(_finding(c, r) for c, r in zip(self.claims, self.records, strict=True))]
+        of_claims = (_finding(c, r) for c, r in zip(self.claims, self.records, strict=True))
+        return [*_closure_findings(self), *of_claims]
 
 
 def states_of(

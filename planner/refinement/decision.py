@@ -8,6 +8,7 @@
 | Halve | the error is large on some intervals, or the needed effort is beyond its limit | Betts and Huffman 1998 |
 | Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
 | Loosen | the motion passes within tightened limits | the same, on the finer mesh |
+| Restore | the best motion needs more effort between the nodes than a proof allows | Nocedal and Wright 2006, 18.1 |
 
 The first row that holds counts; a mesh is halved before limits are tightened.
 """
@@ -26,6 +27,7 @@ from linkplan.planner.refinement.actions import (
 )
 from linkplan.planner.refinement.marking import (
     EVEN_SHARE,
+    MARKED_SHARE,
     beyond_efforts,
     degree_of,
     grown,
@@ -39,6 +41,7 @@ from linkplan.planner.refinement.marking import (
     uneven_of,
 )
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.refinement.restore import Restore
 from linkplan.planner.refinement.state import RefinementState
 from linkplan.planner.refinement.switch_search import is_bang_bang
 
@@ -59,13 +62,17 @@ HALVINGS_BEFORE_TIGHTENING = 4
 # Limits are loosened while tightening costs more than this share of the objective, on at most so many intervals, until so
 # many loosenings in a row gain nothing. After each of them limits are tightened at most so often.
 COST_OF_TIGHTENING, MAX_LOOSENED_INTERVALS, MAX_IDLE_LOOSENINGS, TIGHTENINGS_BETWEEN = 1e-6, 240, 2, 2
+# Halving an interval divides its error by a hundred at the usual degree: a large overrun takes three rounds.
+MAX_RESTORATIONS = 6
 # The highest degree if efforts jump inside intervals or errors grow along the motion.
 MAX_ROUGH_DEGREE = 5
 
 
 def next_action(state: RefinementState) -> Action | None:
     """Return the next action, or None to stop."""
-    return _towards_a_certificate(state) or _towards_the_optimum(state)
+    if state.restored:
+        return _towards_a_proof(state)
+    return _towards_a_certificate(state) or _towards_the_optimum(state) or _towards_a_proof(state)
 
 
 def _towards_a_certificate(state: RefinementState) -> Action | None:
@@ -94,6 +101,16 @@ def _within_efforts(state: RefinementState) -> Action | None:
     if higher is not None and degree_of(higher) <= MAX_ROUGH_DEGREE:
         return RaiseDegree(higher)
     return Halve(beyond) if grown(state.at.found.mesh, beyond) <= ENOUGH_INTERVALS else None
+
+
+def _towards_a_proof(state: RefinementState) -> Action | None:
+    """Return the action on the best motion if a proof would find that it needs more effort than there is."""
+    best = state.best
+    if best is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
+        return None
+    # Once the motion is changed, it is brought well within the allowance, which samples may just miss.
+    beyond = best.certificate.effort_overrun > MARKED_SHARE if state.restored else beyond_efforts(best)
+    return Restore(beyond) if beyond.any() else None
 
 
 def _finer(state: RefinementState, over: np.ndarray) -> Action | None:

@@ -33,7 +33,8 @@ class RefinementState(Generic[MotionT, CertificateT]):
     `change_before` the one before that, `calm` the number of meshes without change. `falls` says that the last finer
     mesh erred by less than the one before. `releases` counts releases of arcs. `loose` is the last iterate with the
     limits as asked after one had passed within tightened limits, `tightenings` counts those since then, `idle` the
-    loosenings since the best one improved. `ended` says that the last action led nowhere.
+    loosenings since the best one improved. `ended` says that the last action led nowhere. `restored` counts
+    meshes on which the best motion was kept, see `Restore`.
     """
 
     asked: Case[MotionT, CertificateT]
@@ -56,6 +57,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     tightenings: int = 0
     idle: int = 0
     ended: bool = False
+    restored: int = 0
 
     @property
     def target(self) -> RefinementTarget:

@@ -11,6 +11,7 @@ from linkplan.planner.refinement.actions import Halve, ImposeRanges, Loosen, Rai
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.certified_iterate import CertifiedIterate
 from linkplan.planner.refinement.decision import next_action
+from linkplan.planner.refinement.restore import Restore
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.transcription.mesh import uniform
@@ -97,10 +98,17 @@ def test_an_exact_motion_that_needs_more_effort_than_a_proof_allows_is_halved_th
     assert next_action(state(iterate(effort_overrun=0.9 * ONE_OF_TEN))) is None
 
 
-def test_where_it_needs_more_effort_everywhere_the_degree_is_raised_and_a_large_mesh_is_left():
+def test_where_it_needs_more_effort_everywhere_the_degree_is_raised_and_on_a_large_mesh_the_motion_is_kept():
     assert next_action(state(iterate(effort_overrun=3.0))) == RaiseDegree("radau-5")
     one_of_many = np.eye(150)[3]
-    assert next_action(state(iterate(effort_overrun=3.0 * one_of_many, n=150))) is None
+    crowded = state(iterate(effort_overrun=3.0 * one_of_many, n=150))
+    action = next_action(crowded)
+    assert isinstance(action, Restore)
+    np.testing.assert_array_equal(action.marked, one_of_many.astype(bool))
+    assert next_action(replace(crowded, restored=1, ended=True)) is None
+    nearly = state(iterate(effort_overrun=0.9 * one_of_many, n=150), restored=1)
+    assert isinstance(next_action(nearly), Restore)
+    assert next_action(replace(crowded, restored=6)) is None
 
 
 def test_what_no_mesh_mends_is_the_end():

@@ -35,7 +35,10 @@ def test_a_saved_plan_is_proved_and_json_has_the_four_lists(folder, capsys):
     (effort,) = [one for one in said["proved"] if one["name"] == "effort of act_O by inverse dynamics"]
     assert 86.3240 < effort["bound"] < 86.3242
     assert effort["boxes"] >= 40
-    assert len(said["sampled"]) >= 2
+    assert [one["name"] for one in said["sampled"]] == ["contacts between geoms"]
+    own = [one for one in said["proved"] if "own motion" in one["name"]]
+    assert [one["unit"] for one in own] == ["deg", "deg/s"]
+    assert all(0 < one["bound"] < one["mark"] for one in own)
 
 
 @pytest.mark.parametrize(

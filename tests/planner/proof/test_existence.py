@@ -1,0 +1,88 @@
+"""A motion of the model near a plan: the radius contains it, is hardly larger than it must be, and grows with an error."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.proof.finding import Finding
+from linkplan.planner.proof.prove import prove
+from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, body_plan
+from tests.support.plans import optimal
+
+
+def radii(plan, trajectory: Trajectory) -> list[Finding]:
+    """Return the findings on the model's own motion near a trajectory: first of position, then of speed."""
+    return [finding for finding in prove(plan.problem, trajectory).findings if "own motion" in finding.name]
+
+
+def pushed(trajectory: Trajectory, effort: float) -> Trajectory:
+    """Return a trajectory with more effort at every instant."""
+    return replace(trajectory, effort=trajectory.effort + effort)
+
+
+def integrated(mechanism: Mechanism, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest distances in position and speed (n_s,) of the model's own motion, by tight steps."""
+    n_q, far = mechanism.n_q, []
+    state = np.concatenate([trajectory.start_pose, trajectory.slope_at(np.zeros(1))[0]])
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        effort = trajectory.effort_at(np.array([t]))[0]
+        return np.concatenate([np.array(x).ravel() for x in mechanism.dynamics.flow(y[:n_q], y[n_q:], effort)])
+
+    for begin, end in zip(trajectory.breaks_s[:-1], trajectory.breaks_s[1:], strict=True):
+        times = np.linspace(begin, end - 1e-12, 4)
+        found = solve_ivp(rate, (begin, times[-1]), state, method="DOP853", rtol=1e-13, atol=1e-14, t_eval=times).y.T
+        state = found[-1]
+        apart = found[:, mechanism.independent] - trajectory.position_at(times)
+        far.append([np.abs(apart).max(axis=0), np.abs(found[:, n_q:] - trajectory.slope_at(times)).max(axis=0)])
+    return tuple(np.max(far, axis=0))
+
+
+@pytest.mark.parametrize("error", [1e-6, 2e-5])
+def test_the_radius_of_a_hinge_with_a_known_error_is_the_distance_in_closed_form(error):
+    """Too much effort e on an inertia I leads away by e t^2 / (2 I), with the speed e t / I."""
+    plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
+    position, speed = radii(plan, pushed(plan.trajectory, error))
+    assert position.answer == speed.answer == "proved"
+    away = np.degrees(error / HINGE_INERTIA)
+    assert 0.5 * away <= position.bound == pytest.approx(0.5 * away, rel=0.05)
+    assert away <= speed.bound == pytest.approx(away, rel=0.05)
+
+
+@pytest.mark.parametrize("error", [0.0, 1e-5])
+def test_an_integration_with_tight_steps_stays_within_the_radius(error):
+    plan = optimal("knee-reach")
+    trajectory = pushed(plan.trajectory, error)
+    position, speed = radii(plan, trajectory)
+    assert position.answer == speed.answer == "proved"
+    in_position, in_speed = np.degrees(integrated(plan.problem.mechanism, trajectory)).ravel()
+    assert in_position <= position.bound <= 0.01
+    assert in_speed <= speed.bound
+
+
+def test_the_radius_of_a_pendulum_contains_its_own_motion():
+    turn = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 1.5\n'
+    plan = body_plan(PENDULUM.format(limit=20), turn)
+    position, speed = radii(plan, pushed(plan.trajectory, 1e-6))
+    in_position, in_speed = np.degrees(integrated(plan.problem.mechanism, pushed(plan.trajectory, 1e-6))).ravel()
+    assert position.answer == "proved"
+    assert 1e-7 < in_position <= position.bound <= 3 * in_position
+    assert in_speed <= speed.bound
+
+
+def test_efforts_that_do_not_give_the_motion_lead_to_no_proof():
+    plan = optimal("knee-reach")
+    (found,) = radii(plan, pushed(plan.trajectory, 0.5))
+    assert found.answer == "sampled"
+    assert "of the motion's span or largest speed" in found.reason
+
+
+def test_velocities_that_are_no_slope_of_the_positions_lead_to_no_proof():
+    plan = optimal("knee-reach")
+    (found,) = radii(plan, replace(plan.trajectory, velocity=1.001 * plan.trajectory.velocity))
+    assert found.answer == "sampled"
+    assert "not the slope" in found.reason

@@ -1,0 +1,63 @@
+"""A motion on a finer mesh that is nearest to one on a coarse mesh, until its efforts hold by inverse dynamics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.proof.prove import prove
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.certified_iterate import certify_iterate
+from linkplan.planner.refinement.decision import next_action
+from linkplan.planner.refinement.restore import Restore
+from linkplan.planner.refinement.state import RefinementState
+from linkplan.planner.solvers.restoration import FEASIBLE, nearest_feasible
+from linkplan.planner.transcription.mesh import uniform
+
+
+@pytest.fixture(scope="module")
+def coarse() -> RefinementState:
+    """Return a motion of the knee on seven intervals whose efforts exceed their limit between the nodes."""
+    problem = load_problem("knee-reach", ["mesh.intervals=7", "limits.effort.act_O=[-83.0, 83.0]"])
+    case = case_of(problem)
+    found = attempt(case, first_guess(problem, problem.start_pose()), uniform(7), np.array([0.16]), "once")
+    at = certify_iterate(case, found)
+    assert at.passed
+    return RefinementState(asked=case, case=case, at=at, best=at, warm=False, restored=1)
+
+
+def effort_is_proved(state: RefinementState) -> bool:
+    """Return True if the state's best motion keeps its efforts' limit by inverse dynamics, at every instant."""
+    findings = prove(state.asked.problem, state.best.found.motion).findings
+    (effort,) = [finding for finding in findings if "by inverse dynamics" in finding.name]
+    return effort.answer == "proved"
+
+
+def test_a_motion_is_kept_on_finer_meshes_until_its_effort_is_proved(coarse):
+    state, objective = coarse, coarse.best.found.solution.objective
+    assert not effort_is_proved(state)
+    while (action := next_action(state)) is not None:
+        assert isinstance(action, Restore)
+        state = action.apply(state)
+    assert state.best.n_intervals > coarse.best.n_intervals
+    assert state.best.found.solution.status == FEASIBLE
+    assert effort_is_proved(state)
+    assert state.best.found.solution.objective == pytest.approx(objective, rel=1e-4)
+
+
+def test_rows_that_contradict_each_other_lead_to_no_motion(coarse):
+    solution = coarse.best.found.solution
+    apart = replace(solution.transcribed, row_lower=solution.transcribed.row_lower + 1.0)
+    apart = replace(apart, row_upper=apart.row_upper + 1.0)
+    assert not nearest_feasible(apart, solution.x).converged
+
+
+def test_a_feasible_point_stays(coarse):
+    solution = coarse.best.found.solution
+    again = nearest_feasible(solution.transcribed, solution.x)
+    assert (again.converged, again.iterations) == (True, 0)
+    np.testing.assert_allclose(again.x, solution.x, atol=1e-9)
+    assert again.objective == pytest.approx(solution.objective, rel=1e-12)
