@@ -17,6 +17,7 @@ from tests.bench.mpc import bench_mpc
 from tests.bench.packages import between_nodes
 from tests.bench.peer import bench_peer, bench_plans
 from tests.bench.precision import bench_precision
+from tests.bench.proofs import bench_proofs
 from tests.bench.scaling import bench_scaling
 from tests.bench.shares import bench_shares
 from tests.bench.sizes import bench_sizes
@@ -35,6 +36,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "measurement": bench_measurement,
     "c": bench_c,
     "mpc": bench_mpc,
+    "proofs": bench_proofs,
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),
 }

@@ -10,6 +10,7 @@ from linkplan.models.poses.along import demanded, least_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.claims import INVERSE_DYNAMICS_SHARE
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 from tests.support.four_bars import PLAIN, load
@@ -117,3 +118,27 @@ def peak(mechanism: Mechanism, trajectory: Trajectory) -> float:
         around = time[max(at - 1, 0) : at + 2]
         time = np.linspace(around[0], around[-1], 41)
     return float(np.abs(needed(mechanism, trajectory, time)).max())
+
+
+def beside_its_limit(seed: int, share: float) -> tuple[Problem, Trajectory]:
+    """Return a random four-bar's motion whose largest effort is the pass mark times 1 + `share`."""
+    problem, motion = swing(seed)
+    largest = peak(problem.mechanism, motion)
+    return limited(problem, largest / (1 + INVERSE_DYNAMICS_SHARE) / (1 + share)), replace(motion, effort=0 * motion.effort)
+
+
+def with_a_spoilt_coefficient(seed: int) -> tuple[Problem, Trajectory]:
+    """Return a motion with a coefficient moved: its largest effort exceeds the pass mark by 1e-6 between the samples."""
+    problem, motion = swing(seed)
+    mechanism, rng = problem.mechanism, np.random.default_rng(seed)
+    at = int(rng.integers(2, 4)), int(rng.integers(INTERVALS)), 0
+    way = max((1e-3, -1e-3), key=lambda by: peak(mechanism, _moved(motion, at, by)))
+    found = _moved(motion, at, way)
+    return limited(problem, peak(mechanism, found) / (1 + INVERSE_DYNAMICS_SHARE + 1e-6)), found
+
+
+def _moved(motion: Trajectory, at: tuple, by: float) -> Trajectory:
+    position = np.array(motion.position)
+    position[at] += by
+    slope = 5 * np.diff(position, axis=0) / np.diff(motion.breaks_s)[:, None]
+    return replace(motion, position=position, velocity=slope)
