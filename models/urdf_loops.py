@@ -1,9 +1,8 @@
 """What a URDF says beside its tree: loops, drives and joint types in elements or in a YAML file, which MuJoCo leaves out.
 
 Read are `<loop_joint>` elements (Drake's), frames named closing_NAME_1 and closing_NAME_2 (onshape-to-robot's),
-`<transmission>` elements, and a YAML file beside the URDF (example-parallel-robots') with the keys closed_loop, type,
-name_mot, joint_name and joint_type. Frames that only mark a closure stay bodies of their own. Meshes whose files are missing
-are left out.
+`<transmission>` elements, and the YAML files of `models.urdf_beside`. Frames that only mark a closure stay bodies of their
+own. Meshes whose files are missing are left out.
 """
 
 import re
@@ -11,33 +10,20 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import msgspec
 import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import is_text
 from linkplan.models.errors import ModelError
-from linkplan.models.extras import load_extra
-from linkplan.models.reading import read_file
+from linkplan.models.urdf_beside import Beside, CutHinge, beside, loop_closures
 
 _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 _CLOSING = re.compile(r"closing_(.+)_1")
-_MOST_YAML_BYTES = 1_000_000
 # The distance [m] of a hinge's two points.
 _HINGE_WIDTH_M = 0.05
 # What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
 LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
-
-
-class Beside(msgspec.Struct, frozen=True):
-    """The YAML file beside a URDF; other keys are ignored."""
-
-    closed_loop: list[tuple[str, str]] = []
-    type: list[str] = []
-    name_mot: list[str] = []
-    joint_name: list[str] = []
-    joint_type: list[str] = []
 
 
 def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple[str, ...]:
@@ -51,31 +37,37 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     Raises:
         ModelError: for an element or a key that names no link, frame or joint.
     """
-    beside = None if is_text(str(source)) else _yaml_beside(Path(source))
-    notes = _settle_meshes(spec, None if is_text(str(source)) else Path(source).parent)
+    path = None if is_text(str(source)) else Path(source)
+    named, cut = (None, None) if path is None else (beside(path), loop_closures(path))
+    notes = _settle_meshes(spec, None if path is None else path.parent)
     pairs = [(first, f"closing_{found[1]}_2", "3d") for first in _links(root) if (found := _CLOSING.fullmatch(first))]
-    asked = Beside() if beside is None else beside
+    asked = named or Beside()
     kinds = asked.type or ["6d"] * len(asked.closed_loop)
     pairs += [(first, second, kind) for (first, second), kind in zip(asked.closed_loop, kinds, strict=True)]
     notes += _weigh(spec, root)
     loops = list(root.iter("loop_joint"))
-    spec.compiler.fusestatic = spec.compiler.fusestatic and not pairs
+    hinges = [] if cut is None else cut.closures
+    spec.compiler.fusestatic = spec.compiler.fusestatic and not pairs and not hinges
     for first, second, kind in pairs:
         ends = [(_link_of(root, name), np.zeros(3)) for name in (first, second)]
         _close(spec, f"{first}-{second}", ends, _WELD if kind.lower() == "6d" else _CONNECT)
     for loop in loops:
         _close_loop_joint(spec, loop)
+    for hinge in hinges:
+        _close_hinge(spec, root, hinge)
     _retype(spec, dict(zip(asked.joint_name, asked.joint_type, strict=True)))
-    motors = asked.name_mot or list(
-        dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
-    )
+    transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
+    motors = asked.name_mot or list(transmitted) or ([] if cut is None else cut.independent)
     _drive(spec, root, motors)
-    where = "the URDF" if beside is None else "the YAML file beside the URDF"
+    where = "the URDF" if named is None else "the YAML file beside the URDF"
     if pairs or loops:
         names = ", ".join([f"{a}-{b}" for a, b, _ in pairs] + [str(loop.get("name")) for loop in loops])
         notes.append(f"closures from {where if pairs else 'the URDF'}: {names}")
+    if hinges:
+        notes.append(f"closures from loop_closures.yaml: {', '.join(f'{one.link_a}-{one.link_b}' for one in hinges)}")
     if motors:
-        notes.append(f"motors from {where if asked.name_mot else 'transmissions of the URDF'}: {', '.join(motors)}")
+        drives = where if asked.name_mot else "transmissions of the URDF" if transmitted else "loop_closures.yaml"
+        notes.append(f"motors from {drives}: {', '.join(motors)}")
     return tuple(notes)
 
 
@@ -103,30 +95,6 @@ def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
 
 def _links(root: ET.Element) -> list[str]:
     return [link.get("name", "") for link in root.iter("link")]
-
-
-def _yaml_beside(path: Path) -> Beside | None:
-    """Return the tables of the YAML file with the URDF's name, if it is there and has closed loops or motors."""
-    place = path.with_suffix(".yaml")
-    if not place.is_file():
-        return None
-    text = read_file(place, f"'{place}'", _MOST_YAML_BYTES, ModelError).decode("utf-8", "replace")
-    yaml = load_extra("yaml", f"the closures in '{place}'")
-    try:
-        found = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ModelError(f"'{place}' is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(found, dict) or not found.keys() & {"closed_loop", "name_mot"}:
-        return None
-    try:
-        asked = msgspec.convert(found, Beside)
-    except msgspec.ValidationError as error:
-        raise ModelError(f"'{place}' is not what closes a URDF's loops: {error}") from error
-    for names, kinds in (("closed_loop", "type"), ("joint_name", "joint_type")):
-        count, of = len(getattr(asked, names)), len(getattr(asked, kinds))
-        if of != count and (of or kinds == "joint_type"):
-            raise ModelError(f"'{place}' has {count} entries in {names} and {of} in {kinds}; they belong together")
-    return asked
 
 
 def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
@@ -187,6 +155,31 @@ def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
         along = np.array(axis.get("xyz", "1 0 0").split(), dtype=float)
         further = [(link, place + turn @ along * _HINGE_WIDTH_M) for (link, place), turn in zip(ends, turns, strict=True)]
         _close(spec, f"{name} axis", further, _CONNECT)
+
+
+def _close_hinge(spec: mujoco.MjSpec, root: ET.Element, hinge: CutHinge) -> None:
+    """Close a hinge that was cut by two connects on its axis, which let its links turn."""
+    along = np.array(hinge.axis) / np.linalg.norm(hinge.axis)
+    name = f"{hinge.link_a}-{hinge.link_b}"
+    for label, point in ((name, np.array(hinge.point)), (f"{name} axis", hinge.point + _HINGE_WIDTH_M * along)):
+        ends = []
+        for link in (hinge.link_a, hinge.link_b):
+            place, turn = _pose_at_zero(root, link)
+            ends.append((link, turn.T @ (point - place)))
+        _close(spec, label, ends, _CONNECT)
+
+
+def _pose_at_zero(root: ET.Element, link: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return a link's place (3,) [m] and axes (3, 3) in the root link's frame, with all joints at zero."""
+    joint = next(
+        (one for one in root.iter("joint") if (child := one.find("child")) is not None and child.get("link") == link), None
+    )
+    if joint is None:
+        return np.zeros(3), np.eye(3)
+    origin, parent = joint.find("origin"), joint.find("parent")
+    xyz, rpy = ("0 0 0" if origin is None else origin.get(key, "0 0 0") for key in ("xyz", "rpy"))
+    place, turn = _pose_at_zero(root, "" if parent is None else parent.get("link", ""))
+    return place + turn @ np.array(xyz.split(), dtype=float), turn @ _rotation(np.array(rpy.split(), dtype=float))
 
 
 def _rotation(rpy: np.ndarray) -> np.ndarray:

@@ -73,6 +73,40 @@ def assert_four_bar(mechanism) -> None:
     np.testing.assert_allclose(end_of_coupler, end_of_rocker, atol=1e-10)
 
 
+CUT = "closures: [{link_a: coupler, link_b: rocker, point: [0.2, 0, 0.15], axis: [0, 2, 0]}]\nindependent: [motor]\n"
+
+
+@pytest.mark.parametrize("folder", ["", "package/urdf"])
+def test_a_hinge_that_the_solidworks_exporter_cut_is_closed(tmp_path, folder):
+    """Its point is in the root link's frame; the exporter writes the file beside the folder of the URDF."""
+    (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+    beside = tmp_path / ("package" if folder else "") / "loop_closures.yaml"
+    beside.write_text(CUT, encoding="utf-8")
+    mechanism = linkplan.load_mechanism(written(tmp_path / folder, robot(FOUR_BAR)))
+    assert_four_bar(mechanism)
+    assert "closures from loop_closures.yaml: coupler-rocker" in mechanism.notes
+    assert "motors from loop_closures.yaml: motor" in mechanism.notes
+
+
+def test_a_cut_hinge_is_found_through_turned_frames(tmp_path):
+    """The rocker's joint is turned by a quarter turn about y: its own z is the root's x."""
+    turned = FOUR_BAR.replace('<origin xyz="0.2 0 0"/>', '<origin xyz="0.2 0 0" rpy="0 1.5707963267948966 0"/>')
+    (tmp_path / "loop_closures.yaml").write_text(CUT, encoding="utf-8")
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(turned)))
+    assert (mechanism.dof, mechanism.n_u) == (1, 1)
+    ends = [mechanism.model.site(f"coupler-rocker {end}") for end in (1, 2)]
+    np.testing.assert_allclose([one.pos for one in ends], [[0.2, 0, 0.05], [-0.15, 0, 0]], atol=1e-12)
+
+
+def test_the_only_yaml_file_beside_the_only_urdf_is_read(tmp_path):
+    urdf = tmp_path / "full.urdf"
+    urdf.write_text(robot(FOUR_BAR, FRAMES), encoding="utf-8")
+    (tmp_path / "robot.yaml").write_text(YAML, encoding="utf-8")
+    assert_four_bar(linkplan.load_mechanism(str(urdf)))
+    (tmp_path / "other.urdf").write_text(robot(FOUR_BAR), encoding="utf-8")
+    assert linkplan.load_mechanism(str(tmp_path / "other.urdf")).dof == 3  # whose file it is is not known
+
+
 def test_a_yaml_file_beside_the_urdf_closes_loops_and_names_motors(tmp_path):
     mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), YAML))
     assert_four_bar(mechanism)
