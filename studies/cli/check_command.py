@@ -35,13 +35,15 @@ def run_check(arguments: argparse.Namespace) -> int:
 
     def draw(place: Path) -> None:
         from linkplan.models.selected_model import whole_model_text
+        from linkplan.models.urdf import urdf_root
         from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
 
         inspection_figure(found, place / "mechanism.png")
         for number, path in enumerate(whole.paths[:MAX_FIGURES], 1):
             path_figure(path, found.reaches, place / f"loop-{number}.png")
-        if mechanism.selection:
-            (place / "selected.xml").write_text(whole_model_text(mechanism), encoding="utf-8")
+        if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
+            written = "selected.xml" if mechanism.selection else "model.xml"
+            (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
 
     blocks = whole.blocks() if arguments.all or arguments.at_deg else [*whole.summary(), _what_is_next(whole, arguments)]
     deliver(arguments, target, whole.record(), blocks, lambda: _report(whole), draw)

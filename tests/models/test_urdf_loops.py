@@ -5,6 +5,7 @@ import pytest
 
 import linkplan
 from linkplan.models.errors import LinkplanError
+from linkplan.studies.cli.main import main
 
 
 def link(name: str, mass: float = 0.5, *, visual: str = "") -> str:
@@ -86,6 +87,12 @@ def test_a_hinge_that_the_solidworks_exporter_cut_is_closed(tmp_path, folder):
     assert_four_bar(mechanism)
     assert "closures from loop_closures.yaml: coupler-rocker" in mechanism.notes
     assert "motors from loop_closures.yaml: motor" in mechanism.notes
+
+
+def test_check_writes_a_urdf_with_its_loops_as_mjcf(tmp_path, capsys):
+    main(["check", written(tmp_path, robot(FOUR_BAR, FRAMES), YAML), "-o", str(tmp_path / "out")])
+    capsys.readouterr()
+    assert_four_bar(linkplan.load_mechanism(tmp_path / "out" / "model.xml"))
 
 
 def test_a_cut_hinge_is_found_through_turned_frames(tmp_path):
