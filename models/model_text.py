@@ -1,4 +1,4 @@
-"""Limits on counts and sizes in an MJCF text, checked before MuJoCo allocates them."""
+"""Refusals of a model's text before MuJoCo reads it: of counts and sizes that it would allocate, and of SDF."""
 
 import re
 
@@ -9,23 +9,29 @@ from linkplan.models.reading import shown
 MAX_MODEL_BYTES = 32_000_000
 
 _COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack|memory)\s*=\s*["']([^"']*)["']""")
+_SDF = re.compile(rb"<sdf[\s>]")
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 
 
 def refuse_oversized(content: bytes, what: str) -> None:
-    """Refuse an MJCF text that is too long, contains zero bytes, or has a count or size above the limits.
+    """Refuse an MJCF text that is too long, contains zero bytes, has a count or size above the limits, or is SDF.
 
     Args:
         content: the text.
         what: name of the text in messages.
 
     Raises:
-        ModelError: if a limit is exceeded.
+        ModelError: if a limit is exceeded, or with the converter of SDF.
     """
     if len(content) > MAX_MODEL_BYTES:
         raise ModelError(f"{what} has {len(content)} bytes; at most {MAX_MODEL_BYTES} are read")
     if b"\0" in content:
         raise ModelError(f"{what} does not parse: it holds zero bytes; a model is MJCF or URDF text")
+    if _SDF.search(content):
+        raise ModelError(
+            f"{what} is SDF, and models are MJCF or URDF: sdf2mjcf (pip install sdformat-mjcf) converts it; then close its"
+            " loops by <connect> elements"
+        )
     for name, value in _COUNT.findall(content):
         most = 1e9 if name == b"memory" else 20_000  # 20,000 bodies of a replicate take seconds and a gigabyte
         if any(_number(word) > most for word in value.decode("utf-8", "replace").split()):

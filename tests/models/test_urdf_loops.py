@@ -189,3 +189,11 @@ def test_a_wrong_yaml_file_is_refused_in_one_line(tmp_path, yaml, words):
         linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), yaml))
     assert all(word in str(refused.value) for word in words), str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_sdf_is_refused_with_its_converter(tmp_path):
+    model = tmp_path / "robot.sdf"
+    model.write_text('<?xml version="1.0"?><sdf version="1.7"><model name="a"/></sdf>', encoding="utf-8")
+    for source in (model, model.read_text(encoding="utf-8")):
+        with pytest.raises(LinkplanError, match="is SDF, and models are MJCF or URDF: sdf2mjcf"):
+            linkplan.load_mechanism(source)
