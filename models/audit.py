@@ -49,8 +49,6 @@ def _joints(model: mujoco.MjModel):
                 yield f"stiffness of {sort} {name}"
             if np.any(model.dof_dampingpoly[dof]):
                 yield f"quadratic or cubic damping of {sort} {name}"
-            if model.jnt_limited[joint] and not limits_off(model):
-                yield f"range of ball joint {name}"
 
 
 def _tendons(model: mujoco.MjModel):

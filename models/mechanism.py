@@ -35,6 +35,7 @@ from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
 from linkplan.models.selection import HOME_KEYFRAME, Selection
 from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
+from linkplan.models.tree.ball_ranges import BallRange, limited_balls
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Tree, build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
@@ -54,9 +55,8 @@ class Mechanism:
     They count as closed below a gap of `closed_m`, which is larger if the file's numbers are rounded. Overconstrained loops
     are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
     that no actuator drives and that can move while all other bodies rest, such as the spin of a rod between two ball joints.
-    `notes` are remarks on the assembly. `source` is the [mechanism] table of a problem file.
-
-    `equations` has its mass matrix, bias, closure, transmission and inverse dynamics, for arrays and as CasADi functions.
+    `notes` are remarks on the assembly. `source` is the [mechanism] table of a problem file. `equations` has mass matrix,
+    bias, closure, transmission and inverse dynamics, for arrays and as CasADi functions.
 
     Example:
         knee = linkplan.load_mechanism("optimus-knee")
@@ -71,6 +71,7 @@ class Mechanism:
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
     tendons: tuple[TendonRange, ...]  # tendons with a limited length
+    balls: tuple[BallRange, ...]  # ball joints with a limited angle
     closures: tuple[Closure, ...]
     closure_rows: np.ndarray  # independent rows of phi
     projected: tuple[ProjectedLoops, ...]
@@ -124,7 +125,7 @@ class Mechanism:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """The indices among the independent joints of those with a feedback loop: the steered ones."""
+        """The indices of the independent joints with a feedback loop: the steered ones."""
         return tuple(np.flatnonzero(self.steered).tolist())
 
     @property
@@ -321,10 +322,9 @@ def load_mechanism(
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
     passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
-    notes = [*left_out, *(shift.sentence for shift in moved), *notes]
-    notes += [*friction_notes(model, transition, extent), *conversion_notes(source, driven=model.nu > 0)]
+    notes = [*left_out, *(shift.sentence for shift in moved), *notes, *friction_notes(model, transition, extent)]
+    notes += conversion_notes(source, driven=model.nu > 0)
     notes += _reference_notes(loop, reference, unit, rank)
-
     mechanism = Mechanism(
         name=name,
         model=model,
@@ -334,6 +334,7 @@ def load_mechanism(
         joints=joints,
         actuators=actuators,
         tendons=limited_tendons(model),
+        balls=limited_balls(model),
         closures=closures,
         closure_rows=rows,
         projected=projected,

@@ -19,6 +19,7 @@ import numpy as np
 from linkplan.models.closure.equations import Closure, rows_by_pin
 from linkplan.models.closure.redundancy import ProjectedLoops, combination, jacobians_at_random
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
+from linkplan.models.tree.ball_ranges import ball_turns
 from linkplan.models.tree.dynamics import Tree
 from linkplan.models.tree.sites import site_places
 from linkplan.models.tree.tendons import limited_tendons
@@ -53,6 +54,7 @@ class ReducedDynamics:
     effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
     actuator_length: ca.Function  # q -> MuJoCo's actuator lengths (n_u,), NaN for sites and slider-cranks
     tendon_length: ca.Function  # q -> l (n_tendons,) of the tendons with a limited length
+    ball_turns: ca.Function  # q -> sin^2(alpha / 2) (n_balls,) of the ball joints with a limited angle alpha
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
     inverse_dynamics: ca.Function  # q, v, a -> the required Gamma^T B u (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
@@ -175,6 +177,7 @@ def reduce_tree(
         effort_matrix=function("effort_matrix", [q], B),
         actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
         tendon_length=function("tendon_length", [q], limited),
+        ball_turns=function("ball_turns", [q], ball_turns(tree.model, tree.coordinates, q)),
         effort_map=function("effort_map", [q], effort_map),
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),

@@ -1,5 +1,6 @@
 """The kinds of limits, and the limits of a problem. A new kind is one entry in each of these two tables."""
 
+from linkplan.planner.limits.ball import BallLimit
 from linkplan.planner.limits.closure_force import ClosureForceLimit
 from linkplan.planner.limits.control import ControlLimit
 from linkplan.planner.limits.effort_rate import EffortRateLimit
@@ -24,6 +25,7 @@ KINDS: tuple[type[PathLimit], ...] = (
     SingularMarginLimit,
     ControlLimit,
     TendonLimit,
+    BallLimit,
     RobustLimit,
     SitePathLimit,
     ExtraPathLimit,
@@ -40,6 +42,7 @@ RELAXED: tuple[type[PathLimit], ...] = (
     EffortRateLimit,
     SingularMarginLimit,
     TendonLimit,
+    BallLimit,
     SitePathLimit,
     ExtraPathLimit,
 )

@@ -177,7 +177,7 @@ def _forces(problem: Problem, _: Trajectory) -> Iterator[Claim]:
 
 
 def _margins(problem: Problem, _: Trajectory) -> Iterator[Claim]:
-    """Yield the claims on the determinants of J_z's blocks, relative to home, and on tendons' lengths."""
+    """Yield the claims on J_z's determinants relative to home, on tendons' lengths and on ball joints' angles."""
     mechanism, margin = problem.mechanism, problem.limits.singular_margin
     q = ca.SX.sym("q", mechanism.n_q)
     if margin > 0:
@@ -202,6 +202,17 @@ def _margins(problem: Problem, _: Trajectory) -> Iterator[Claim]:
                 high=float(tendon.high),
                 slack=ROUNDING_SHARE * max(1.0, _size(np.array([tendon.low, tendon.high]))),
                 values=lambda state, walk=lengths, k=k: [walk(state.q)[0][k, 0]],
+            )
+    if mechanism.balls:
+        turns = walk_of(ca.Function("balls", [q], [ca.densify(mechanism.dynamics.ball_turns(q))]))
+        for k, ball in enumerate(mechanism.balls):
+            yield Claim(
+                name=f"sin^2 of half the angle of ball joint {ball.name}",
+                unit="1",
+                low=-np.inf,
+                high=float(np.sin(ball.largest / 2) ** 2),
+                slack=ROUNDING_SHARE,
+                values=lambda state, walk=turns, k=k: [walk(state.q)[0][k, 0]],
             )
 
 

@@ -151,12 +151,12 @@ def _on_the_only_way(problem: Problem) -> str | None:
 
 
 def _limits_poses(problem: Problem) -> bool:
-    return bool(problem.limits.site or problem.mechanism.tendons or problem.extra_limits)
+    return bool(problem.limits.site or problem.mechanism.tendons or problem.mechanism.balls or problem.extra_limits)
 
 
 def _pose_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
-    """Return the sentence on a tendon or extra limit that the worst of poses (n, n_q) overruns, or None."""
-    return _tendon_beyond(problem, poses, when) or _extra_beyond(problem, poses, when)
+    """Return the sentence on a tendon, ball joint or extra limit that the worst of poses (n, n_q) overruns, or None."""
+    return _tendon_beyond(problem, poses, when) or _ball_beyond(problem, poses, when) or _extra_beyond(problem, poses, when)
 
 
 def _extra_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
@@ -201,6 +201,20 @@ def _tendon_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None
             return (
                 f"infeasible: the length of tendon {tendon.name} is {values[k]:.6g} {tendon.unit}".rstrip()
                 + f" {when}, {off[k]:.4g} beyond its range of {tendon.low:g} to {tendon.high:g}"
+            )
+    return None
+
+
+def _ball_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
+    """Return the sentence on a ball joint beyond the largest angle at the worst of poses (n, n_q), or None."""
+    mechanism = problem.mechanism
+    for item, ball in enumerate(mechanism.balls):
+        turns = sampled(mechanism.dynamics.ball_turns, poses)[:, item, 0]
+        angle = float(np.degrees(2 * np.arcsin(np.sqrt(np.clip(turns.max(), 0.0, 1.0)))))
+        if turns.max() > np.sin(ball.largest / 2) ** 2 * (1 + SITE_SLACK):
+            most = np.degrees(ball.largest)
+            return (
+                f"infeasible: ball joint {ball.name} is turned by {angle:.6g} deg {when}, beyond its range of {most:.6g} deg"
             )
     return None
 
