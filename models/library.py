@@ -83,7 +83,7 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     if root is not None:
         notes = complete(spec, source, root)
     else:
-        notes = () if is_text(str(source)) or str(source) in BUILT_IN else leave_out_missing_files(spec, Path(source).parent)
+        notes = () if is_text(str(source)) or str(source) in BUILT_IN else leave_out_missing_files(spec, Path(source))
     _name_all(spec.bodies, "body")
     if not selection:
         return name, spec, notes

@@ -9,21 +9,23 @@ from pathlib import Path
 import mujoco
 
 from linkplan.models.errors import ModelError
+from linkplan.models.reading import shown
 from linkplan.models.users import delete_geoms
 
 _OPENING = "opening file"
 
 
-def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...]:
+def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     """Delete the meshes and textures whose files are not there, and return a note that names them.
 
     Args:
         spec: a parsed MJCF file.
-        folder: the file's folder.
+        path: of the file.
 
     Raises:
         ModelError: if a body has its mass from a mesh that is not there.
     """
+    folder = path.parent
     meshes = [mesh for mesh in spec.meshes if _is_missing(folder / spec.meshdir, mesh.file)]
     textures = [texture for texture in spec.textures if _is_missing(folder / spec.texturedir, texture.file)]
     notes = _without_lost_pairs(spec)
@@ -34,7 +36,7 @@ def leave_out_missing_files(spec: mujoco.MjSpec, folder: Path) -> tuple[str, ...
     for mesh in meshes:
         geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
         for geom in geoms:
-            _refuse_lost_mass(geom, mesh)
+            _refuse_lost_mass(geom, mesh, path)
         delete_geoms(spec, geoms)
         spec.delete(mesh)
     gone = {texture.name for texture in textures}
@@ -68,11 +70,12 @@ def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:
     return False
 
 
-def _refuse_lost_mass(geom: mujoco.MjsGeom, mesh: mujoco.MjsMesh) -> None:
+def _refuse_lost_mass(geom: mujoco.MjsGeom, mesh: mujoco.MjsMesh, path: Path) -> None:
     body = geom.parent
     if body.name == "world" or body.explicitinertial or geom.mass == 0 or geom.density == 0:
         return
+    named = f"body '{body.name}'" if body.name else "a body without a name"
     raise ModelError(
-        f"body '{body.name}' has its mass from mesh '{mesh.file}', which is not there; put the file there, or give the body"
-        " an <inertial>"
+        f"model '{shown(str(path))}': {named} has its mass from mesh '{mesh.file}', which is not there; put the file"
+        " there, or give the body an <inertial>"
     )
