@@ -13,7 +13,7 @@ effort is therefore u_ref + s (limit - u_ref), where s is the share of the mean'
 correction uses. The mean over the block is the program's effort, no correction leaves u_ref, and a full one is the limit.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import daqp
 import numpy as np
@@ -52,12 +52,22 @@ class MPC:
     mean: np.ndarray
     own: np.ndarray
     effort_limit: np.ndarray
-    room: np.ndarray
-    bounds: np.ndarray
     kept: np.ndarray
     weights: tuple[np.ndarray, np.ndarray]
     predictor: Predictor
     name: str = "mpc"
+    room: np.ndarray = field(init=False)
+    bounds: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        limits, mean = self.effort_limit.T, self.mean[self.ahead[:, :-1]].reshape(len(self.ahead), -1)
+        room = np.stack([np.tile(end, HORIZON_BLOCKS) - mean for end in limits], axis=1)
+        bounds = np.concatenate([np.tile(limits, (len(room), 1, 1)), room], axis=2)
+        with np.errstate(invalid="ignore"):
+            # Efforts beyond a limit by this share of the range between the limits are rounding.
+            slack = 1e-9 * np.diff(bounds, axis=1) * [[-1], [1]]
+        object.__setattr__(self, "room", room)
+        object.__setattr__(self, "bounds", bounds + np.where(np.isfinite(slack), slack, 0.0))
 
     def start(self, n: int) -> np.ndarray:
         """Return the initial memory (n, blocks n_u), NaN: the LQR acts."""
@@ -134,7 +144,6 @@ def mpc(
         raise LinkplanError(f"the horizon of mpc is a positive number of seconds, got {horizon_s:g}")
     found, kept = regulator(mechanism, reference, errors)
     n, m, n_u = found.B.shape
-    limits = np.array(effort_limit, dtype=float)
     loop = found.A - found.B @ found.gains
     periods = max(1, int(np.ceil(horizon_s / (HORIZON_BLOCKS * reference.period_s) - 1e-9)))
     way, mean, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, n_u)), np.arange(n)
@@ -147,12 +156,6 @@ def mpc(
         here = ahead[:, b]
         alone[:, b] = -found.gains[here] @ so_far
         so_far, ahead[:, b + 1] = way[here] @ so_far, at[here]
-    corrected = mean[ahead[:, :-1]].reshape(n, -1)
-    room = np.stack([np.tile(end, HORIZON_BLOCKS) - corrected for end in limits.T], axis=1)
-    bounds = np.concatenate([np.tile(limits.T, (n, 1, 1)), room], axis=2)
-    # Efforts beyond a limit by this share of the range between the limits are rounding.
-    slack = 1e-9 * np.diff(bounds, axis=1) * [[-1], [1]]
-    bounds += np.where(np.isfinite(slack), slack, 0.0)
     model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s, compile_mode)
     begin = np.hstack([reference.pose[:n], reference.velocity[:n]])
     return MPC(
@@ -163,9 +166,7 @@ def mpc(
         begin=begin,
         mean=mean,
         own=sampled(model.step, begin, mean)[:, :, 0],
-        effort_limit=limits,
-        room=room,
-        bounds=bounds,
+        effort_limit=np.array(effort_limit, dtype=float),
         kept=kept,
         weights=(periods * found.Q, periods * found.R),
         predictor=model,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.models.errors import ModelError
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Plot
@@ -104,9 +105,13 @@ def force_plots(plan: Plan, motion: Motion, group: str = "", period: float | Non
         Line(name=name, values=motion.closure_force[:, c], unit="N", limits=(-np.inf, float(limits[c])))
         for c, name in enumerate(mechanism.closure_names)
     ]
-    loads = pin_forces(mechanism, motion.pose, motion.velocity, motion.acceleration, motion.effort)
+    title = "Force in the pins"
+    try:
+        loads = pin_forces(mechanism, motion.pose, motion.velocity, motion.acceleration, motion.effort)
+    except ModelError:  # the model's file is no longer there
+        title, loads = "Force in the cut pins, without the model's file", {}
     lines = [*cut, *(Line(name=name, values=force, unit="N") for name, force in loads.items())]
-    return plots("Force in the pins", "force", TIME, motion.time_s, lines, group=group, period=period)
+    return plots(title, "force", TIME, motion.time_s, lines, group=group, period=period)
 
 
 def _site_lines(plan: Plan, motion: Motion) -> list[Line]:

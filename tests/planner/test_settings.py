@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from linkplan.models.compiled import functions
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
-from linkplan.planner.transcription import collocation
 
 # Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.
 REFUSED = [
@@ -101,8 +101,8 @@ def test_what_compiles_knows_when_the_plan_is_to_be_done(monkeypatch):
         known.append(deadline)
         return build()
 
-    monkeypatch.setattr(collocation, "compiled", interpreted)
-    monkeypatch.setattr(collocation, "cached", lambda *_: None)
+    monkeypatch.setattr(functions, "compiled", interpreted)
+    monkeypatch.setattr(functions, "cached", lambda *_: None)
     problem = load_problem("knee-reach", ("solver.compile=always", "solver.max_time_s=60"))
     begun = Deadline().within(60.0 + 1.0)
     assert plan_motion(problem).trajectory is not None

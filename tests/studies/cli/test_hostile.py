@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from linkplan.models.catalogue import built_in_text
+from linkplan.models.compiled import functions
 from linkplan.models.errors import CertificateError, LinkplanError, ModelError, PlanFileError, ProblemError, one_line
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.saved import objective_value
 from linkplan.planner.files import tables
 from linkplan.planner.plan_folder import read_plan
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.transcription import compiled
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.drawing import page
 from tests.bench.fuzz import fuzz
@@ -147,11 +147,11 @@ def test_a_refusal_has_no_character_that_a_terminal_obeys():
 
 def test_an_unclosed_quote_in_cc_is_no_compiler(monkeypatch):
     monkeypatch.setenv("CC", 'gcc "')
-    compiled.compiler.cache_clear()
+    functions.compiler.cache_clear()
     try:
-        assert compiled.compiler() is None
+        assert functions.compiler() is None
     finally:
-        compiled.compiler.cache_clear()
+        functions.compiler.cache_clear()
 
 
 def test_what_nobody_foresaw_is_one_line_and_a_file(ask, monkeypatch, tmp_path):
