@@ -218,6 +218,8 @@ def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so():
     """Rest to rest over 1 in T costs 12 / T^3."""
     plan = planned(duration_s=(0.1, 1e9), effort_limit=[[-INF, INF]], running_cost=squared_effort, final_cost=None)
     assert plan.status == "failed"
+    assert plan.trajectory is not None  # a motion that does not do is shown, not claimed
+    assert (plan.objective, plan.objective_error, plan.duration_s) == (None, None, None)
     assert "the objective is unbounded in the duration, the longer the motion the better" in plan.message
     assert "bound duration_s from above" in plan.message
     assert "\n" not in plan.message

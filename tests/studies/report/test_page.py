@@ -190,7 +190,7 @@ def test_a_folded_section_holds_the_deeper_sections_after_it(browser, tmp_path):
     assert opened.page.get_by_role("heading", name="next").is_visible()
     assert opened.page.locator("nav a").all_inner_texts() == ["outer", "next"]
     opened.page.get_by_role("link", name="outer").click()
-    assert opened.page.get_by_role("heading", name="inner").is_visible()
+    opened.page.get_by_role("heading", name="inner").wait_for()  # visible, once the address has changed
 
 
 @pytest.mark.parametrize("width", [400, 700, 1400])
