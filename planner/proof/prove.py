@@ -29,7 +29,7 @@ TAYLOR_ORDER = 6
 # Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
 _MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
 # Stands among a box's claims for the existence of a motion near the plan.
-_NEARBY = -1
+_NEAR_PLAN = -1
 # After so many boxes without a closed branch none is halved any more: the loops do not close.
 _MAX_LOST = 16
 # A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
@@ -218,11 +218,12 @@ class _Sweep:
 
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval; return where the branch is at its end."""
-        stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=[_NEARBY] if self.near else list(range(len(self.claims))))]
+        asked = [_NEAR_PLAN] if self.near else list(range(len(self.claims)))
+        stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=asked)]
         most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
         while stack:
             box = stack.pop()
-            open_claims = [i for i in box.claims if i == _NEARBY or self.records[i].refuted is None]
+            open_claims = [i for i in box.claims if i == _NEAR_PLAN or self.records[i].refuted is None]
             if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
                 continue
             lost = len(self.closure.undecided) >= _MAX_LOST
@@ -268,7 +269,7 @@ class _Sweep:
 
     def _decided(self, i: int, states: tuple[State, State], piece: Piece, box: _Box) -> bool:
         """Record a claim's bound on a box; return False if the box has to be halved for it."""
-        if i == _NEARBY:
+        if i == _NEAR_PLAN:
             return self.near.takes(states, (box.centre, box.radius), box.halvings, self.order)
         claim, record = self.claims[i], self.records[i]
         record.boxes += 1
@@ -297,7 +298,7 @@ class _Sweep:
         """Record claims as undecided on a box."""
         ends = tuple(piece.begin_s + (box.centre + x * box.radius) * float(piece.width) for x in (-1, 1))
         for i in claims:
-            if i == _NEARBY:
+            if i == _NEAR_PLAN:
                 self.near.failure = f"the time or the boxes are used up at t = {ends[0]:.4g} s"
             else:
                 self.records[i].undecided.append(ends)
