@@ -65,8 +65,8 @@ def finished(
         share, joint = slow
         details["slow_friction_share"] = share
         sentence += (
-            f"; during {share:.0%} of it {joint} moves too slowly for its dry friction, which is less than nine tenths of"
-            " the model's there (mechanism.friction_transition_deg_s)"
+            f"; {joint} is so slow during {share:.0%} of it that less than nine tenths of its dry friction are planned"
+            " (a lower mechanism.friction_transition_deg_s plans more)"
         )
     if failure is not None:
         return replace(plan, status="failed", message=f"failed: {failure}", objective=None, details=details)
