@@ -132,7 +132,6 @@ def test_a_model_that_cannot_be_used_is_refused_in_one_line_with_the_reason(text
 # name: (MJCF, words of what is named; all make plans false)
 FALSE = {
     "ball spring": (replaced(RSSR, 'type="ball"', 'type="ball" stiffness="2"'), ["stiffness", "ball", "rod"]),
-    "ball range": (replaced(RSSR, 'type="ball"', 'type="ball" range="0 1"'), ["range", "ball", "rod"]),
     "a damped motor on a ball": (
         replaced(RSSR, "<actuator>", '<actuator><motor name="swivel" joint="rod" gear="1 0 0" damping="1"/>'),
         ["damping", "swivel", "joint rod"],
