@@ -15,10 +15,12 @@ import numpy as np
 
 from linkplan.models.catalogue import is_text
 from linkplan.models.errors import ModelError
-from linkplan.models.urdf_beside import Beside, CutHinge, beside, loop_closures
+from linkplan.models.urdf_beside import Beside, CutHinge, LoopClosures, beside, loop_closures
 
 _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+# Where closures and motors come from, in notes.
+_BESIDE, _CUT = "the YAML file beside the URDF", "loop_closures.yaml"
 _CLOSING = re.compile(r"closing_(.+)_1")
 # The distance [m] of a hinge's two points.
 _HINGE_WIDTH_M = 0.05
@@ -39,36 +41,40 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     """
     path = None if is_text(str(source)) else Path(source)
     named, cut = (None, None) if path is None else (beside(path), loop_closures(path))
+    named, cut = named or Beside(), cut or LoopClosures(closures=[])
     notes = _settle_meshes(spec, None if path is None else path.parent)
-    pairs = [(first, f"closing_{found[1]}_2", "3d") for first in _links(root) if (found := _CLOSING.fullmatch(first))]
-    asked = named or Beside()
-    kinds = asked.type or ["6d"] * len(asked.closed_loop)
-    pairs += [(first, second, kind) for (first, second), kind in zip(asked.closed_loop, kinds, strict=True)]
     notes += _weigh(spec, root)
+    notes += _close_loops(spec, root, named, cut.closures)
+    _retype(spec, dict(zip(named.joint_name, named.joint_type, strict=True)))
+    transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
+    sources = {_BESIDE: named.name_mot, "transmissions of the URDF": list(transmitted), _CUT: cut.independent}
+    where, motors = next(((where, motors) for where, motors in sources.items() if motors), ("", []))
+    _drive(spec, root, motors)
+    if motors:
+        notes.append(f"motors from {where}: {', '.join(motors)}")
+    return tuple(notes)
+
+
+def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: Sequence[CutHinge]) -> list[str]:
+    """Close the loops that frames, loop_joints and YAML files name, and return a note for each source."""
+    frames = [(first, f"closing_{found[1]}_2") for first in _links(root) if (found := _CLOSING.fullmatch(first))]
     loops = list(root.iter("loop_joint"))
-    hinges = [] if cut is None else cut.closures
+    kinds = ["3d"] * len(frames) + (named.type or ["6d"] * len(named.closed_loop))
+    pairs = [*frames, *named.closed_loop]
     spec.compiler.fusestatic = spec.compiler.fusestatic and not pairs and not hinges
-    for first, second, kind in pairs:
-        ends = [(_link_of(root, name), np.zeros(3)) for name in (first, second)]
-        _close(spec, f"{first}-{second}", ends, _WELD if kind.lower() == "6d" else _CONNECT)
+    for pair, kind in zip(pairs, kinds, strict=True):
+        ends = [(_link_of(root, name), np.zeros(3)) for name in pair]
+        _close(spec, "-".join(pair), ends, _WELD if kind.lower() == "6d" else _CONNECT)
     for loop in loops:
         _close_loop_joint(spec, loop)
     for hinge in hinges:
         _close_hinge(spec, root, hinge)
-    _retype(spec, dict(zip(asked.joint_name, asked.joint_type, strict=True)))
-    transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
-    motors = asked.name_mot or list(transmitted) or ([] if cut is None else cut.independent)
-    _drive(spec, root, motors)
-    where = "the URDF" if named is None else "the YAML file beside the URDF"
-    if pairs or loops:
-        names = ", ".join([f"{a}-{b}" for a, b, _ in pairs] + [str(loop.get("name")) for loop in loops])
-        notes.append(f"closures from {where if pairs else 'the URDF'}: {names}")
-    if hinges:
-        notes.append(f"closures from loop_closures.yaml: {', '.join(f'{one.link_a}-{one.link_b}' for one in hinges)}")
-    if motors:
-        drives = where if asked.name_mot else "transmissions of the URDF" if transmitted else "loop_closures.yaml"
-        notes.append(f"motors from {drives}: {', '.join(motors)}")
-    return tuple(notes)
+    sources = {
+        "the URDF": ["-".join(pair) for pair in frames] + [str(loop.get("name")) for loop in loops],
+        _BESIDE: ["-".join(pair) for pair in named.closed_loop],
+        _CUT: [f"{hinge.link_a}-{hinge.link_b}" for hinge in hinges],
+    }
+    return [f"closures from {where}: {', '.join(names)}" for where, names in sources.items() if names]
 
 
 def _link_of(root: ET.Element, name: str) -> str:

@@ -108,7 +108,7 @@ def _towards_a_proof(state: RefinementState) -> Action | None:
     best = state.best
     if best is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
         return None
-    # Once the motion is changed, it is brought well within the allowance, which samples may just miss.
+    # A changed motion is brought well within the allowance: its largest effort may lie between the samples.
     beyond = best.certificate.effort_overrun > MARKED_SHARE if state.restored else beyond_efforts(best)
     return Restore(beyond) if beyond.any() else None
 

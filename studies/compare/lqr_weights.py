@@ -22,7 +22,7 @@ def scaled(settings: Tracking, mechanism: Mechanism, pose: np.ndarray, unit: np.
     outputs = mechanism.dynamics.linearisation.map(n)(pose.T, np.zeros((n_s, n)), np.zeros((n_u, n)))
     reached = np.abs(np.array(outputs[2]).reshape(n_s, n, n_u)) @ unit
     most: dict[str, float] = {}
-    for i, joint, fastest in zip(mechanism.independent, mechanism.independent_joints, reached.max(axis=1), strict=True):
-        if int(i) not in mechanism.passive_dofs:
-            most[joint.kind] = max(most.get(joint.kind, 0.0), float(fastest))
+    for channel in mechanism.channels:
+        kind = mechanism.independent_joints[channel].kind
+        most[kind] = max(most.get(kind, 0.0), float(reached[channel].max()))
     return settings.with_lqr_errors(most, max(settings.period_s, float(mechanism.model.opt.timestep)))

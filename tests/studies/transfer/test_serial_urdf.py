@@ -12,8 +12,8 @@ from linkplan.models.errors import LinkplanError
 from linkplan.studies.transfer.serial_urdf import reductions, urdf_notes, urdf_text
 from tests.support import parallel_ankle
 
-# A crank drives a lever by a rod: with equal arms the lever turns as the crank does, here by a gear of -3 at the motor. The
-# lever's joint stands off its body's origin and turned, and the lever carries another joint.
+# A crank moves a lever of the same length by a rod, so that both turn alike. The gear of the motor is -3. The joint of the
+# lever is off the origin of its body, the body is turned, and it carries another joint.
 PARALLELOGRAM = """<mujoco model="parallelogram"><compiler angle="radian" autolimits="true"/><worldbody><body name="crank">
 <joint name="O" axis="0 1 0" range="-1 1" armature="0.002" damping="0.1"/>
 <geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" mass="0.2"/>
