@@ -1,6 +1,7 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
 
 import itertools
+import threading
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from linkplan.models.errors import ModelError, one_line
 from linkplan.models.missing_files import leave_out_missing_files
 from linkplan.models.model_text import MAX_MODEL_BYTES, refuse_oversized
 from linkplan.models.model_values import refuse_unusable
+from linkplan.models.mujoco_warnings import mujoco_warnings
 from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
 from linkplan.models.reading import read_file, shown
@@ -25,6 +27,8 @@ __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
 
 NOTHING_SELECTED = Selection()
+# Python's filters of warnings belong to the whole process.
+_ONE_COMPILATION = threading.RLock()
 
 
 def compile_model(
@@ -36,23 +40,20 @@ def compile_model(
         ModelError: if the source is neither a built-in name, nor a readable file, nor MJCF text; if MuJoCo refuses it
             (with MuJoCo's reason); or if the payload's body is not in it.
     """
-    messages: list[str] = []
-    mujoco.set_mju_user_warning(messages.append)  # by default MuJoCo writes a log file to the working folder
-    try:
-        name, spec, notes = _selected(source, selection)
-        if payload is not None:
-            attach(spec, payload)
-        with warnings.catch_warnings(record=True) as caught:  # MuJoCo's bindings issue some messages as Python warnings
-            warnings.simplefilter("always")
-            model = spec.compile()
-        messages += [str(one.message) for one in caught]
-    except UnicodeDecodeError as error:
-        raise ModelError(f"model '{source}' has names that are not UTF-8 text") from error
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        what = "MJCF text" if is_text(str(source)) else source
-        raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
-    finally:
-        mujoco.set_mju_user_warning(None)
+    with _ONE_COMPILATION, mujoco_warnings() as messages:
+        try:
+            name, spec, notes = _selected(source, selection)
+            if payload is not None:
+                attach(spec, payload)
+            with warnings.catch_warnings(record=True) as caught:  # MuJoCo's bindings issue some messages as Python warnings
+                warnings.simplefilter("always")
+                model = spec.compile()
+        except UnicodeDecodeError as error:
+            raise ModelError(f"model '{source}' has names that are not UTF-8 text") from error
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
+            what = "MJCF text" if is_text(str(source)) else source
+            raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
+    messages += [str(one.message) for one in caught]
     refuse_unusable(name, model)
     if any("nan" in text.lower() for text in messages) or not np.all(np.isfinite(model.opt.gravity)):
         raise ModelError(

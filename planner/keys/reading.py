@@ -1,5 +1,6 @@
 """Conversion of a file's tables to typed sections, or a refusal in one line."""
 
+import threading
 from collections.abc import Mapping
 from typing import Any, TypeVar, get_args
 
@@ -15,6 +16,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     name: getattr(kind, "__struct_fields__", ()) for name, kind in _FIELDS.items() if name != "description"
 }
 Read = TypeVar("Read")
+# msgspec 0.22 prepares a type at its first conversion; two threads that do so at once end the process.
+_ONE_CONVERSION = threading.Lock()
 
 
 def read(
@@ -39,7 +42,8 @@ def read(
         error: for a value of another type, in one line that names its key.
     """
     try:
-        return msgspec.convert(value, kind)
+        with _ONE_CONVERSION:
+            return msgspec.convert(value, kind)
     except UnicodeEncodeError as refused:
         raise error(f"{where} holds what is no text") from refused
     except (msgspec.ValidationError, AttributeError) as refused:  # AttributeError: an object that only resembles a table

@@ -230,3 +230,23 @@ def test_threads_may_share_a_planner(planners):
     done = subprocess.run([sys.executable, "-c", SHARED, planners], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.split() == 6 * ["optimal"]
+
+
+AT_ONCE = """
+import sys, threading
+from linkplan.planner.problem.problem import load_problem
+sys.setswitchinterval(1e-4)  # the threads take turns often enough to meet inside a library
+threads = [threading.Thread(target=load_problem, args=("knee-reach",)) for _ in range(3)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+"""
+
+
+@pytest.mark.slow
+def test_threads_may_read_their_first_problems_at_once():
+    """Without the locks, 18 of 40 such processes ended with a segmentation fault of msgspec or hung in MuJoCo."""
+    for _ in range(6):
+        done = subprocess.run([sys.executable, "-c", AT_ONCE], capture_output=True, text=True, check=False, timeout=60)
+        assert (done.returncode, done.stderr) == (0, "")
