@@ -41,6 +41,8 @@ class RigidPlant:
 class RigidStepper:
     """Rigid machines that are advanced by control periods; see `Stepper`."""
 
+    rows: np.ndarray | slice
+    independent: np.ndarray | slice
     lost = LOST
 
     def __init__(self, plant: RigidPlant, reference: SampledReference, machines: Sequence[Imperfections]) -> None:

@@ -68,7 +68,7 @@ def _tendons(model: mujoco.MjModel):
                 ("frictionloss", model.tendon_frictionloss[tendon] > 0),
             ]
             yield from (f"{what} of tendon {name}, which wraps around a geom" for what, present in forces if present)
-        elif armatures[tendon] > 0 and spans_branches(model, lengths[tendon], q):
+        elif armatures[tendon] > 0 and (length := lengths[tendon]) is not None and spans_branches(model, length, q):
             yield f"armature of tendon {name}: it couples two branches of the tree, which the simulator's inertia leaves out"
 
 

@@ -73,7 +73,8 @@ def _dependent(joints, model, jacobian, rank: int, actuators, named: list[int]) 
         groups.insert(0, [i for i in dict.fromkeys(group) if i in left])
         left = [i for i in left if i not in groups[0]]
     chosen = dependent_columns(jacobian, rank, [left, *groups])
-    if named and (lost := [joints[i].name for i in named if i in chosen]):
+    lost = [joints[i].name for i in named if i in chosen]
+    if lost:
         raise ModelError(
             f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the loops fix joint"
             f" {', '.join(lost)} there whatever the other coordinates do; name another joint, or another home pose"

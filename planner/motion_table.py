@@ -67,7 +67,7 @@ class MotionTable:
     def named_arrays(self) -> tuple[dict, dict]:
         """Return the variables and coordinates of a data set, each as the names of its dimensions and its values."""
         joints, actuators = list(self.position), list(self.effort)
-        variables = {
+        variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
             "position": (("time_s", "joint"), np.column_stack([self.position[name] for name in joints])),
             "speed": (("time_s", "joint"), np.column_stack([self.speed[name] for name in joints])),
             "effort": (("time_s", "actuator"), np.column_stack([self.effort[name] for name in actuators])),

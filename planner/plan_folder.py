@@ -326,7 +326,7 @@ def _guess_is_lost(tables: dict) -> bool:
 def _possible_models(saved: PlanRecord, folder: Path) -> list[str | None]:
     """Return the names or paths under which a saved plan's model may be found, the path relative to the plan first."""
     section, relative = saved.problem.get("mechanism"), saved.model_from_here
-    models = [section.get("model")] if isinstance(section, dict) else [None]
+    models: list[str | None] = [section.get("model")] if isinstance(section, dict) else [None]
     if relative is not None and is_file(folder / relative):
         models.insert(0, str((folder / relative).resolve()))
     return list(dict.fromkeys(model for model in models if model is None or isinstance(model, str)))

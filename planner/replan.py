@@ -82,9 +82,11 @@ class Replanner:
         The motion is not certified; `plan` does that.
         """
         with self._lock:
-            if not self._fits(problem):
+            kept = self._fitting(problem)
+            if kept is None:
                 return None
-            solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
+            solver, last = kept
+            solution = run_solver(solver, renumbered(last, problem, last.start))
         return solution if solution.converged and not _is_blocked_by_bounds(problem, solution) else None
 
     def step(self, problem: Problem) -> NextMotion | None:
@@ -101,41 +103,45 @@ class Replanner:
             ProblemError: when start or goal contradict the mechanism.
         """
         with self._lock:
-            if not self._fits(problem):
+            kept = self._fitting(problem)
+            if kept is None:
                 return None
+            solver, last = kept
             if self._optimum is None:  # once after a plan from the beginning
-                self._keep_optimum(run_solver(self._solver, self._last))
+                last = self._keep_optimum(run_solver(solver, last))
             if self._optimum is None:
                 return None
             problem.start_pose()  # raises if a pose is out of reach
-            numbered = renumbered(self._last, problem, self._last.start)
+            numbered = renumbered(last, problem, last.start)
             begin = time.perf_counter()
             # Three steps are the fewest that give an error bound.
-            found = newton_step(self._conditions_of_last(), self._last, self._optimum, numbered, most=3)
+            found = newton_step(self._conditions_of(last), last, self._optimum, numbered, most=3)
             step = motion_step(problem, numbered, found, time.perf_counter() - begin)
             if step.settled:
                 self._last, self._optimum = replace(numbered, start=found.optimum.x), found.optimum
             return step
 
-    def _fits(self, problem: Problem) -> bool:
-        """Check that the kept program has the structure of a problem."""
+    def _fitting(self, problem: Problem) -> tuple[Solver, Transcribed] | None:
+        """Return the kept solver and program if they have the structure of a problem."""
         if self._last is None or self._solver is None or structure(problem) != self._key:
-            return False
+            return None
         # Bang arcs contain the old limits.
-        return self._held_at is None or bool(np.array_equal(problem.limits.effort, self._held_at))
+        fits = self._held_at is None or np.array_equal(problem.limits.effort, self._held_at)
+        return (self._solver, self._last) if fits else None
 
-    def _conditions_of_last(self) -> Conditions:
+    def _conditions_of(self, last: Transcribed) -> Conditions:
         if self._conditions is None:
-            self._conditions = conditions_of(self._last.program)
+            self._conditions = conditions_of(last.program)
         return self._conditions
 
-    def _keep_optimum(self, solution: Solution) -> None:
-        """Keep a solution as the next starting point."""
-        self._last = replace(solution.transcribed, start=solution.x)
-        known = solution.converged and solution.multipliers is not None and solution.bound_multipliers is not None
-        self._optimum = (
-            Optimum(x=solution.x, rows=solution.multipliers, bounds=solution.bound_multipliers) if known else None
-        )
+    def _keep_optimum(self, solution: Solution) -> Transcribed:
+        """Keep a solution as the next starting point, and return it."""
+        last = self._last = replace(solution.transcribed, start=solution.x)
+        rows, bounds = solution.multipliers, solution.bound_multipliers
+        self._optimum = None
+        if solution.converged and rows is not None and bounds is not None:
+            self._optimum = Optimum(x=solution.x, rows=rows, bounds=bounds)
+        return last
 
     def _certified(self, problem: Problem, solution: Solution) -> Plan | None:
         """Return the plan of a warm solution, or None if the problem must be planned from the beginning."""
@@ -153,6 +159,8 @@ class Replanner:
                 break
             # Tightening starts anew, because the kept program's own tightening belongs to another motion.
             case = case.tightened(certificate, trajectory)
+            assert self._solver is not None  # of the first solution
+            assert self._last is not None
             solution = run_solver(self._solver, renumbered(self._last, case.problem, solution.x, case.tightenings))
             if not solution.converged or _is_blocked_by_bounds(problem, solution):
                 return None
@@ -222,7 +230,7 @@ def structure(problem: Problem) -> tuple:
     )
     sites = tuple((limit.key, np.isfinite([limit.low, limit.high]).tobytes()) for limit in limits.site)
     ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
-    lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
+    lines = tuple(motor is not None and motor.line is not None for motor in problem.motors)
     corners = problem.robust.corners
     extra_limits = tuple((one.expression, *np.isfinite([one.lower, one.upper])) for one in problem.extra_limits)
     extra = extra_limits + tuple(one.expression for one in problem.objective.extra)

@@ -76,4 +76,5 @@ def saved_price(plan: Plan) -> Price | None:
 
 def _price(plan: Plan, nominal: float) -> Price:
     objective = plan.problem.objective
+    assert plan.objective is not None  # that of a motion that passes
     return Price(objective=plan.objective, nominal=nominal, unit=objective.unit, name=objective.name)

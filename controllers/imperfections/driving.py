@@ -57,7 +57,7 @@ class Driving:
 def driving(
     drives: Sequence[Drives],
     delays: Sequence[float],
-    timesteps_s: Sequence[float],
+    timesteps_s: Sequence[float] | np.ndarray,
     substeps: int,
     limit: np.ndarray,
     held: np.ndarray | None = None,

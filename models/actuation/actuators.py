@@ -22,6 +22,9 @@ from linkplan.models.tree.coordinates import HINGE, SLIDE, joint_label
 from linkplan.models.tree.dynamics import Tree
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, wraps
 
+# Coefficients on 1, length and speed.
+Triple = tuple[float, float, float]
+
 FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
 # A motor with a back-EMF; without inductance and the like it has no state.
@@ -45,8 +48,8 @@ class Actuator:
     joint: int | None
     target: str
     gear: float  # the first of the gear vector
-    gains: tuple[float, float, float]
-    biases: tuple[float, float, float]
+    gains: Triple
+    biases: Triple
     control_lower: float
     control_upper: float
     lower: float
@@ -173,7 +176,7 @@ def _is_line(model: mujoco.MjModel, index: int) -> bool:
     return not any(np.any(numbers) for numbers in further)
 
 
-def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _coefficients(model: mujoco.MjModel, index: int) -> tuple[Triple, Triple]:
     """Return the gains and biases on 1, length and speed: force = gains . state ctrl + biases . state.
 
     A DC motor without state, of resistance R and constant K, gives K (ctrl - K speed) / R.
@@ -183,9 +186,9 @@ def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...],
         return (constant / resistance, 0.0, 0.0), (0.0, 0.0, -(constant**2) / resistance)
     gain, bias = model.actuator_gainprm[index, :3], model.actuator_biasprm[index, :3]
     fixed = int(model.actuator_gaintype[index]) == FIXED
-    gains = tuple(float(g) if k == 0 or not fixed else 0.0 for k, g in enumerate(gain))
+    on_one, on_length, on_speed = (float(g) if k == 0 or not fixed else 0.0 for k, g in enumerate(gain))
     biased = int(model.actuator_biastype[index]) == AFFINE_BIAS
-    return gains, tuple(float(b) if biased else 0.0 for b in bias)
+    return (on_one, on_length, on_speed), ((float(bias[0]), float(bias[1]), float(bias[2])) if biased else (0.0, 0.0, 0.0))
 
 
 def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
@@ -244,12 +247,12 @@ def _read(model: mujoco.MjModel, index: int) -> Actuator:
     gains, biases = _coefficients(model, index)
     channel, at = int(model.actuator_ctrladr[index]), attachment(model, index)
     clamp = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    control = (-np.inf, np.inf)
+    lower, upper = -np.inf, np.inf
     if model.actuator_ctrllimited[channel] and clamp:
-        control = tuple(float(x) for x in model.actuator_ctrlrange[channel])
+        lower, upper = (float(x) for x in model.actuator_ctrlrange[channel])
     bounds = list(_clamps(model, index))
     if not any(gains[1:]) and not any(biases[1:]):
-        bounds.append(tuple(sorted(float(end) * gains[0] + biases[0] for end in control)))
+        bounds.append((min(ends := [end * gains[0] + biases[0] for end in (lower, upper)]), max(ends)))
     if model.actuator_forcelimited[index]:
         bounds.append(_scaled(model.actuator_forcerange[index], 1.0))
     return Actuator(
@@ -262,8 +265,8 @@ def _read(model: mujoco.MjModel, index: int) -> Actuator:
         gear=float(gear_of(model, index)[0]),
         gains=gains,
         biases=biases,
-        control_lower=control[0],
-        control_upper=control[1],
+        control_lower=lower,
+        control_upper=upper,
         lower=max((lo for lo, _ in bounds), default=-np.inf),
         upper=min((hi for _, hi in bounds), default=np.inf),
         unit=at.unit,

@@ -171,7 +171,7 @@ class _DetachedProcess(subprocess.Popen):
     """A process that nobody waits for: deleting the object while it runs gives no warning."""
 
     def __del__(self) -> None:
-        super().__del__(_warn=lambda *_, **__: None)
+        super().__del__(_warn=lambda *_, **__: None)  # pyright: ignore[reportCallIssue]  its private argument
 
 
 def compile_in_background(key: str, functions: DataclassInstance) -> subprocess.Popen | None:

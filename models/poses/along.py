@@ -5,6 +5,7 @@ import functools
 import casadi as ca
 import numpy as np
 
+from linkplan.models.compiled.on_arrays import on_arrays
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.friction import frictions_of
 
@@ -48,28 +49,20 @@ def sampled_where_moving(function: ca.Function, *arguments: np.ndarray) -> np.nd
     short = ca.Function(function.name(), [x], [ca.densify(function.call(given)[0])])
     places = np.hstack([a[:, columns] for a, columns in zip(arguments, moving, strict=True)])
     found = np.empty((len(places), short.numel_out(0)))
-    buffer, evaluate = short.buffer()
-    for place, result in zip(np.ascontiguousarray(places), found, strict=True):
-        if x.numel():
-            buffer.set_arg(0, memoryview(place))
-        buffer.set_res(0, memoryview(result))
+    place, result = np.empty(x.numel()), np.empty(short.numel_out(0))
+    evaluate = on_arrays(short, [place], [result])
+    for k, row in enumerate(places):
+        place[:] = row
         evaluate()
+        found[k] = result
     return found.reshape(len(places), short.size2_out(0), short.size1_out(0)).transpose(0, 2, 1)
 
 
 def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None = None) -> list[np.ndarray]:
-    """Return a function's first outputs (all by default), each (rows, columns); inputs and outputs are dense.
-
-    CasADi reads and writes numpy's memory: its own matrices take longer to convert than the function takes to evaluate.
-    """
-    buffer, evaluate = function.buffer()
-    given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]  # kept alive during the call
+    """Return a function's first outputs (all by default), each (rows, columns); inputs and outputs are dense."""
+    given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]
     found = [np.empty(function.numel_out(k)) for k in range(function.n_out() if outputs is None else outputs)]
-    for put, arrays in ((buffer.set_arg, given), (buffer.set_res, found)):
-        for k, array in enumerate(arrays):
-            if array.size:
-                put(k, memoryview(array))
-    evaluate()
+    on_arrays(function, given, found)()
     return [array.reshape(function.size_out(k), order="F") for k, array in enumerate(found)]
 
 

@@ -207,7 +207,8 @@ def _pose_sampler(
     weld, body, radius = model.body_weldid, model.geom_bodyid, _bounding_radii(mechanism)
 
     def on_a_pin(pair: Pair, place: np.ndarray) -> bool:
-        shared = pins.get(tuple(sorted((int(weld[body[pair[0]]]), int(weld[body[pair[1]]])))), ())
+        first, second = sorted(int(weld[body[geom]]) for geom in pair)
+        shared = pins.get((first, second), ())
         places = (data.xpos[of] + data.xmat[of].reshape(3, 3) @ local for of, local in shared)
         return any(np.linalg.norm(place - pin) <= min(radius[list(pair)]) for pin in places)
 

@@ -161,9 +161,9 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     begin, n = 0, 16  # ranges are checked after 16 steps, and then after four times as many each time
     while begin < len(path):
         found, arrived = continue_to(mechanism, q, path[begin : begin + n])
-        outside = _leaves_ranges(mechanism, found).any(axis=1)
-        for trial, leaves in zip(found, outside.tolist(), strict=True):
-            stop = _range_stop(mechanism, q, trial, coordinate) if leaves else None
+        outside = _leaves_ranges(mechanism, found)
+        for trial, leaves in zip(found, outside, strict=True):
+            stop = _range_stop(mechanism, q, trial, coordinate) if leaves.any() else None
             if stop is not None:
                 poses.append(stop[0])
                 return poses, End(position=float(stop[0][index]), reason=_end_of(stop[1]), joint=stop[2]), []
@@ -214,7 +214,7 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     def pose_at(x: float) -> np.ndarray:
         return _at(mechanism, q, coordinate, x)
 
-    a, b = q[index], trial[index]
+    a, b = float(q[index]), float(trial[index])
     if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:
         return np.array(q)
     return pose_at(sign_change(lambda x: function(pose_at(x)), a, b, xtol=1e-14))

@@ -11,7 +11,7 @@ Overconstrained loops have no rows that are independent at every pose: there E J
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import casadi as ca
 import numpy as np
@@ -148,7 +148,8 @@ def reduce_tree(
     force_map = _force_map(tree, closures, loops, projected)
     multipliers = factorise(loops.J_z.T)((needed - B @ u)[loops.dependent])
     force = force_map @ multipliers if loops.rows else ca.SX.zeros(loops.phi.numel())
-    limited = ca.vertcat(ca.SX(0, 1), *[tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)])
+    limited_lengths = [tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)]
+    limited = ca.vertcat(ca.SX(0, 1), *[length for length in limited_lengths if length is not None])  # none wraps
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
@@ -202,7 +203,7 @@ def with_numbers(dynamics: ReducedDynamics, numbers: np.ndarray) -> ReducedDynam
         return ca.Function(function.name(), inputs, outputs)
 
     functions = {field.name: getattr(dynamics, field.name) for field in fields(ReducedDynamics)}
-    return ReducedDynamics(**{k: given(f) if isinstance(f, ca.Function) else f for k, f in functions.items()})
+    return replace(dynamics, **{k: given(f) for k, f in functions.items() if isinstance(f, ca.Function)})
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -7,8 +7,15 @@ import numpy as np
 BOUNDARY_SHARE = 1e-6
 
 
-def relative_violation(values: np.ndarray, low: np.ndarray, high: np.ndarray, size: np.ndarray | float) -> float:
-    """Return the largest amount, in units of `size`, by which values (..., n) lie outside [low, high]; 0 if inside."""
+Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
+
+
+def relative_violation(values: np.ndarray, bounds: Bounds, size: np.ndarray | float) -> float:
+    """Return the largest amount, in units of `size`, by which values (..., n) lie outside the bounds, low and high (2, n).
+
+    It is 0 if all are inside.
+    """
+    low, high = bounds
     return float((np.maximum(low - values, values - high) / size).max(initial=0.0))
 
 

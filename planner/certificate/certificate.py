@@ -279,6 +279,8 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
     span = max(float(np.ptp(trajectory.position)), _MIN_SPAN)
     if motion.kind == "reach":
         rest = np.zeros(trajectory.n_s)
+        assert motion.start is not None  # a reach has both
+        assert motion.goal is not None
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
         free = np.zeros_like(ends, dtype=bool)
@@ -290,8 +292,8 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
         return 0.0
     still = free & (motion.kind == "reach")  # a spin's final speed is free in a reach and periodic in a periodic motion
     apart = [
-        relative_violation(ends, *exact_bounds(asked, free), span),
-        relative_violation(speeds, *exact_bounds(wanted, still), speed),
+        relative_violation(ends, exact_bounds(asked, free), span),
+        relative_violation(speeds, exact_bounds(wanted, still), speed),
     ]
     return max(*apart, *(_waypoint_error(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
 
@@ -305,4 +307,4 @@ def _waypoint_error(problem: Problem, trajectory: Trajectory, waypoint: Waypoint
     position, rate = exact_bounds(waypoint.position), exact_bounds(waypoint.speed)
     off = waypoint_off_m(problem, trajectory, waypoint, time).max(axis=1) / problem.mechanism.extent_m
     states = zip(trajectory.position_at(time), trajectory.velocity_at(time), off, strict=True)
-    return min(max(relative_violation(s, *position, span), relative_violation(v, *rate, speed), x) for s, v, x in states)
+    return min(max(relative_violation(s, position, span), relative_violation(v, rate, speed), x) for s, v, x in states)

@@ -8,11 +8,12 @@ order five (ibid. II, section IV.8), for intervals on which damping makes explic
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import casadi as ca
 import numpy as np
 
+from linkplan.models.compiled.on_arrays import on_arrays
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.interrupts import check
 from linkplan.models.poses.along import evaluated
@@ -198,16 +199,10 @@ def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
 
     The function is called thousands of times per motion, so CasADi reads and writes numpy's memory without copies.
     """
-    buffer, evaluate = function.buffer()
-    # The right-hand side keeps references to these arrays, because CasADi keeps addresses only.
     state, flat, at, result = np.zeros(function.size1_in(0)), np.array(inputs), np.zeros(1), np.zeros(function.size1_out(0))
-    for index, array in enumerate((state, flat, at)):
-        buffer.set_arg(index, memoryview(array))
-    buffer.set_res(0, memoryview(result))
-    kept = function, buffer, flat
+    evaluate = on_arrays(function, (state, flat, at), (result,))
 
-    def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
-        del kept
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
         state[:], at[0] = y, t / width
         evaluate()
         return np.array(result)
@@ -253,7 +248,7 @@ def _step(rate: ca.Function) -> ca.Function:
     h, at, long = ca.MX.sym("h"), ca.MX.sym("at"), ca.MX.sym("long")
     slopes = [slope]
 
-    def combined(weights: np.ndarray) -> ca.MX:
+    def combined(weights: Sequence[float]) -> ca.MX:
         used = [j for j, weight in enumerate(weights[: len(slopes)]) if weight]
         return ca.horzcat(*[slopes[j] for j in used]) @ ca.DM(np.asarray(weights)[used])
 

@@ -63,7 +63,7 @@ def _off_states(problem: Problem, trajectory: Trajectory) -> list[str]:
     for what, asked, time in (("start", motion.start, trajectory.breaks_s[0]), ("goal", motion.goal, middle)):
         if asked is None or (what == "goal" and motion.waypoints):
             continue
-        off = relative_violation(trajectory.position_at(np.array([time])), *exact_bounds(asked), span)
+        off = relative_violation(trajectory.position_at(np.array([time])), exact_bounds(asked), span)
         if not off <= BOUNDARY_SHARE:
             found.append(f"the periodic motion misses its {what} by {off:.3g} of its range")
     return found

@@ -81,6 +81,7 @@ def optimality(problem: Problem) -> str:
 def _failure(plan: Plan) -> str | None:
     """Return the reason why a motion's certificate fails or its tolerance is missed; else None."""
     certificate, tolerance = plan.certificate, plan.problem.mesh.tolerance_deg
+    assert certificate is not None  # of a motion
     if not certificate.passed:
         return f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
     if tolerance is None or is_exact(plan.problem, certificate):

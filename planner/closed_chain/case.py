@@ -106,6 +106,8 @@ def held_arcs_of(problem: Problem, guess: Guess) -> FixedArcs:
     """Return the arcs along limits on effort, power and pin force that a guess holds."""
     system = formulate(problem, choose_scales(problem, guess)).build_system()
     kinds = np.array(system.kinds[system.n_equations :])
+    assert guess.power_arcs is not None  # it holds arcs
+    assert guess.bang_efforts is not None
     paths = np.zeros((len(guess.power_arcs), len(kinds)), dtype=int)
     paths[:, kinds == "power"] = guess.power_arcs[:, np.isfinite(problem.limits.power).any(axis=1)]
     if guess.force_arcs is not None:
@@ -125,7 +127,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     continuous_efforts = objective.efforts("bend")
     bending = kinks and continuous_efforts and not objective.has("tracking")
     switches = not enclosed and (objective.efforts("jump") or bending) and not objective.efforts("smooth")
-    lines = any(motor is not None and motor.has_line for motor in problem.motors)
+    lines = any(motor is not None and motor.line is not None for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = 1e-7 if switches and (lines or bent) else None
     return RefinementTarget(

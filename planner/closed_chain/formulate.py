@@ -116,6 +116,7 @@ def _passed_rows(problem: Problem, asked: NodeTerms) -> tuple[tuple[int, int, fl
 
 
 def _tightened_row(limit: PathLimit) -> TightenedRow:
+    assert limit.tightened is not None  # of rows of a program; the others narrow the problem
     return TightenedRow(limit.kind, limit.item, limit.tightened)
 
 
@@ -154,12 +155,13 @@ def _interval_rows(
 def _exact_costs(problem: Problem, scales: Scales, smoothing: float | None, value: float) -> dict[str, np.ndarray]:
     """Return the exactly integrated costs of an interval, with their weights on the scaled unknowns."""
     found: dict[str, np.ndarray] = {}
+    nothing = np.zeros(problem.mechanism.n_u)
     for name, term in problem.objective.terms.items():
         if term.exact is not None:
             weights = problem.objective.weight(name) * term.size(scales, problem.motors) / value
-            found[term.exact] = found.get(term.exact, 0.0) + weights
+            found[term.exact] = found.get(term.exact, nothing) + weights
     if smoothing is not None:
-        found["effort_rate"] = found.get("effort_rate", 0.0) + np.full(problem.mechanism.n_u, smoothing)
+        found["effort_rate"] = found.get("effort_rate", nothing) + smoothing
     return {cost: found[cost] for cost in COSTS if cost in found}
 
 

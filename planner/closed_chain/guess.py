@@ -136,7 +136,7 @@ def _boundary_positions(problem: Problem) -> np.ndarray:
     first = motion.start
     if first is None:
         first = motion.waypoints[0].guessed if problem.reference is None else problem.reference.derivative(np.zeros(1))[0]
-    last = motion.goal if motion.kind == "reach" else first + motion.advance
+    last = first + motion.advance if motion.goal is None or motion.kind != "reach" else motion.goal
     states = np.vstack([first, *(w.guessed for w in motion.waypoints), last])
     for column in states.T:
         known = ~np.isnan(column)
@@ -218,6 +218,7 @@ def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> Piec
     motion = problem.motion
     if motion.waypoints:
         times, s = boundary_times(problem, duration), _boundary_positions(problem)
+        assert times is not None  # a motion with waypoints has them
         v = np.zeros_like(s)
         v[1:-1] = (s[2:] - s[:-2]) / (times[2:] - times[:-2])[:, None]
         turning = (s[2:] - s[1:-1]) * (s[1:-1] - s[:-2]) <= 0
@@ -226,16 +227,15 @@ def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> Piec
             v[k + 1] = np.where(np.isnan(waypoint.speed), v[k + 1], waypoint.speed)
     else:
         first = problem.mechanism.home[problem.mechanism.independent] if motion.start is None else motion.start
+        goal = first + motion.advance if motion.goal is None else motion.goal
         there_and_back = motion.kind == "periodic" and motion.goal is not None
         times = np.array([0.0, duration / 2, duration] if there_and_back else [0.0, duration])
-        last = motion.goal if motion.kind == "reach" else first + motion.advance
-        s = np.vstack([first, motion.goal, last] if there_and_back else [first, last])
+        s = np.vstack([first, goal, first + motion.advance] if there_and_back else [first, goal])
         v = np.zeros_like(s)
     if motion.turns is not None and not rests:  # constant speed
         v[:, motion.turns != 0] = (motion.advance / duration)[motion.turns != 0]
     if motion.kind == "reach":
-        v[0] = motion.start_speed if motion.start_speed is not None else 0.0
-        v[-1] = motion.goal_speed if motion.goal_speed is not None else 0.0
+        v[[0, -1]] = [np.zeros(s.shape[1]) if w is None else w for w in (motion.start_speed, motion.goal_speed)]
     return PiecewisePolynomial.through(times, s, v)
 
 

@@ -22,7 +22,7 @@ from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.search.durations import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
-from linkplan.planner.search.least_limit import least_limit_of_starts
+from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import enough_time
@@ -60,7 +60,7 @@ def one_limit(search: Search) -> Plan | None:
 
 def efforts_contradicted(search: Search) -> Plan | None:
     """Return the plan that says that the solver missed a motion of the phase plane."""
-    if not _over(search) or not enough_time(search) or ControlLimit.of(search.problem):
+    if _over(search) is None or not enough_time(search) or ControlLimit.of(search.problem) or search.quickest is None:
         return None
     known = search.quickest.duration_s
     return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
@@ -68,17 +68,19 @@ def efforts_contradicted(search: Search) -> Plan | None:
 
 def efforts_without_proof(search: Search) -> Plan | None:
     """Return the plan that names the least efforts found, for problems with swings that no start has tried."""
-    if not _over(search) or not may_swing(search.problem):
+    over = _over(search)
+    if over is None or not may_swing(search.problem):
         return None
-    sentence, _ = effort_sentence(search.problem, search.named_limit)
+    sentence, _ = effort_sentence(search.problem, over)
     return _failed(search, f"no motion was found; on the motion of least effort found, {sentence}; this is no proof")
 
 
 def efforts(search: Search) -> Plan | None:
     """Return the plan that names the efforts that a motion would need."""
-    if not _over(search):
+    over = _over(search)
+    if over is None:
         return None
-    sentence, details = effort_sentence(search.problem, search.named_limit)
+    sentence, details = effort_sentence(search.problem, over)
     return _infeasible(search, f"infeasible: {sentence}", details)
 
 
@@ -126,8 +128,10 @@ def nothing_found(search: Search) -> Plan:
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){asks}")
 
 
-def _over(search: Search) -> bool:
-    return search.named_limit is not None and search.named_limit.factor > 1.0
+def _over(search: Search) -> LeastLimit | None:
+    """Return the least limit where it is more than the one asked for."""
+    least = search.named_limit
+    return least if least is not None and least.factor > 1.0 else None
 
 
 def _without(search: Search, kind: type[PathLimit]) -> Plan | None:

@@ -4,6 +4,7 @@ import re
 import tomllib
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from linkplan.models.catalogue import PAYLOADS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
@@ -108,16 +109,14 @@ def set_key(tables: Tables, key: str, value: object) -> None:
     path = [part.strip() for part in key.split(".")]
     if len(path) < 2 or not all(path):
         raise ProblemError(f"a setting is section.key=value, got '{key}'")
-    node: object = tables
+    node: dict[str, Any] = tables
     for depth, part in enumerate(path[:-1]):
-        if not isinstance(node, dict):
-            break
         child = node.setdefault(part, {})
         if path[: depth + 1] == ["mechanism", "payload"] and isinstance(child, str) and child in PAYLOADS:
             child = node[part] = _payload_table(child)
+        if not isinstance(child, dict):
+            raise ProblemError(f"setting '{key}': '{'.'.join(path[:-1])}' is a value, not a table")
         node = child
-    if not isinstance(node, dict):
-        raise ProblemError(f"setting '{key}': '{'.'.join(path[:-1])}' is a value, not a table")
     node[path[-1]] = value
 
 

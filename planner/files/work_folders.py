@@ -83,7 +83,7 @@ def sweep(parent: Path) -> None:
                     os.close(lock)
 
 
-def replace_file(path: Path, write: Callable[[Path], None]) -> None:
+def replace_file(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file by `write(work)`, synchronise it to the disk, and move it to its place in one step.
 
     Raises:

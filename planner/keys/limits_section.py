@@ -31,7 +31,7 @@ class Tube(Section, frozen=True):
 
 
 # The reader distinguishes them by their keys, in this order.
-SITE_LIMITS: tuple[type[Section], ...] = (Wall, Tube, Box)
+SITE_LIMITS: tuple[type[Wall] | type[Tube] | type[Box], ...] = (Wall, Tube, Box)
 _SITE_LIMIT = Meta(
     extra={"said": "a box, a wall or a tube", "shapes": SITE_LIMITS},
     extra_json_schema={"minProperties": 1, "anyOf": [{"$ref": f"#/$defs/{shape.__name__}"} for shape in SITE_LIMITS]},

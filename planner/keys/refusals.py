@@ -46,12 +46,15 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
     bare = without_metadata(kind)[0]
     if bare is str:
         return fault(kind, value, where)
-    legal = getattr(bare, "__struct_fields__", None)  # None for a table by name, whose keys are arbitrary
+    # None for a table by name, whose keys are arbitrary.
+    legal: tuple[str, ...] | None = getattr(bare, "__struct_fields__", None)
     if not isinstance(value, dict):
-        is_inner = legal is not None and "." in where
-        what = f"{where} is a table with keys {', '.join(legal)}" if is_inner else f"'{where}' is a table ([{where}])"
+        inner = legal is not None and "." in where
+        what = f"{where} is a table with keys {', '.join(legal or ())}" if inner else f"'{where}' is a table ([{where}])"
         return f"{what}, got {got(value)}"
-    for key in value if legal is not None else ():
+    if legal is None:
+        return None
+    for key in value:
         if key not in legal and where:
             path = f"{where}.{key}"
             why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else suggestion(key, legal)

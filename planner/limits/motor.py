@@ -31,7 +31,7 @@ class MotorLimit(PathLimit):
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
-        lined = [j for j, motor in enumerate(problem.motors) if motor is not None and motor.has_line]
+        lined = [j for j, motor in enumerate(problem.motors) if motor is not None and motor.line is not None]
         return [cls(j, own_column(problem.mechanism, j)) for j in lined]
 
     @property
@@ -71,8 +71,8 @@ class MotorLimit(PathLimit):
     def scaled(cls, problem: Problem, factor: float) -> Problem:
         wider = tuple(
             m
-            if m is None or not m.has_line
-            else replace(m, stall_effort=m.stall_effort * factor, no_load_speed=m.no_load_speed * factor)
+            if m is None or m.line is None
+            else replace(m, stall_effort=m.line[0] * factor, no_load_speed=m.line[1] * factor)
             for m in problem.motors
         )
         return replace(problem, motors=wider)

@@ -159,9 +159,9 @@ def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.nda
     """Return the violation of the boundary conditions, relative to the sizes of the states and of psi."""
     first, last = trajectory.state[0, 0, : problem.n_x], trajectory.state[-1, -1, : problem.n_x]
     back = list(problem.returns)
-    apart = [relative_violation(first, *problem.start.T, size), relative_violation(last, *problem.goal.T, size)]
-    apart.append(relative_violation(last[back], first[back], first[back], size[back]))
+    apart = [relative_violation(first, problem.start.T, size), relative_violation(last, problem.goal.T, size)]
+    apart.append(relative_violation(last[back], (first[back], first[back]), size[back]))
     if problem.ends is not None:
         psi = np.array(problem.at_ends("ends")(first, last, trajectory.duration_s, problem.parameters)).ravel()
-        apart.append(relative_violation(psi, *problem.ends_limit.T, np.maximum(1.0, np.abs(psi))))
+        apart.append(relative_violation(psi, problem.ends_limit.T, np.maximum(1.0, np.abs(psi))))
     return max(apart)

@@ -6,7 +6,7 @@ from scipy.interpolate import PchipInterpolator
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.limits.path_limit import Tightened
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Start, Units
@@ -27,7 +27,7 @@ def depends_on_time(problem: OdeProblem) -> bool:
     return False
 
 
-def units_of(problem: OdeProblem, guess: StateGuess) -> Units:
+def units_of(problem: OdeProblem, guess: CompletedGuess) -> Units:
     """Return units of order one: sizes in the guess, at the ends, of finite limits; the objective's along the guess."""
     with np.errstate(invalid="ignore"):
         ends = np.abs(np.hstack([problem.start, problem.goal]))
@@ -173,7 +173,7 @@ def _endpoint(problem: OdeProblem, units: Units, timed: bool, least_limit: bool)
     return Endpoint(function=function, n_rows=rows.numel())
 
 
-def straight_guess(problem: OdeProblem) -> StateGuess:
+def straight_guess(problem: OdeProblem) -> CompletedGuess:
     """Return the straight line between the given values of start and goal, with efforts in the middle of their limits."""
     ends = []
     for rows, other in ((problem.start, problem.goal), (problem.goal, problem.start)):
@@ -191,7 +191,7 @@ def _middle(row: np.ndarray, otherwise: float) -> float:
     return float(low if np.isfinite(low) else high if np.isfinite(high) else otherwise)
 
 
-def completed(problem: OdeProblem, guess: StateGuess) -> StateGuess:
+def completed(problem: OdeProblem, guess: StateGuess) -> CompletedGuess:
     """Return a guess with efforts and a duration, where it lacks them."""
     low, high = problem.duration
     duration = guess.duration_s
@@ -203,10 +203,10 @@ def completed(problem: OdeProblem, guess: StateGuess) -> StateGuess:
     effort = guess.effort
     if effort is None:
         effort = np.tile([_middle(row, 0.0) for row in problem.effort_limit], (len(guess.state), 1))
-    return StateGuess(state=guess.state, effort=effort, duration_s=duration)
+    return CompletedGuess(state=guess.state, effort=effort, duration_s=duration)
 
 
-def start_of(guess: StateGuess, units: Units) -> Start:
+def start_of(guess: CompletedGuess, units: Units) -> Start:
     """Return a completed guess as a scaled start: monotone cubics through its rows."""
     times = [np.linspace(0.0, guess.duration_s, len(rows)) for rows in (guess.state, guess.effort)]
     state, effort = PchipInterpolator(times[0], guess.state), PchipInterpolator(times[1], guess.effort)

@@ -126,7 +126,7 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
         inside, end = reached[:, :n_x], reached[-1, :n_x]
         errors[k] = np.abs(end - planned[k + 1]) / size
         spent[k] = reached[-1, n_x]
-        beyond[k] = relative_violation(inside, *problem.state_limit.T, size)
+        beyond[k] = relative_violation(inside, problem.state_limit.T, size)
     with np.errstate(invalid="ignore"):
         defects = np.abs(np.diff(np.vstack([np.zeros(n_x), errors]), axis=0))
     objective, misjudged = _costs(problem, trajectory, spent, end)
@@ -155,7 +155,7 @@ def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, poin
         end = inside[-1, :n_x]
         error = (end - planned[k + 1]) / size
         errors[k], added[k] = np.abs(error), np.abs(states[k, -1, :n_x] - planned[k + 1]) / size
-        spent[k], beyond[k] = inside[-1, n_x], relative_violation(inside[:, :n_x], *problem.state_limit.T, size)
+        spent[k], beyond[k] = inside[-1, n_x], relative_violation(inside[:, :n_x], problem.state_limit.T, size)
         carried = transitions[k, -1, :n_x] * size / size[:, None] @ carried
         if np.abs(carried).max() > _most(problem):
             error, carried, restarts = np.zeros(n_x), np.eye(n_x), restarts + 1

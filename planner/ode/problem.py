@@ -5,6 +5,7 @@ x' = f(x, u, p, t),   J = phi(x_0, x_T, T, p) + int L(x, u, p, t) dt,   c(x, u, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeGuard
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
-from linkplan.planner.problem.values import frozen
+from linkplan.planner.problem.values import DERIVED, frozen
 
 # (x, u, p, t) -> a column; x (n_x,), u (n_u,), p (n_p,) and t are CasADi SX.
 AtInstant = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]
@@ -39,6 +40,14 @@ class StateGuess:
             if array.ndim != 2 or len(array) < 2 or not np.all(np.isfinite(array)):
                 raise ProblemError(f"a guess's {name} is two or more finite rows, got shape {array.shape}")
             object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class CompletedGuess(StateGuess):
+    """A guess with efforts (n, n_u) and a duration [s]."""
+
+    effort: np.ndarray = DERIVED
+    duration_s: float = DERIVED
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -81,7 +90,7 @@ class OdeProblem:
     path_limit: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     ends: AtEnds | None = None
     ends_limit: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    state_limit: np.ndarray | None = None
+    state_limit: np.ndarray = DERIVED
     returns: Sequence[int] = ()
     parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
     guesses: Sequence[StateGuess] = ()
@@ -243,7 +252,7 @@ def _array(name: str, value: object) -> np.ndarray:
         raise ProblemError(f"{name} is numbers, got {value!r}") from error
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 

@@ -12,7 +12,7 @@ from linkplan.planner.ode.costates import is_affine
 from linkplan.planner.ode.formulation import completed, start_of, straight_guess, units_of
 from linkplan.planner.ode.integration import is_unstable
 from linkplan.planner.ode.plan import OdePlan, plan_of
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.problem import CompletedGuess, OdeProblem
 from linkplan.planner.ode.starts import piecewise_constant, sampled_guess
 from linkplan.planner.ode.switches import has_arcs, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
@@ -35,7 +35,7 @@ class OdeSearch:
     plans: list[OdePlan] = field(default_factory=list)
 
     @cached_property
-    def guesses(self) -> list[StateGuess]:
+    def guesses(self) -> list[CompletedGuess]:
         """The given guesses, completed, then the straight line between the given values of start and goal."""
         return [*(completed(self.problem, guess) for guess in self.problem.guesses), straight_guess(self.problem)]
 
@@ -57,7 +57,7 @@ def first_mesh(problem: OdeProblem) -> Mesh:
 
 
 def first_solutions(
-    problem: OdeProblem, starts: Iterable[StateGuess], *, enough: int | None = None, number: int = 0
+    problem: OdeProblem, starts: Iterable[CompletedGuess], *, enough: int | None = None, number: int = 0
 ) -> list[FirstSolution]:
     """Return the solutions that starts lead to on the first mesh, the first `enough` of them; they count from `number`."""
     found: list[FirstSolution] = []
@@ -71,7 +71,7 @@ def first_solutions(
     return found
 
 
-def _solved(problem: OdeProblem, guess: StateGuess, word: str, number: int) -> FirstSolution | None:
+def _solved(problem: OdeProblem, guess: CompletedGuess, word: str, number: int) -> FirstSolution | None:
     """Return the solution on the first mesh from a completed guess, in its units."""
     case = OdeCase(problem, problem, units_of(problem, guess))
     found = attempt(case, start_of(guess, case.units), first_mesh(problem), np.array([guess.duration_s]), word)

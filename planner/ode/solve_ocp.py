@@ -15,7 +15,7 @@ from linkplan.planner.ode.case import FirstSolution, OdeCase
 from linkplan.planner.ode.costates import is_affine
 from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.problem import CompletedGuess, OdeProblem
 from linkplan.planner.ode.search import OdeSearch, best_plan, first_mesh, first_solutions
 from linkplan.planner.ode.starts import (
     integrated,
@@ -71,7 +71,7 @@ def from_further_guesses(search: OdeSearch, budget: Budget) -> OdePlan | None:
     return best_plan(problem, found)
 
 
-def _further_guesses(search: OdeSearch) -> list[StateGuess]:
+def _further_guesses(search: OdeSearch) -> list[CompletedGuess]:
     """Return the first guess at other durations, then guesses perturbed at random, but the same in every run."""
     n, guesses = len(search.guesses), search.guesses
     others = itertools.islice(perturbed(search.problem, guesses, n + 4), n, None)
@@ -120,6 +120,7 @@ def _beyond_the_limits(search: OdeSearch, budget: Budget, factor: float) -> OdeP
 
     # A motion that is not found is not called infeasible.
     known = f"no start led to a solution of {asked_s:.8g} s; a motion of {least_s:.8g} s is known, the shortest found"
+    assert shortest.trajectory is not None  # it passes
     longer = _continued(shortest.trajectory, lasting, least_s, asked_s, "start from the least time")
     return longer or plan_without_motion(problem, "failed", known)
 
@@ -149,7 +150,8 @@ def _continued(
     way = end / min(begin, 0.999 * end)
     steps = Steps(begin=end / way, end=end, factor=way, least=way**0.25, most=6)
     path = followed(None, steps, solve_at)
-    return best_plan(problem_at(end), path.stages[-1:]) if path.arrived else None
+    last = path.stages[-1]
+    return best_plan(problem_at(end), [last]) if path.arrived and last is not None else None
 
 
 # The first rung that finds a motion ends the search, whether its certificate passes or not.

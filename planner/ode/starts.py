@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.planner.certificate.flow import flow
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import completed, straight_guess, units_of
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.transcription.formulation import Start
@@ -24,7 +24,7 @@ _GUESS_ROWS = 101
 _EFFORT_SHARES = (0.5, 0.1)
 
 
-def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[StateGuess]:
+def perturbed(problem: OdeProblem, given: list[CompletedGuess], n: int) -> Iterator[CompletedGuess]:
     """Yield n starts: the guesses, then the guesses perturbed at random, but the same in every run."""
     limit = problem.state_limit
     for number in range(n):
@@ -51,14 +51,14 @@ def is_open(problem: OdeProblem) -> bool:
     return high > 20.0 * low and not problem.guesses
 
 
-def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGuess]:
+def of_other_durations(problem: OdeProblem, guess: CompletedGuess) -> list[CompletedGuess]:
     """Return a guess at other durations within the bounds."""
     low, high = problem.duration
     durations = np.clip([factor * guess.duration_s for factor in _DURATION_FACTORS], low, high)
     return [replace(guess, duration_s=float(T)) for T in dict.fromkeys(durations) if T > 0 and guess.duration_s != T]
 
 
-def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
+def integrated(problem: OdeProblem) -> Iterator[CompletedGuess]:
     """Yield the motions that constant efforts lead to, where the start is known and the end is free: each is a motion.
 
     A straight line says nothing of such an end: where states grow by orders of magnitude it is far from any motion.
@@ -84,7 +84,7 @@ def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
             yield replace(given, state=state, effort=np.tile(effort, (_GUESS_ROWS, 1)))
 
 
-def with_smallest_efforts(problem: OdeProblem, guess: StateGuess) -> StateGuess:
+def with_smallest_efforts(problem: OdeProblem, guess: CompletedGuess) -> CompletedGuess:
     """Return a guess with efforts as near to zero as their limits allow."""
     return replace(guess, effort=np.tile(np.clip(np.zeros(problem.n_u), *problem.effort_limit.T), (2, 1)))
 
@@ -105,10 +105,10 @@ def stretched(motion: OdeTrajectory, duration_s: float) -> OdeTrajectory:
     return replace(motion, breaks_s=motion.breaks_s * (duration_s / motion.duration_s), running=None)
 
 
-def sampled_guess(motion: OdeTrajectory) -> StateGuess:
+def sampled_guess(motion: OdeTrajectory) -> CompletedGuess:
     """Return a motion as a guess."""
     time = motion.breaks_s[0] + motion.duration_s * np.linspace(0.0, 1.0, _GUESS_ROWS)
-    return StateGuess(state=motion.state_at(time), effort=motion.effort_at(time), duration_s=motion.duration_s)
+    return CompletedGuess(state=motion.state_at(time), effort=motion.effort_at(time), duration_s=motion.duration_s)
 
 
 def piecewise_constant(case: OdeCase, motion: OdeTrajectory) -> Start:

@@ -53,8 +53,9 @@ def switch_by_costates(first: FirstSolution) -> FirstSolution:
             (None, "switch times from the costates, efforts free"),
         ):
             tried = attempt(asked, start, finer, durations, what, bang_efforts=efforts, warm=True)
-            replaces = tried is not None and tried.solution.status == SUCCEEDED
-            if replaces and _replaces(asked, tried, solution, uncut=not first.case.has_switch_times):
+            if tried is None or tried.solution.status != SUCCEEDED:
+                continue
+            if _replaces(asked, tried, solution, uncut=not first.case.has_switch_times):
                 better = replace(first, found=tried, case=replace(asked, has_switch_times=True, bang_efforts=efforts))
                 break
         if better is None:

@@ -70,7 +70,7 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     steady = np.flatnonzero((gains[:-1] > 0) & (gains[1:] <= 0))
     if not len(steady):
         return None
-    low, high = energies[steady[-1]], energies[steady[-1] + 1]
+    low, high = (float(w) for w in energies[steady[-1] : steady[-1] + 2])
     for _ in range(40):  # to rounding
         middle = 0.5 * (low + high)
         low, high = (middle, high) if turned(middle)[-1] > middle else (low, middle)

@@ -51,7 +51,7 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
     s = np.linspace(end.position, bound, 801)
     fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
     try:
-        poses = follow(mechanism, fine[:, None], close_at(mechanism, [end.position]), problem.solver.deadline)
+        poses = follow(mechanism, fine[:, None], close_at(mechanism, np.array([end.position])), problem.solver.deadline)
     except AssemblyError:  # the reach ends before the range
         return None
     at, ahead = 0, 1

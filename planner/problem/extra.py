@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -79,7 +79,7 @@ class ExtraLimit:
         linkplan.Problem.from_file("knee-reach").replace(extra_limits=[bent])
     """
 
-    kind: ClassVar[str] = "limit"
+    kind: ClassVar[Literal["limit"]] = "limit"
     name: str
     expression: Expression
     lower: float = -np.inf
@@ -116,7 +116,7 @@ class ExtraCost:
         linkplan.Problem.from_file("knee-reach").replace(extra_costs=[calm])
     """
 
-    kind: ClassVar[str] = "cost"
+    kind: ClassVar[Literal["cost"]] = "cost"
     name: str
     expression: Expression
     weight: float = 1.0

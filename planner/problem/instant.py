@@ -40,8 +40,8 @@ class Instant:
     units: Mapping[str, ca.SX] = field(default_factory=dict)
     rates: ca.SX | None = None
     reference: ca.SX | None = None
-    effort_rate: ca.SX | None = None
-    losses: np.ndarray | None = None
+    effort_rate: Any = None
+    losses: Any = None
     positive_power: ca.SX | None = None
     _kept: dict = field(default_factory=dict)
 

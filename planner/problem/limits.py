@@ -11,7 +11,7 @@ from linkplan.planner.keys.limits_section import LimitsSection, MotorSection, Ro
 from linkplan.planner.problem.joint_values import joint_values
 from linkplan.planner.problem.robust import Range, Robust
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
-from linkplan.planner.problem.values import frozen, interval
+from linkplan.planner.problem.values import DERIVED, frozen, interval
 
 
 def free_bounds(n: int) -> np.ndarray:
@@ -33,14 +33,15 @@ class Motor:
     no_load_speed: float | None = None
 
     @property
-    def has_line(self) -> bool:
-        """Whether its torque-speed line is known."""
-        return self.stall_effort is not None
+    def line(self) -> tuple[float, float] | None:
+        """The stall effort and the no-load speed of its torque-speed line; None if unknown."""
+        return None if self.stall_effort is None or self.no_load_speed is None else (self.stall_effort, self.no_load_speed)
 
     @property
     def loss(self) -> float:
         """Copper loss per squared effort, R / k^2; 0 where unknown."""
-        return 0.0 if self.torque_constant is None else self.resistance / self.torque_constant**2
+        k, R = self.torque_constant, self.resistance
+        return 0.0 if k is None or R is None else R / k**2
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -56,9 +57,9 @@ class Limits:
     effort: np.ndarray
     position: np.ndarray
     speed: np.ndarray
-    effort_rate: np.ndarray | None = None
-    power: np.ndarray | None = None
-    closure_force: np.ndarray | None = None
+    effort_rate: np.ndarray = DERIVED
+    power: np.ndarray = DERIVED
+    closure_force: np.ndarray = DERIVED
     singular_margin: float = 0.0
     reserve: float = 0.0
     site: tuple[SiteLimit, ...] = ()

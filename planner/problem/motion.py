@@ -15,7 +15,7 @@ from linkplan.planner.problem.joint_values import joint_values
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
 from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
-from linkplan.planner.problem.values import frozen
+from linkplan.planner.problem.values import DERIVED, frozen
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -28,7 +28,7 @@ class Waypoint:
     """
 
     position: np.ndarray
-    speed: np.ndarray | None = None
+    speed: np.ndarray = DERIVED
     time_s: float | None = None
     at: tuple[SitePoint, ...] = ()
     at_rows: tuple[int, ...] = ()
@@ -116,8 +116,8 @@ class Motion:
         """Whether a reach without waypoints ends in its initial state."""
         if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
             return False
-        speeds = [np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed)]
-        return np.array_equal(self.start, self.goal) and np.array_equal(*speeds)
+        begin, end = (np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed))
+        return np.array_equal(self.start, self.goal) and np.array_equal(begin, end)
 
     def resting_at(self, places: Iterable[np.ndarray]) -> "Motion":
         """Return the motion whose waypoints are the given places (n_s,) [rad or m], each passed at rest."""
@@ -321,7 +321,7 @@ def _waypoints(
         waypoints.append(
             Waypoint(
                 position=nothing if position is None else position,
-                speed=speed,
+                speed=nothing if speed is None else speed,
                 time_s=None if item.time_s == "free" else item.time_s,
                 at=points,
                 at_rows=rows,

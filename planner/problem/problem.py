@@ -217,7 +217,7 @@ class Problem:
     def from_tables(
         cls,
         name: str,
-        tables: Mapping[str, dict],
+        tables: Tables,
         folder: Path | None = None,
         mechanism: Mechanism | None = None,
         *,

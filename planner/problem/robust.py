@@ -76,8 +76,9 @@ class Robust:
             most = self.coulomb.get(joint, (0.0, 0.0))[1]  # of either sign
             signs = sorted({-most, most})
             choices.append([(joint, d, c) for d in sorted({*self.viscous.get(joint, (0.0, 0.0))}) for c in signs])
-        found = itertools.product(sorted({*self.payload_factor}), sorted({*self.torque_factor}), *choices)
-        corners = (Corner(payload_factor=p, torque_factor=k, friction=tuple(rubbing)) for p, k, *rubbing in found)
+        rubbing = itertools.product(*choices)
+        found = itertools.product(sorted({*self.payload_factor}), sorted({*self.torque_factor}), rubbing)
+        corners = (Corner(payload_factor=p, torque_factor=k, friction=tuple(one)) for p, k, one in found)
         return tuple(one for one in corners if (one.payload_factor, one.torque_factor) != (1.0, 1.0) or _rubs(one))
 
 

@@ -185,8 +185,8 @@ class Tracking:
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return the position and velocity errors (n,) [rad or m, and per second] that have the weight 1; all are set."""
         every = self.with_lqr_errors({}, 0.0)
-        hinge = np.radians([every.lqr_position_deg, every.lqr_velocity_deg_s])
-        slide = np.array([every.lqr_position_m, every.lqr_velocity_m_s])
+        hinge = np.radians(np.array([every.lqr_position_deg, every.lqr_velocity_deg_s], dtype=float))
+        slide = np.array([every.lqr_position_m, every.lqr_velocity_m_s], dtype=float)
         errors = np.array([hinge if joint.kind == "hinge" else slide for joint in joints]).reshape(-1, 2)
         return errors[:, 0], errors[:, 1]
 

@@ -86,6 +86,7 @@ def _way_through(can: Reach | None, reason: str, asked: float) -> str:
 
 def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, deadline: Deadline) -> None:
     """Refuse turns that the mechanism does not make, or after which it is not what it was."""
+    assert motion.turns is not None
     can = reach(mechanism) if mechanism.dof == 1 else None
     turning = [j for j, n in zip(mechanism.independent_joints, motion.turns, strict=True) if n]
     names = " and ".join(joint.name for joint in turning)

@@ -10,6 +10,9 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.keys.kinds import AtLeastZero, Number, Positive
 from linkplan.planner.keys.reading import read
 
+# The default of a field that __post_init__ sets: readers of the field find its type, and never None.
+DERIVED: Any = None
+
 
 def frozen(value: object) -> np.ndarray:
     """Return a read-only array of floats."""
@@ -24,7 +27,8 @@ def number(value: object, key: str, *, positive: bool = False, at_least_zero: bo
     Raises:
         ProblemError: naming the key, when it is anything else.
     """
-    return read(Positive if positive else AtLeastZero if at_least_zero else Number, plain(value), key)
+    kind: Any = Positive if positive else AtLeastZero if at_least_zero else Number
+    return read(kind, plain(value), key)
 
 
 def interval(value: list[float], key: str, *, point: bool = False) -> tuple[float, float]:

@@ -84,14 +84,15 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
         raise NotSeparatedError("J_z is singular") from error
     start = [arb(float(x)) for x in guess]
     phi = dense(blocks.closure(pose_of(blocks, s, start))[0], n)
-    step = -(C * arb_mat(n, 1, phi))
+    step = -(C * arb_mat(n, 1, phi))  # pyright: ignore[reportArgumentType]  constants, no series
     one = arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
     radii = [abs(step[i, 0]).upper() * arb(1.25) + arb(2) ** -60 for i in range(n)]
     for _ in range(_MOST_INFLATIONS):
         around = [arb(0, r) for r in radii]
         region = [x + d for x, d in zip(start, around, strict=True)]
         tangent = blocks.tangent(pose_of(blocks, s, region))[0]
-        J_z = arb_mat(n, n, [tangent.get((i, j), arb(0)) for i in range(n) for j in blocks.dependent])
+        entries = [tangent.get((i, j), arb(0)) for i in range(n) for j in blocks.dependent]
+        J_z = arb_mat(n, n, entries)  # pyright: ignore[reportArgumentType]  constants, no series
         moved = step + (one - C * J_z) * arb_mat(n, 1, around)
         if all(around[i].contains_interior(moved[i, 0]) for i in range(n)):
             return Root(enclosure=[start[i] + moved[i, 0] for i in range(n)], region=region)

@@ -142,8 +142,8 @@ def _drives(problem: Problem, _: Trajectory) -> Iterator[Claim]:
                 slack=ROUNDING_SHARE * max(1.0, _size(power)),
                 values=_of_kinetics(lambda kinetics, j=j: kinetics.state.u[j] * kinetics.actuator_speeds[j]),
             )
-        if motor is not None and motor.has_line:
-            stall, no_load = float(motor.stall_effort), float(motor.no_load_speed)
+        if motor is not None and motor.line is not None:
+            stall, no_load = motor.line
 
             def line(kinetics: Kinetics, j: int = j, stall: float = stall, no_load: float = no_load) -> Ball:
                 return kinetics.state.u[j] / stall + kinetics.actuator_speeds[j] / no_load
@@ -238,7 +238,7 @@ def _sites(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     mechanism = problem.mechanism
     q = ca.SX.sym("q", mechanism.n_q)
     for limit in problem.limits.site:
-        if limit.is_tube:
+        if limit.normal is None:  # a tube
             continue
         place = mechanism.dynamics.site_places(q)[:, limit.index]
         value = ca.densify(ca.dot(ca.DM(limit.normal), place) - limit.origin)

@@ -205,7 +205,8 @@ class Neighbourhood:
         if not all(region.contains(z[0]) for region, z in zip(root.region, states[1].z, strict=True)):
             raise NotSeparatedError("the branch is not known to be the plan's")
         return [
-            [TaylorForm.of(*pair, _SLOPE_ORDER) for pair in zip(*rows, strict=True)] for rows in zip(*found, strict=True)
+            [TaylorForm.of(at, over, _SLOPE_ORDER) for at, over in zip(*rows, strict=True)]
+            for rows in zip(*found, strict=True)
         ]
 
     def _is_small(self, defect: Sequence[TaylorForm]) -> bool:

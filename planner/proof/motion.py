@@ -59,7 +59,8 @@ def _agrees(trajectory: Trajectory, k: int) -> bool:
     slope = (len(trajectory.position) - 1) * np.diff(trajectory.position, axis=0) / widths
     pairs = [(slope, trajectory.velocity)]
     if slope.shape == trajectory.velocity.shape:
-        pairs.append(tuple((len(slope) - 1) * np.diff(x, axis=0) / widths for x in pairs[0]))
+        bent, planned = ((len(slope) - 1) * np.diff(x, axis=0) / widths for x in pairs[0])
+        pairs.append((bent, planned))
     return all(
         one.shape == other.shape
         and np.abs(one[:, k] - other[:, k]).max(initial=0.0) <= _ROUNDING_SHARE * np.abs(other).max(initial=0.0)

@@ -296,7 +296,8 @@ class _Sweep:
 
     def _leave(self, piece: Piece, box: _Box, claims: Sequence[int], *, closed: bool) -> None:
         """Record claims as undecided on a box."""
-        ends = tuple(piece.begin_s + (box.centre + x * box.radius) * float(piece.width) for x in (-1, 1))
+        begin, end = (piece.begin_s + (box.centre + x * box.radius) * float(piece.width) for x in (-1, 1))
+        ends = begin, end
         for i in claims:
             if i == _NEAR_PLAN:
                 self.near.failure = f"the time or the boxes are used up at t = {ends[0]:.4g} s"
@@ -345,6 +346,8 @@ def states_of(
 
 def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:
     """Return True if a box's roots, at its begin and in its region, are on the branch of the anchor."""
+    assert anchor.region is not None  # of the box before
+    assert anchor.end is not None
     if all(of.contains(x) for of, x in zip(anchor.region, begin, strict=True)):
         return True
     adjacent = anchor.tau == box.centre - box.radius

@@ -175,9 +175,9 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     report, again = state.at.report, state.best is not None
     near = state.warm and report is not None and report.unstable and not report.unseen
 
-    def tried(word: str, fixed: FixedArcs | None, **how: bool) -> Iterate[Any] | None:
+    def tried(word: str, fixed: FixedArcs | None, *, warm: bool = False, close: bool = False) -> Iterate[Any] | None:
         rows = state.position_rows
-        return attempt(case, start, mesh, durations, what + word, position_rows=rows, fixed=fixed, **how)
+        return attempt(case, start, mesh, durations, what + word, position_rows=rows, fixed=fixed, warm=warm, close=close)
 
     def alike(finer: Iterate[Any]) -> bool:
         change = abs(finer.solution.objective - coarse.solution.objective)

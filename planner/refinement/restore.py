@@ -33,10 +33,15 @@ class Restore:
         durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, self.marked))
         progress(f"{what}: {mesh.n_intervals} intervals")
         before = coarse.solution.transcribed
-        fixed = {"bang_efforts": before.bang_efforts, "constrained_paths": before.constrained_paths}
-        rows = {"position_rows": state.position_rows}
         try:
-            transcribed = case.transcribe(case.start_from(coarse.motion), mesh, durations, **rows, **fixed)
+            transcribed = case.transcribe(
+                case.start_from(coarse.motion),
+                mesh,
+                durations,
+                position_rows=state.position_rows,
+                bang_efforts=before.bang_efforts,
+                constrained_paths=before.constrained_paths,
+            )
         except (AssemblyError, OutOfTimeError):
             return counted
         solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse))

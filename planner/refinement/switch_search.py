@@ -61,7 +61,7 @@ def settle_switch_times(
         if not readings or len(readings[0].switch_times_s) > found.mesh.n_intervals // 6:
             break
         fixed = readings[0].fixed
-        if _known(found.solution.transcribed, fixed) and not at_bounds(found.solution):
+        if fixed is not None and _known(found.solution.transcribed, fixed) and not at_bounds(found.solution):
             return replace(found, fixed=fixed)
         better, solved, start = None, False, case.start_from(found.motion)
         for reading in [*readings, replace(readings[0], what="switch times as unknowns, efforts free", fixed=None)]:
@@ -114,7 +114,7 @@ def _readings(case: Case[MotionT, CertificateT], found: Iterate[MotionT], bounda
             motion,
             target.effort_limit,
             boundaries,
-            on_path.any(axis=1),
+            np.any(on_path, axis=1),
             short=short,
             continuous_efforts=target.continuous_efforts,
         )

@@ -52,8 +52,9 @@ def plan_from(
         missed = refined(search, search.within(replace(budget, iterations=None)), found, mended=mended)
         if missed.passed:
             return missed
-    found = missed is not None and missed.trajectory is not None
-    if found and unavoidable(problem, missed.trajectory, missed.certificate):
+    if missed is None or missed.trajectory is None or missed.certificate is None:
+        return missed
+    if unavoidable(problem, missed.trajectory, missed.certificate):
         search.verdicts.append(missed)  # every other motion meets the same contact
     return missed
 

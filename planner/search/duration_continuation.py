@@ -127,7 +127,7 @@ def continued(problem: Problem, quickest: Guess, n_intervals: int, known: KnownM
             before, found = found, _step(problem, found, allowed) or found
             if _saved_little(before, found):
                 break  # the bounds are not decisive, or nothing more can be gained
-        if found is not None:
+        if found is not None and found.motion is not None:
             known.add(found.motion)
         return found
 

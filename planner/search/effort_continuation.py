@@ -38,7 +38,8 @@ def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
     begin = min(least.factor, _MAX_FIRST_FACTOR)
     steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, least=begin**-_MIN_STEP_POWER, most=_MAX_STEPS)
     path = followed(_Limited(start=motion_of(least.trajectory), durations=least.durations), steps, solve)
-    return certified(problem, path.stages[-1].found) if path.arrived else None
+    found = path.stages[-1].found
+    return certified(problem, found) if path.arrived and found is not None else None
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -46,6 +46,8 @@ def mesh_along_power(guess: Guess, n_intervals: int) -> tuple[Mesh, np.ndarray]:
     Along a limit the effort P / w falls off from a bang however short: an interval more for each time that it halves.
     """
     boundaries = _boundaries(guess)
+    assert guess.switch_times_s is not None  # along limits on power
+    assert guess.power_arcs is not None
     ends = np.sort(np.concatenate([boundaries, guess.switch_times_s]))
     graded = np.geomspace(_END_SPACING_SHARE, 0.5, _SAMPLES_PER_SEGMENT)
     inside = np.concatenate([graded, 1.0 - graded[-2::-1]])

@@ -28,7 +28,7 @@ class KnownMotions:
             plan = look()
             self.sought[what] = plan
             if plan is not None and plan.passed:
-                self.add(plan.trajectory)
+                self.add(plan.require_motion("know"))
         return self.sought[what]
 
     def shorter_than(self, duration_s: float) -> list[Trajectory]:

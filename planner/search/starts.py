@@ -91,6 +91,7 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 
 def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     problem, quickest = search.problem, search.quickest
+    assert quickest is not None  # where the phase plane applies
     if quickest.swings > 1 and quickest.boundaries_s is None and not search.only_time_counts:
         swung = least_time_motion(search, budget)
         if swung is not None:
@@ -117,6 +118,7 @@ def along_power(search: Search, budget: Budget) -> Plan | None:
     guess, problem = power_guess(search.problem, search.start_pose), search.within(budget)
     if guess is None or not (problem.motion.min_duration_s or 0.0) <= guess.duration_s <= longest(problem):
         return None
+    assert guess.switch_times_s is not None
     speed, (low, high) = guess.velocity(guess.switch_times_s), problem.limits.speed[problem.mechanism.independent[0]]
     if np.any((speed < low) | (speed > high)):
         return None
@@ -204,10 +206,11 @@ def least_time_motion(search: Search, budget: Budget) -> Guess | None:
 
 def with_switch_times(plan: Plan) -> Guess:
     """Return a plan's motion as a guess that knows the switch times of its mesh."""
-    guess = motion_of(plan.trajectory)
+    trajectory = plan.require_motion("start from")
+    guess = motion_of(trajectory)
     if plan.solved is None or plan.solved.program.mesh.n_phases > 1:
         return guess
-    mesh, breaks = plan.solved.program.mesh, plan.trajectory.breaks_s
+    mesh, breaks = plan.solved.program.mesh, trajectory.breaks_s
     return replace(guess, switch_times_s=breaks[1:-1][np.diff(mesh.segment) > 0])
 
 
@@ -216,6 +219,7 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
 
     def look() -> Plan | None:
         problem = search.within(budget)
+        assert search.quickest is not None  # where the phase plane applies
         motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
         with recording():

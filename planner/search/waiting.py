@@ -90,10 +90,11 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
         return None
     problem = search.within(budget)
     asked = problem.motion.duration_s
+    assert asked is not None  # a free duration needs no rest
     if len(search.known.motions) == 1:
         longer = _a_little_longer(search, budget, quick)
         if longer is not None:
-            search.known.add(longer.trajectory)
+            search.known.add(longer.require_motion("wait after"))
     wholes = []
     for end, motion in itertools.product(("start", "goal"), search.known.shorter_than(asked)):
         effort = _held(problem, end)
@@ -114,12 +115,13 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
 
 def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None:
     """Return the plan of the best motion in little more than the least time; None where it does not pass."""
-    duration = min(_FACTOR_BESIDE_REST * quick.trajectory.duration_s, search.problem.motion.duration_s)
+    motion, asked = quick.require_motion("lengthen"), search.problem.motion.duration_s
+    duration = min(_FACTOR_BESIDE_REST * motion.duration_s, asked or np.inf)
     problem = _on_its_scheme(search.within(budget), quick)
     mesh = replace(problem.mesh, refine="intervals")
     problem = replace(problem, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
-    start, mesh = stretched(motion_of(quick.trajectory), duration), quick.solved.program.mesh
-    lengths = np.bincount(mesh.segment, weights=np.diff(quick.trajectory.breaks_s))
+    start, mesh = stretched(motion_of(motion), duration), quick.solved.program.mesh
+    lengths = np.bincount(mesh.segment, weights=np.diff(motion.breaks_s))
     durations = lengths * duration / lengths.sum()
     what = "the least-time motion with a little more time"
     found = solve_from(problem, start, mesh, durations, what, warm=True)
@@ -141,8 +143,8 @@ def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool)
 
 
 def _waits(problem: Problem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:
-    motion, mesh = motion_of(quick.trajectory), quick.solved.program.mesh
-    lengths = np.bincount(mesh.segment, weights=np.diff(quick.trajectory.breaks_s))
+    trajectory, mesh = quick.require_motion("wait beside"), quick.solved.program.mesh
+    motion, lengths = motion_of(trajectory), np.bincount(mesh.segment, weights=np.diff(trajectory.breaks_s))
     rest = np.full(_REST_INTERVALS, 1.0 / _REST_INTERVALS)
     for end in ("start", "goal"):
         effort = _held(problem, end)

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.models.compiled.on_arrays import on_arrays
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
 
@@ -146,15 +147,10 @@ def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, ask
 
 
 def _values(function: ca.Function, *numbers: np.ndarray) -> list[np.ndarray]:
-    """Return the values of a function's outputs, nonzeros if they are sparse; CasADi reads and writes numpy's memory."""
-    buffer, evaluate = function.buffer()
+    """Return the values of a function's outputs, nonzeros if they are sparse."""
     given = [np.ascontiguousarray(a, dtype=float) for a in numbers]
     found = [np.empty(function.nnz_out(k)) for k in range(function.n_out())]
-    for put, arrays in ((buffer.set_arg, given), (buffer.set_res, found)):
-        for k, array in enumerate(arrays):
-            if array.size:
-                put(k, memoryview(array))
-    evaluate()
+    on_arrays(function, given, found)()
     return found
 
 

@@ -269,7 +269,7 @@ def _row_bounds(
         meetings=meetings,
         node_at_end=node_at_end,
         given=given,
-        boundaries=mesh.boundaries(),
+        boundaries=mesh.boundaries().tolist(),
     )
 
 

@@ -11,6 +11,8 @@ An open end is an end of the interval without a node (Radau's left end). If a pa
 and the closure are imposed at open ends too, without dynamics and costs.
 """
 
+import functools
+import operator
 from dataclasses import dataclass
 
 import casadi as ca
@@ -340,7 +342,8 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
         add("power", item, ca.vertcat(*bernstein_product(parts.u[:, effort], whole)))
     for item, unknowns in enumerate(rows.squared_sums):
         squares = [bernstein_product(one, one) for one in (through_nodes @ parts.z[:, k] for k in unknowns)]
-        add("closure_force", item, ca.vertcat(*(sum(terms) for terms in zip(*squares, strict=True))))
+        total = [functools.reduce(operator.add, terms) for terms in zip(*squares, strict=True)]
+        add("closure_force", item, ca.vertcat(*total))
     first = eta.numel() - 2 * len(rows.motor_columns)
     for item, (effort, column) in enumerate(rows.motor_columns):
         alpha, beta = eta[first + 2 * item], eta[first + 2 * item + 1]

@@ -1,8 +1,12 @@
 """Meshes: the division of normalised time into intervals and segments, whose boundaries may move."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+# The default of `phase`, which __post_init__ sets: readers find an array.
+_ONE_PHASE: Any = None
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -17,7 +21,7 @@ class Mesh:
 
     fraction: np.ndarray
     segment: np.ndarray
-    phase: np.ndarray | None = None
+    phase: np.ndarray = _ONE_PHASE
 
     def __post_init__(self) -> None:
         fraction, segment = np.array(self.fraction, dtype=float), np.array(self.segment, dtype=int)
@@ -68,7 +72,7 @@ def broken(breaks: np.ndarray) -> Mesh:
     return Mesh(fraction=widths / widths.sum(), segment=np.zeros(len(widths), dtype=int))
 
 
-def segmented(durations: np.ndarray, n_intervals: int, at_least: int = 3, phase: np.ndarray | None = None) -> Mesh:
+def segmented(durations: np.ndarray, n_intervals: int, at_least: int = 3, phase: np.ndarray = _ONE_PHASE) -> Mesh:
     """Return about `n_intervals` intervals, distributed over segments in proportion to their durations."""
     durations = np.asarray(durations, dtype=float)
     share = np.maximum(at_least, np.round(n_intervals * durations / durations.sum())).astype(int)

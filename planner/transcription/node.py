@@ -5,6 +5,7 @@ Sparse matrices are columns of nonzeros, each with its pattern.
 """
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -50,7 +51,7 @@ class NodeFunctions:
         convert_lists(self)
 
 
-def convert_lists(functions: object) -> None:
+def convert_lists(functions: Any) -> None:
     """Convert the lists of a cache record to patterns and tuples, in place during construction."""
     for field in fields(functions):
         value = getattr(functions, field.name)
@@ -77,7 +78,7 @@ def build_node(system: System, open_end_path: tuple[int, ...] = ()) -> NodeFunct
     return NodeFunctions(**functions, **patterns, open_end_rows=rows, open_end_z=z)
 
 
-def _functions(system: System, name: str, at: ca.Function, n_f: int) -> tuple[dict[str, ca.Function], dict[str, Pattern]]:
+def _functions(system: System, name: str, at: ca.Function, n_f: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the value, Jacobian and Hessian functions of rows (n_f,) and a cost, with the patterns of the latter two."""
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
     F = ca.densify(at(xi, theta))

@@ -45,7 +45,7 @@ class AlongMotion:
 def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
     """Return a tracker's loop along a plan; `settings` replace the plan's gains."""
     plan = replace(plan, problem=replace(plan.problem, tracking=settings))
-    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    mechanism, trajectory = plan.problem.mechanism, plan.require_motion("analyse")
     reference = sample(mechanism, trajectory, settings.period_s, trajectory.duration_s)
     tracker = build_tracker(law, plan, reference)
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)

@@ -133,10 +133,9 @@ class BodeStudy:
                 f" {_counted(len(poses))}), because the model omits soft closures, contacts and limits: {self.loop_name}"
             )
         text = f"stable at {'the pose' if len(poses) == 1 else f'all {len(poses)} poses'}: {self.loop_name}"
-        known = [p for p in self.points if p.margins.phase_margin_deg is not None]
+        known = [(margin, p.point.name) for p in self.points if (margin := p.margins.phase_margin_deg) is not None]
         if known:
-            least = min(known, key=lambda p: p.margins.phase_margin_deg)
-            text += f", phase margin {least.margins.phase_margin_deg:.1f} deg at the worst ({least.point.name})"
+            text += ", phase margin {:.1f} deg at the worst ({})".format(*min(known))
         return text
 
     @property
@@ -328,7 +327,8 @@ def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit
     settles = np.zeros(len(loops), dtype=bool)
     for chosen, periods in ((~in_contact, MAX_TRIAL_PERIODS), (in_contact, _CONTACT_TRIAL_PERIODS)):
         if chosen.any():
-            settles[chosen] = settle_trials([loops[i] for i in np.flatnonzero(chosen)], effort_limit, periods).settles
+            tried = [loops[i] for i in np.flatnonzero(chosen).tolist()]
+            settles[chosen] = settle_trials(tried, effort_limit, periods).settles
     return settles
 
 
@@ -359,8 +359,8 @@ def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) 
     lines: list[tuple[int | None, Line]] = []
     for channel in mechanism.channels:
         low, high = inner_reach(mechanism, channel)
-        ends = min(low, positions[:, channel].min()), max(high, positions[:, channel].max())
-        lines.append((channel, coordinate_line(mechanism, channel, *map(float, ends), positions[0])))
+        low, high = min(low, float(positions[:, channel].min())), max(high, float(positions[:, channel].max()))
+        lines.append((channel, coordinate_line(mechanism, channel, low, high, positions[0])))
     return lines
 
 

@@ -246,11 +246,12 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
     turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 121))
     title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.measured for entry in entries) else ''}"
     curves = [Curve(name="unit circle", x=rounded(turn.real), y=rounded(turn.imag), look="dots", colour=None, width=1.0)]
-    stable = [entry for entry in entries if entry.margins.disk_margin is not None]
+    stable = [(margin, k) for k, entry in enumerate(entries) if (margin := entry.margins.disk_margin) is not None]
     if stable:
-        alpha = min(min(entry.margins.disk_margin for entry in stable), 1.999)
+        least_margin, k = min(stable)
+        alpha = min(least_margin, 1.999)
         disk = 1.0 / (0.5 + turn / alpha) - 1.0  # the disk that L does not enter: |S - 1/2| = 1 / alpha
-        least = min(stable, key=lambda entry: entry.margins.disk_margin)
+        least = entries[k]
         gain = least.margins.disk_gain_margin_db or np.inf
         phase = least.margins.disk_phase_margin_deg
         title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"

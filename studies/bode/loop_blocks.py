@@ -103,7 +103,7 @@ def _contour(x: np.ndarray, y: np.ndarray, values: np.ndarray, level: float) -> 
     """Return the contour lines (x, y) of values (n_y, n_x) at a level, separated by None."""
     lines = contourpy.contour_generator(x, y, np.ma.masked_invalid(values)).lines(level)
     gap = np.array([[np.nan, np.nan]])
-    rows = np.vstack([part for line in lines for part in (line, gap)]) if lines else np.empty((0, 2))
+    rows = np.vstack([part for line in lines for part in (np.asarray(line), gap)]) if lines else np.empty((0, 2))
     return {"x": rounded(rows[:, 0], log=True), "y": rounded(rows[:, 1], log=True)}
 
 

@@ -100,6 +100,7 @@ def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> list[Table]:
 
 def _own(path: KinematicLoopPath, columns: list[Column]) -> list[Column]:
     """Return the quantities of the swept coordinate, of its actuators, and of closures."""
+    assert path.coordinate is not None  # the path sweeps one
     of = np.flatnonzero(acts(path)[path.coordinate])
     names = [path.mechanism.independent_joints[path.coordinate].name, *(path.mechanism.actuators[j].name for j in of)]
     ends = tuple(f" {name}" for name in names)

@@ -106,8 +106,8 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     mechanism, (axis, x) = path.mechanism, over(path)
     order = rising_order(x)
     x = x[order]
-    own_only = path.coordinate is not None and mechanism.dof > MAX_COORDINATES_DRAWN
-    shown = (path.coordinate,) if own_only else mechanism.channels
+    many = mechanism.dof > MAX_COORDINATES_DRAWN
+    shown = mechanism.channels if path.coordinate is None or not many else (path.coordinate,)
     joints = [(k, mechanism.independent_joints[k]) for k in shown]
 
     def own(values: np.ndarray, unit, suffix: str = "") -> list[Line]:

@@ -87,7 +87,7 @@ def deliver(
     said: dict,
     result: "str | Sequence[Block]",
     report: Callable[[], "Report"],
-    draw: Callable[[Path], None] = lambda _: None,
+    draw: Callable[[Path], object] = lambda _: None,
 ) -> None:
     """Save a study's record, report and other files into the folder of -o, if there is one, and show the result."""
     if target is not None:
@@ -178,7 +178,7 @@ def tables_of(
         refuse_no_model(source, (*MODELS, *PROBLEMS))
         name, tables, folder = source, {"mechanism": {"model": source}}, None
     set_all(tables, overrides)
-    tables["mechanism"] = tables.get("mechanism", {}) | dict(selection or {})
+    tables["mechanism"] = {**tables.get("mechanism", {}), **(selection or {})}
     return name, tables, folder, is_problem
 
 

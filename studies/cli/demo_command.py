@@ -12,6 +12,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     from linkplan.studies.demo.demo import demo
 
     target = output_folder(arguments)
+    assert target is not None  # -o has a default
     said, text = demo(target, progress(arguments))
     show(arguments, said, text)
     return DONE

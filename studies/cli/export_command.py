@@ -20,6 +20,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     from linkplan.studies.export.export import exported
 
     target, say = new_file(arguments), progress(arguments)
+    assert target is not None  # -o is required
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
@@ -39,6 +40,7 @@ def _export_c(arguments: argparse.Namespace) -> int:
     if arguments.every_s is not None:
         raise ProblemError("--every-s is for files of samples; a law in C has the instants of tracking.period_s")
     target, say = output_folder(arguments), progress(arguments)
+    assert target is not None  # -o is required
     said: dict = {}
     passed = True
     if Path(arguments.plan).is_dir() or tables_of(arguments.plan, [])[3]:

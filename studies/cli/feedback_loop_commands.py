@@ -195,6 +195,7 @@ def _extra(name: str, study, problem: Problem | None, say: Progress) -> tuple[di
     if name == "large":
         signals = large_study.large_study(study, None if problem is None else problem.limits, say)
         return large_study.large_study_record(signals), loop_blocks.large_blocks(signals)
+    assert problem is not None  # --along asks for one
     plan = plan_motion(problem, say)
     if plan.trajectory is None:
         raise LinkplanError(f"--along: {problem.name} has no motion: {plan.message}")

@@ -21,8 +21,8 @@ def _live(drawn: Callable[[], "Text"]) -> "Live":
 
     from linkplan.studies.output.terminal import console_of
 
-    own = {"redirect_stdout": False, "redirect_stderr": False}
-    return Live(console=console_of(sys.stderr), get_renderable=drawn, transient=True, **own)
+    console = console_of(sys.stderr)
+    return Live(console=console, get_renderable=drawn, transient=True, redirect_stdout=False, redirect_stderr=False)
 
 
 class Progress:

@@ -88,7 +88,7 @@ def tracking_reference(plan: Plan) -> SampledReference:
     Raises:
         ProblemError: if the control period is too long for the motion, or so short that the run is too long.
     """
-    settings, trajectory = plan.problem.tracking, plan.trajectory
+    settings, trajectory = plan.problem.tracking, plan.require_motion("track")
     duration = settings.duration_s or trajectory.duration_s
     if trajectory.duration_s < _MIN_CONTROL_PERIODS * settings.period_s:
         raise ProblemError(

@@ -29,7 +29,7 @@ def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float
     """Return the runs of the corrected model by (model, KD), on the plan of the document's sinusoid."""
     mechanism, runs = plan.problem.mechanism, {}
     plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=plan.problem.limits.effort))
-    reference = sample(mechanism, plan.trajectory, float(mechanism.model.opt.timestep), _DURATION_S)
+    reference = sample(mechanism, plan.require_motion("track"), float(mechanism.model.opt.timestep), _DURATION_S)
     for kd in KD:
         say(f"{MENDED}, KP = {DOCUMENT_KP:g}, KD = {kd:g}")
         runs[MENDED, kd] = simulate_one(plant, pd(mechanism, reference, DOCUMENT_KP, kd), reference)

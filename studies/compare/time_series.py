@@ -46,7 +46,7 @@ def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = Fa
             plain = "".join(letter if letter.isalnum() or letter in "+-_" else "_" for letter in tracker)
             stem = f"{side}-{plain}" if [*map(str.lower, runs)].count(tracker.lower()) == 1 else f"{side}-{number}-{plain}"
             columns = run_columns(comparison.plan.problem.mechanism, rollout)
-            np.savez(folder / f"{stem}.npz", **columns)
+            np.savez(folder / f"{stem}.npz", **columns)  # pyright: ignore[reportArgumentType]  arrays by name
             (folder / f"{stem}.csv").write_bytes(csv_bytes(columns))
             names += [f"{stem}.csv", f"{stem}.npz"]
             if parquet:

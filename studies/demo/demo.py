@@ -225,7 +225,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
-            marked = [(f"the document's KP = {g.kp:g}, KD = {g.kd:g}", g.kp, g.kd) for g in LOOPS[:2]]
+            marked = [(f"the document's KP = {DOCUMENT_KP:g}, KD = {kd:g}", DOCUMENT_KP, kd) for kd in (1.0, 10.0)]
             said["stability_map"], blocks = map_record(found), map_blocks(found, marked)
             figure_of(panels_of(blocks), place / "stability_map.png", columns=2, panel_in=(6.5, 5.0))
             sections[0].append(Section(title="Stability map", blocks=blocks, depth=2))
@@ -233,6 +233,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
 
 
 def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
+    assert plan.problem.reference is not None  # the document's sinusoid
     runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
     said["document"] = document_record(runs)
     blocks = document_blocks(runs, said["document"], DOCUMENT_KP)

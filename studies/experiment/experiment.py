@@ -137,7 +137,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     passive = ~mechanism.steered  # uncontrollable
     middle = np.median(layout.values, axis=0)
-    plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # raises errors early
+    plant(mechanism, reference, loop, machine_of(section, middle.tolist(), mechanism, (0,)), 1)  # raises errors early
     _refuse_late_push(section, layout.values, float(reference.time_s[-1]))
     yardstick = Yardstick(
         mechanism=mechanism,

@@ -21,7 +21,7 @@ class OneByOne:
     """A law for single states as a `TrackerWithMemory`: the memory (n, 1) holds a copy of the law for each simulation."""
 
     name: str
-    make: Callable[[], Tracker]
+    make: Callable[[], AnyTracker]
     batched: bool = False
 
     def start(self, n: int) -> np.ndarray:

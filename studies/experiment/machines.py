@@ -86,10 +86,12 @@ def _solref(one: Mapping[str, float], mechanism: Mechanism) -> tuple[float, floa
 
 
 def _pushes(section: ImperfectionFactors, one: Mapping[str, float]) -> tuple[Push, ...]:
-    window = {"start_s": one.get("push_start_s", 0.0), "duration_s": one.get("push_duration_s", 0.0)}
+    start, duration = one.get("push_start_s", 0.0), one.get("push_duration_s", 0.0)
     pushes = []
     if section.push_body is not None:
-        pushes.append(Push(body=section.push_body, force=_vector(one, "push_force_{}_n"), **window))
+        force = _vector(one, "push_force_{}_n")
+        pushes.append(Push(start_s=start, duration_s=duration, body=section.push_body, force=force))
     if section.push_joint is not None:
-        pushes.append(Push(joint=section.push_joint, effort=one.get("push_effort", 0.0), **window))
+        effort = one.get("push_effort", 0.0)
+        pushes.append(Push(start_s=start, duration_s=duration, joint=section.push_joint, effort=effort))
     return tuple(pushes)

@@ -78,7 +78,7 @@ def read_results(path: Path, experiment: Experiment, samples: range | None = Non
 def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samples: np.ndarray) -> str | None:
     """Return a description of the first invalid value in the results of samples (n,), or None."""
     n, names = len(samples) // len(experiment.settings.trackers), np.array(experiment.settings.trackers, dtype=object)
-    ran = np.equal(results["failure"], None)
+    ran = np.array([failure is None for failure in results["failure"]], dtype=bool)
     checks: list[tuple[str, np.ndarray, str]] = [
         ("sample", results["sample"] == samples, "the experiment's samples in their order"),
         ("tracker", results["tracker"] == np.tile(names, n), f"{', '.join(names)} in turn"),

@@ -76,7 +76,7 @@ def samples_of(plan: Plan, every_s: float | None = None) -> Samples:
     if every_s is not None:
         # a last step below a thousandth of the others is a rounding error
         time = begin + np.append(np.arange(0.0, duration - 1e-3 * every_s, every_s), duration)
-    table = motion_table(plan.problem, plan.trajectory, time)
+    table = motion_table(plan.problem, plan.require_motion("export"), time)
     joints = mechanism.joints
 
     def internal(values: dict[str, np.ndarray]) -> np.ndarray:

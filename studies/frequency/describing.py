@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import control
 import numpy as np
-import scipy.optimize
 
 from linkplan.models.errors import LinkplanError
+from linkplan.models.poses.sign_change import sign_change
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency import sinestream
 from linkplan.studies.frequency.excitation import Setup, whole_samples
@@ -59,7 +59,7 @@ def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.nda
     if not (np.isfinite(low) and np.isfinite(high)):
         raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no effort limit")
     # Each half of the sine meets one limit, so N(A) is the mean of two symmetric saturations.
-    cuts = [control.saturation_nonlinearity(float(limit)) for limit in (-low, high)]
+    cuts = [control.saturation_nonlinearity(limit) for limit in (-low, high)]
 
     def mean(A: np.ndarray) -> np.ndarray:
         return np.mean([np.real(control.describing_function(cut, np.atleast_1d(A))) for cut in cuts], axis=0)
@@ -85,7 +85,7 @@ def balance(
         high *= 1.3
         if high > 1e12:
             raise LinkplanError("harmonic balance has no solution")
-    A = float(scipy.optimize.brentq(excess, high / 1.3 if high > 1e-300 else 0.0, high)) if excess(high / 1.3) < 0 else high
+    A = sign_change(excess, high / 1.3, high, xtol=0.0) if excess(high / 1.3) < 0 else high
     n = float(N(A)[0])
     return P * n * drive / (1.0 + n * L), A
 

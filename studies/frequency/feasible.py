@@ -28,7 +28,7 @@ class FeasibleCurve:
     channel: int
     amplitude: np.ndarray
     frequency_hz: np.ndarray
-    reason: tuple[str, ...]
+    reason: tuple[str | None, ...]
 
 
 def feasible_curve(

@@ -9,6 +9,7 @@ analysis is done about it.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from linkplan.controllers.sampling import Sampling, augmented, closed, simulated
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import LQR
 from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.controllers.trackers.tracker import AnyTracker
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
@@ -77,7 +78,7 @@ class Floquet:
         return float(self.time_s[k]), float(np.log(predicted)), float(np.log(measured))
 
 
-def tracker_gains(tracker: Tracker) -> np.ndarray:
+def tracker_gains(tracker: AnyTracker) -> np.ndarray:
     """Return a tracker's gains K (n, n_u, 2 n_s) on the state at each control instant.
 
     Raises:
@@ -92,23 +93,23 @@ def tracker_gains(tracker: Tracker) -> np.ndarray:
     raise LinkplanError(f"tracker '{tracker.name}' has no state feedback gains to analyse")
 
 
-def feeds_forward(tracker: Tracker) -> bool:
+def feeds_forward(tracker: AnyTracker) -> bool:
     """Return True if a tracker adds the reference's own efforts."""
     return isinstance(tracker, Feedforward | LQR)
 
 
-def frozen_radii(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling) -> np.ndarray:
+def frozen_radii(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling) -> np.ndarray:
     """Return the largest pole's size (n,) of the loop frozen at every control instant of a motion."""
     return spectral_radius(_closed_along(mechanism, reference, tracker, timing))
 
 
-def _closed_along(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling) -> np.ndarray:
+def _closed_along(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling) -> np.ndarray:
     A, B, B_late = simulated(mechanism, reference.pose, reference.velocity, reference.effort, timing)
     return closed(*augmented(A, B, B_late, timing), tracker_gains(tracker))
 
 
 def floquet(
-    mechanism: Mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit: np.ndarray
+    mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling, effort_limit: np.ndarray
 ) -> Floquet:
     """Return the multipliers of a tracked periodic motion, predicted and measured over one cycle.
 
@@ -163,7 +164,7 @@ def floquet(
     )
 
 
-def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit):
+def _steady(mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling, effort_limit):
     """Return a cycle of the motion that a tracker settles on, and the delayed commands (memory, n_u) at its start."""
     n = reference.n
     batch = SimulatedLoops(
@@ -197,7 +198,7 @@ def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sa
     return motion, commands[n - timing.memory :, 0]
 
 
-def _signals(reference: SampledReference, tracker: Tracker, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _signals(reference: SampledReference, tracker: AnyTracker, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the reference states (n, count, 2 n_s) and feedforward efforts (n, count, n_u) of a tracker."""
     forward = reference.effort if feeds_forward(tracker) else np.zeros_like(reference.effort)
     along = np.concatenate([reference.position, reference.velocity], axis=1)
@@ -209,7 +210,7 @@ def _measured(
     reference: SampledReference,
     motion: SampledReference,
     before: np.ndarray,
-    tracker: Tracker,
+    tracker: AnyTracker,
     timing: Sampling,
     effort_limit: np.ndarray,
     scale: np.ndarray,
@@ -261,7 +262,7 @@ def _cut(reference: SampledReference, n: int) -> SampledReference:
     return SampledReference(period_s=reference.period_s, cycle=n, **arrays)
 
 
-def _cut_tracker(tracker: Tracker, n: int) -> Tracker:
+def _cut_tracker(tracker: Any, n: int) -> Any:
     """Return a tracker with the gains of its first n instants."""
     if isinstance(tracker, Feedforward):
         return Feedforward(reference=tracker.reference, feedback=_cut_tracker(tracker.feedback, n))

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import scipy.optimize
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
+from linkplan.models.poses.sign_change import sign_change
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
 from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
 from linkplan.studies.frequency.worst import local_minima
@@ -176,7 +176,7 @@ def _roots(
         clear = np.abs(values) > rounding
         k = np.flatnonzero((values[:-1] * values[1:] < 0) & (clear[:-1] | clear[1:]))
     ends = [(frequency[i], frequency[i + 1]) for i in k]
-    return np.array([scipy.optimize.brentq(function, low, high, rtol=1e-10) for low, high in ends])
+    return np.array([sign_change(function, low, high, xtol=1e-10 * high) for low, high in ends])
 
 
 def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> tuple[float, float]:

@@ -70,7 +70,8 @@ def run(
     for row, (_, excitation) in enumerate(excited.rows):
         at, place = slice(row * n_f, (row + 1) * n_f), row // len(excitations)
         signals = {name: phasors[at, :, i].T for i, name in enumerate(("in", "command", "position"))}
-        quality = dict(zip(("coherence", "distortion", "residual", "saturated"), columns[at].T, strict=True))
+        names = ("coherence", "distortion", "residual", "saturated")
+        quality: dict[str, np.ndarray] = dict(zip(names, columns[at].T, strict=True))
         origin = f"measured in MuJoCo, sinestream, {excitation}"
         responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, quality, origin)
         actuated[place][excitation] = signals["command"][-1], phasors[at, -1, 3]
@@ -114,7 +115,7 @@ def _simulate(
 ) -> tuple[list["_Estimate"], int]:
     """Run every simulation until its estimate settles. Return the estimates (n,) and the control periods simulated."""
     n = len(sinusoids.p)
-    pole = np.repeat([loop.radius for loop, _ in excited.rows], n // len(excited.rows))
+    pole = np.repeat(np.array([loop.radius for loop, _ in excited.rows], dtype=float), n // len(excited.rows))
     low, high = effort_limit.T
     estimates = [
         _Estimate(

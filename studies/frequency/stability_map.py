@@ -91,7 +91,8 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
                 bad = middle
         return good
 
-    first, last = inside[0], inside[-1]
+    first, last = int(inside[0]), int(inside[-1])
+    kd = kd.tolist()
     low = 0.0 if first == 0 else border(kd[first], kd[first - 1])
     low = low if low > _BORDER_TOLERANCE * kd[last] else 0.0
     return low, border(kd[last], kd[last + 1]) if last + 1 < len(kd) else np.inf

@@ -233,12 +233,12 @@ def _ends(mechanism: Mechanism, share: float, side: int) -> tuple[np.ndarray, np
     goal = start.copy()
     for column in driven_columns(mechanism):
         joint = mechanism.independent_joints[column]
-        low, high = _interval(reach(mechanism, int(column)), start[column])
+        low, high = _interval(reach(mechanism, int(column)), float(start[column]))
         start[column] = _rounded(joint, float(np.clip(start[column], low, high)), low, high)
         most = np.radians(60.0) if joint.kind == "hinge" else 0.4 * mechanism.extent_m
         up = (high - start[column] >= start[column] - low) == (side > 0)
         room = high - start[column] if up else start[column] - low
-        goal[column] = _rounded(joint, start[column] + (1 if up else -1) * share * min(most, room), low, high)
+        goal[column] = _rounded(joint, float(start[column] + (1 if up else -1) * share * min(most, room)), low, high)
     return start, goal
 
 
@@ -267,6 +267,8 @@ def _obstacle(problem: Problem) -> str | None:
     collide, and the actuators can hold every pose, if they act on all coordinates.
     """
     mechanism, start, goal = problem.mechanism, problem.motion.start, problem.motion.goal
+    assert start is not None  # a reach has both
+    assert goal is not None
     shares = np.linspace(0.0, 1.0, 61)
 
     def position_at(at: np.ndarray) -> np.ndarray:

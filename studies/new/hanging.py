@@ -81,7 +81,7 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
     pose = hanging_pose(mechanism, near, held)
     rest = s.copy()
     for column in hanging if pose is not None else ():
-        rest[column] = _rounded(mechanism.independent_joints[column], pose[mechanism.independent[column]])
+        rest[column] = _rounded(mechanism.independent_joints[column], float(pose[mechanism.independent[column]]))
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
         raise AssemblyError(f"mechanism '{mechanism.name}' does not hang at rest with its drives at {s}")
     return rest

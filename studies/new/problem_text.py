@@ -116,7 +116,7 @@ def _joint_facts(mechanism: Mechanism) -> dict:
             if index is not None:
                 joint = mechanism.joints[index]
                 facts[name] = key_text(joint.name)
-                facts[f"{name}_home"] = inline(_shown(joint, mechanism.home[index]))
+                facts[f"{name}_home"] = inline(_shown(joint, float(mechanism.home[index])))
                 facts[f"{name}_range"] = inline([_shown(joint, joint.lower), _shown(joint, joint.upper)])
     for kind, key in (("slide", "at_m"), ("hinge", "at_deg")):
         if f"free_{kind}" in facts:

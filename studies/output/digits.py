@@ -36,7 +36,9 @@ def error_figure(value: float) -> str:
     return "< 1e-14" if 0 < value < 1e-14 else figure(value, 2)
 
 
-def radius_figure(radius: float) -> str:
+def radius_figure(radius: float | None) -> str:
     """Return the radius of a sampled loop's pole; near the unit circle as the distance from it, such as "1-2.3e-05"."""
+    if radius is None:
+        return "-"
     beyond = radius - 1.0
     return f"1{beyond:+.1e}" if 0 < abs(beyond) < 5e-4 else figure(radius, 4)

@@ -5,6 +5,7 @@ is its class in small letters.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from msgspec import Struct
 
@@ -64,7 +65,7 @@ def table_of(title: str, heads: Sequence[str | tuple[str, str]], rows: Sequence[
     return Table(title=title, columns=columns, rows=[[_cell(cell, digits) for cell in row] for row in rows])
 
 
-def _cell(value: object, digits: int) -> bool | int | float | str | None:
+def _cell(value: Any, digits: int) -> bool | int | float | str | None:
     """Return a cell in JSON types."""
     if value is None or isinstance(value, bool | int | str):
         return value

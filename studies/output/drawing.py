@@ -42,7 +42,7 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
     """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` if it is given."""
     with matplotlib.rc_context(), np.errstate(over="ignore", invalid="ignore"):  # the ticks of a diverged run
         matplotlib.rcdefaults()  # without the user's settings, which may need TeX
-        matplotlib.rcParams.update(_STYLE)
+        matplotlib.rcParams.update(_STYLE)  # pyright: ignore[reportCallIssue, reportArgumentType]  its keys are text
         # A figure without pyplot needs no screen and leaves nothing open.
         figure = Figure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
@@ -12,7 +13,14 @@ from linkplan.studies.output.numbers import drawn_rows, rounded, times
 _MAX_LINES_PER_PLOT = 9
 
 
-def line_style(index: int) -> dict[str, str | int]:
+class LineStyle(TypedDict):
+    """The style of a line; the colour is an index."""
+
+    look: str
+    colour: int
+
+
+def line_style(index: int) -> LineStyle:
     """Return look and colour of line `index` of a plot: six colours, first with full lines, then with dashed ones."""
     looks, n_colours = ("line", "dash", "dashdot"), 6
     return {"look": looks[index // n_colours % len(looks)], "colour": index % n_colours}

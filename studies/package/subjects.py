@@ -7,7 +7,6 @@ from pathlib import Path
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.keys.kinds import Angles, Numbers
 from linkplan.planner.keys.motion_section import WaypointSection
 from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
@@ -17,8 +16,6 @@ from linkplan.planner.problem.joint_values import joint_values
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.values import plain
 
-# A pose consists of a table of joint = value in degrees and another table in metres.
-_KINDS = {"at_deg": Angles, "at_m": Numbers}
 Subject = Mechanism | Problem | str | Path
 
 
@@ -103,8 +100,8 @@ def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[di
     poses = []
     for k in range(max(map(len, lists.values()))):
         where = f"poses[{k}]"
-        at_deg, at_m = (read(kind, lists[key][k] if lists[key] else {}, where) for key, kind in _KINDS.items())
-        values = joint_values(WaypointSection(at_deg=at_deg, at_m=at_m), "at", where, mechanism)
+        given = {key: tables[k] for key, tables in lists.items() if tables}
+        values = joint_values(read(WaypointSection, given, where), "at", where, mechanism)
         poses.append({mechanism.joints[i].name: mechanism.joints[i].read(value) for i, value in values.items()})
     return poses
 

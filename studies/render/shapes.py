@@ -21,7 +21,7 @@ class Shape:
     start: np.ndarray
     end: np.ndarray
     radius: float  # [m]
-    rgba: tuple[float, float, float, float]
+    rgba: tuple[float, ...]
 
 
 def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[float, ...]]) -> tuple[Shape, ...]:
@@ -42,9 +42,7 @@ def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[f
     return tuple(found)
 
 
-def arrow(
-    points: np.ndarray, radius: float, rgba: tuple[float, float, float, float], head: int, base: float
-) -> tuple[Shape, ...]:
+def arrow(points: np.ndarray, radius: float, rgba: tuple[float, ...], head: int, base: float) -> tuple[Shape, ...]:
     """Return an arrow along points (n, 3) [m]; its last `head` segments taper from the radius `base` [m]."""
     n = len(points) - 1
     thick = np.append(np.full(n - head, radius), np.linspace(base, 0.05 * base, head))
@@ -62,14 +60,14 @@ def ghostly(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
     return tuple(replace(shape, rgba=GHOST) for shape in shapes)
 
 
-def load_colour(share: float) -> tuple[float, float, float, float]:
+def load_colour(share: float) -> tuple[float, ...]:
     """Return the rgba of an effort as a share of its limit, of either sign: from grey at 0 to red at 1 and above."""
     part = min(abs(share), 1.0)
     red, green, blue = (1 - part) * _IDLE + part * _AT_LIMIT
     return float(red), float(green), float(blue), 1.0
 
 
-def series_colour(k: int) -> tuple[float, float, float, float]:
+def series_colour(k: int) -> tuple[float, ...]:
     """Return the rgba of the k-th body of a mechanism without colours."""
     digits = SERIES[k % len(SERIES)].removeprefix("#")
     red, green, blue = (int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4))

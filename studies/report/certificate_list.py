@@ -26,6 +26,7 @@ _NOT_ITS_VELOCITY = "the planned velocity is not"
 def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
     """Return the checklist of a plan's certificate; its instants move the cursor of `group`."""
     certificate = plan.certificate
+    assert certificate is not None  # of a motion
     items = [
         *_efforts(plan, motion),
         *_ranges(plan, motion),
@@ -69,8 +70,8 @@ def _ranges(plan: Plan, motion: Motion) -> list[Item]:
             passed = bool(margins[k] >= -RANGE_SLACK)
             when = certificate.worst_time_s.get(f"{what} of {joint.name}")
             unit = f"{joint.unit}{per}"
-            shown = [joint.shown(float(x)) for x in (value, limit)]
-            items.append(_item(f"{what} of {joint.name}", passed, *shown, unit, when))
+            shown, bound = (joint.shown(float(x)) for x in (value, limit))
+            items.append(_item(f"{what} of {joint.name}", passed, shown, bound, unit, when))
     return items
 
 

@@ -47,10 +47,14 @@ def drives_of(
                 unit=actuator.unit,
                 marks=[mark for k in range(len(places[j][0])) if (mark := _drawn(places[j], k, frame)) is not None],
                 effort=rounded(np.nan_to_num(effort[:, j])),
-                limits=tuple(float(end) if np.isfinite(end) else None for end in ends),
+                limits=(_finite(ends[0]), _finite(ends[1])),
             )
         )
     return found
+
+
+def _finite(end: float) -> float | None:
+    return float(end) if np.isfinite(end) else None
 
 
 def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:

@@ -22,7 +22,7 @@ def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool 
         verdict: whether the first section starts with the verdict; False if the page's header shows it.
     """
     group, joints = f"frequency:{name}", study.mechanism.independent_joints
-    found = [(f"Feedback loop: {name}", summary(study, verdict=verdict))]
+    found: list[tuple[str, list[Block]]] = [(f"Feedback loop: {name}", summary(study, verdict=verdict))]
     for channel, joint in enumerate(joints):
         of = "" if len(joints) == 1 else f" of {joint.name}"
         entries = [entry for entry in study.points if entry.channel == channel]
@@ -31,7 +31,7 @@ def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool 
     for scan in study.scans:
         joint = joints[scan.channel]
         of = "" if len(joints) == 1 else f" of the loop of {joint.name}"
-        found.append((f"Margins{of} over {scan.line.name}", margins_along(study, scan, f"{name}:{joint.name}")))
+        found.append((f"Margins{of} over {scan.line.name}", [*margins_along(study, scan, f"{name}:{joint.name}")]))
     return [Section(title=title, blocks=blocks, depth=depth + (k > 0)) for k, (title, blocks) in enumerate(found)]
 
 

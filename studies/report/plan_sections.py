@@ -1,5 +1,7 @@
 """The sections of a plan: verdict, motion, limits, certificate, the solves before it, its problem."""
 
+from typing import Any
+
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
@@ -145,7 +147,7 @@ def _problem(plan: Plan) -> list[Block]:
     return [Code(title="The problem as a file", text=text)]
 
 
-def _without_none(value: object) -> object:
+def _without_none(value: Any) -> Any:
     """Return tables without empty tables and the keys whose value is None, such as infinite limits."""
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item is not None and item != {}}

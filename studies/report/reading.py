@@ -69,7 +69,8 @@ def _record_report(path: Path) -> Report:
     )
     name = str(said.get("mechanism") or said.get("model") or path.parent.name)
     blocks = [lacks, *_blocks(said)]
-    verdict = said.get("message") if isinstance(said.get("message"), str) else f"figures of {path.name}"
+    message = said.get("message")
+    verdict = message if isinstance(message, str) else f"figures of {path.name}"
     sections = [Section(title=f"{path.stem} of {name}", blocks=blocks)]
     return report_of(f"{path.stem[:1].upper()}{path.stem[1:]} of {name}", verdict, None, sections)
 

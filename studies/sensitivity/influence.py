@@ -56,7 +56,8 @@ def influence_of(scheme: Scheme, figures: np.ndarray, seed: int = 0) -> Influenc
         seed: of the bootstrap.
     """
     table = np.asarray(figures, dtype=float).reshape(scheme.n_groups, scheme.size)
-    kept = np.isfinite(table[:, 0]) if scheme.design == ONE_AT_A_TIME else np.isfinite(table).all(axis=1)
+    known = np.isfinite(table)
+    kept = known[:, 0] if scheme.design == ONE_AT_A_TIME else np.all(known, axis=1)
     whole, nothing = table[kept], np.full(scheme.n_factors, np.nan)
     count = {"groups": len(table), "left_out": int(np.sum(~kept))}
     if len(whole) < (1 if scheme.design == ONE_AT_A_TIME else 2):

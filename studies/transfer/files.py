@@ -37,7 +37,7 @@ def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> No
         if transfer.serial.errors is not None:
             (place / "along.csv").write_bytes(csv_bytes(along_columns(transfer.serial)))
     (place / "transmission.hpp").write_text(cpp_header(transfer), encoding="utf-8")
-    np.savez_compressed(place / "table.npz", **npz_arrays(transfer))
+    np.savez_compressed(place / "table.npz", **npz_arrays(transfer))  # pyright: ignore[reportArgumentType]  arrays by name
     transfer_figure(transfer, place / "transfer.png")
 
 

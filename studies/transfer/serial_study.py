@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.errors import ModelError, ProblemError
@@ -84,7 +85,7 @@ def motion_of_plan(plan: Plan, outputs: OutputMap) -> OutputMotion:
     )
 
 
-def motion_of_samples(outputs: OutputMap, time_s: Sequence[float], position: Sequence[Sequence[float]]) -> OutputMotion:
+def motion_of_samples(outputs: OutputMap, time_s: ArrayLike, position: ArrayLike) -> OutputMotion:
     """Return the motion through output positions (n, n_o) [rad or m] at times (n,) [s], a spline of the fifth degree.
 
     Raises:

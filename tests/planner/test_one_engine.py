@@ -173,12 +173,12 @@ def test_a_flow_that_ends_within_an_interval_says_so_and_no_interval_follows():
 
 def test_ends_are_missed_by_what_they_are_outside_of_what_is_asked():
     low, high = np.array([0.0, -np.inf]), np.array([1.0, np.inf])
-    assert relative_violation(np.array([0.5, 1e9]), low, high, 1.0) == 0.0
-    assert relative_violation(np.array([1.5, 1e9]), low, high, np.array([2.0, 1.0])) == pytest.approx(0.25)
-    assert relative_violation(np.array([-1.0, 0.0]), low, high, 1.0) == pytest.approx(1.0)
-    assert relative_violation(np.array([3.0, 5.0]), *exact_bounds(np.array([3.5, np.nan])), 1.0) == pytest.approx(0.5)
+    assert relative_violation(np.array([0.5, 1e9]), (low, high), 1.0) == 0.0
+    assert relative_violation(np.array([1.5, 1e9]), (low, high), np.array([2.0, 1.0])) == pytest.approx(0.25)
+    assert relative_violation(np.array([-1.0, 0.0]), (low, high), 1.0) == pytest.approx(1.0)
+    assert relative_violation(np.array([3.0, 5.0]), exact_bounds(np.array([3.5, np.nan])), 1.0) == pytest.approx(0.5)
     assert relative_violation(
-        np.array([3.0, 5.0]), *exact_bounds(np.array([3.5, 7.0]), np.array([True, False])), 1.0
+        np.array([3.0, 5.0]), exact_bounds(np.array([3.5, 7.0]), np.array([True, False])), 1.0
     ) == pytest.approx(2.0)
 
 
