@@ -347,7 +347,6 @@ def states_of(
 def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:
     """Return True if a box's roots, at its begin and in its region, are on the branch of the anchor."""
     assert anchor.region is not None  # of the box before
-    assert anchor.end is not None
     if all(of.contains(x) for of, x in zip(anchor.region, begin, strict=True)):
         return True
     adjacent = anchor.tau == box.centre - box.radius

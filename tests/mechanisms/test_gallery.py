@@ -1,5 +1,6 @@
 """The built-in mechanisms together: each checks clean, has a problem, and a picture that docs/mechanisms.md shows."""
 
+import mujoco
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -13,6 +14,7 @@ from linkplan.models.poses.skeleton import sticks
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.studies.check.inspection import inspect
+from linkplan.studies.demo.draw_cut_loop import PICTURE, TURNED_DEG, cut_loop_figure
 from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
 from linkplan.studies.output.drawing import SERIES
 from tests.support.data import ROOT
@@ -52,6 +54,20 @@ def test_a_built_in_problem_moves_it_and_the_page_on_mechanisms_shows_its_pictur
     assert shown, "no problem of the gallery moves it"
     assert set(shown) <= set(PROBLEMS)
     assert f"studies/gallery/{name}.png" in (ROOT / "docs" / "mechanisms.md").read_text(encoding="utf-8")
+
+
+def test_the_drawing_of_the_cut_loop_has_the_gap_that_mujoco_finds(tmp_path):
+    gap = cut_loop_figure(tmp_path / "cut.png")
+    mechanism = mechanism_of("optimus-knee")
+    data = mujoco.MjData(mechanism.model)
+    pose = mechanism.home.copy()
+    pose[mechanism.independent] += np.radians(TURNED_DEG)
+    data.qpos[:] = mechanism.qpos_of(pose[None])[0]
+    mujoco.mj_forward(mechanism.model, data)
+    tied = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    assert gap == pytest.approx(np.linalg.norm(data.efc_pos[tied]), rel=1e-9)
+    assert (tmp_path / "cut.png").stat().st_size > 0
+    assert PICTURE.is_file()
 
 
 def test_the_gallery_is_drawn_where_the_readme_looks_for_it():
