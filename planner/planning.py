@@ -1,9 +1,9 @@
 """From a planning problem to a certified plan: a sequence of attempts, then the reason if none gives a motion.
 
 The three tables below are the whole strategy, in order. A rung is tried if its condition holds, within its budget. The first
-plan that passes ends the search, unless its duration is known from the phase plane to be only a local minimum. Repairs are
-applied to a motion whose certificate fails, before the next rung. Diagnoses give the reason why there is no motion, and
-never return one. A new rung is one function, `(Search, Budget) -> Plan | None`, and one row.
+plan that passes ends the search, unless the phase plane knows a motion that may be better. Repairs are applied to a motion
+whose certificate fails, before the next rung. Diagnoses give the reason why there is no motion, and never return one. A new
+rung is one function, `(Search, Budget) -> Plan | None`, and one row.
 """
 
 from collections.abc import Callable, Sequence

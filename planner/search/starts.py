@@ -48,9 +48,9 @@ def other_limits(problem: Problem) -> bool:
 
 
 def phase_plane_may_help(search: Search) -> bool:
-    """True if the phase plane has a motion and no plan passes, or if a quicker one than the plan that passes may exist."""
+    """True if the phase plane has a motion and no plan passes, or if a better one than the plan that passes may exist."""
     if search.solved:
-        return search.only_time_counts
+        return search.only_time_counts or _swings_may_be_better(search)
     return one_start_is_worth_it(search) and search.quickest is not None and not no_time(search)
 
 
@@ -74,18 +74,30 @@ def enough_time(search: Search) -> bool:
     return search.quickest is not None and longest(search.problem) >= GRID_ERROR_FACTOR * search.quickest.duration_s
 
 
+def _swings_may_be_better(search: Search) -> bool:
+    """True if a plan between start and goal meets its effort limits, and the motion of least time swings beyond them."""
+    problem = search.problem
+    if problem.solver.starts > 1 or problem.guess is not None or not phase_plane_applies(problem):
+        return False
+    plan, limits = search.best, problem.limits.effort
+    position = plan.trajectory.position_at(plan.trajectory.dense_times(10))
+    swings = np.ptp(position) > 1.001 * abs(position[-1, 0] - position[0, 0])  # by more than a thousandth of the way
+    weak = np.any(plan.certificate.peak_effort > 0.999 * np.abs(limits).max(axis=1))  # a limit is met within a thousandth
+    return bool(weak) and not swings and search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
+
+
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that the user's guess leads to, or else the smoothest path."""
     return _first_of(search, budget, search.first_starts(), mended=not search.only_time_counts)
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the phase plane's motion leads to; where a plan passes already, only a quicker one.
+    """Return the plan that the phase plane's motion leads to; where a plan passes already, only a better one.
 
     The first start is the motion of least time if it swings and the objective is not time.
     """
     if search.solved:
-        return _quicker_plan(search, budget)
+        return _better_plan(search, budget)
     return _first_of(search, budget, _of_the_phase_plane(search, budget))
 
 
@@ -189,13 +201,16 @@ def judged_by_the_phase_plane(search: Search) -> tuple[bool, Guess | None]:
     return as_quick, None if as_quick else search.quickest
 
 
-def _quicker_plan(search: Search, budget: Budget) -> Plan | None:
-    """Return a least-time plan that is quicker than the one found; None without one."""
-    known, (_, guess) = search.best.trajectory.duration_s, judged_by_the_phase_plane(search)
-    # A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
+def _better_plan(search: Search, budget: Budget) -> Plan | None:
+    """Return a plan that the phase plane's motion leads to and that is better than the one found; None without one."""
+    if search.only_time_counts:
+        _, guess = judged_by_the_phase_plane(search)
+    else:
+        guess = phase_plane_guess(search.problem, search.start_pose, search.quickest)
+    known = search.best.objective
+    # A motion on the first mesh is refined only if it is better than this share of the best known objective.
     plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, mended=False)
-    passes = plan is not None and plan.passed
-    return plan if passes and plan.trajectory.duration_s < known else None
+    return plan if plan is not None and plan.passed and plan.objective < known else None
 
 
 def least_time_motion(search: Search, budget: Budget) -> Guess | None:

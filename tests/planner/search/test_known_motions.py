@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from tests.bench.contradictions import rotary_answer, weak_case
+from tests.bench.contradictions import rotary_answer, weak_answer, weak_case
 
 # A weak four-bar: the smoothest path leads to a local optimum of 0.879 s, swings to the least time. It begins at a stable
 # equilibrium, where it may wait.
@@ -39,6 +39,12 @@ def test_a_motion_a_little_longer_than_the_certified_least_time_is_found_and_cos
     assert [plan.status for plan in plans] == ["optimal"] * 3, [plan.message for plan in plans]
     costs = [plan.objective for plan in plans]
     assert costs == sorted(costs, reverse=True)
+
+
+@pytest.mark.slow
+def test_a_least_effort_that_begins_on_the_smooth_path_costs_no_more_than_a_shorter_one_that_swings():
+    """The smooth path leads straight to the goal at 0.2352; beyond it and back, all motions but the first cost less."""
+    assert weak_answer(77, 69)["wrong"] == []
 
 
 # A rod on a damped hinge: its weight takes most of the motor's torque once a turn, and helps as much half a turn later.
