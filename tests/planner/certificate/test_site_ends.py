@@ -14,9 +14,9 @@ WANTED = {"start": ABOVE, "waypoint": HALFWAY, "goal": BELOW}
 MISS_M = 1e-3
 
 
-def off_m(wanted: dict) -> tuple[float, tuple[str, ...]]:
+def off_m(wanted: dict, **time: float) -> tuple[float, tuple[str, ...]]:
     """Return the errors of the straight line from FROM to TO in joint space, in two intervals of half a second."""
-    waypoint = {"at": {"foot": wanted["waypoint"]}, "time_s": 0.5}
+    waypoint = {"at": {"foot": wanted["waypoint"]}, **time}
     motion = {"start_at": {"foot": wanted["start"]}, "goal_at": {"foot": wanted["goal"]}, "waypoints": [waypoint]}
     problem = site_problem(arm_of(UPPER, LOWER), motion | {"duration_s": 1.0})
     line = np.array([[FROM, 0.5 * (FROM + TO)], [0.5 * (FROM + TO), TO]])
@@ -32,8 +32,9 @@ def off_m(wanted: dict) -> tuple[float, tuple[str, ...]]:
     return ends_off_m(problem, trajectory, time, trajectory.position_at(time))
 
 
-def test_a_motion_that_meets_every_place_has_no_error():
-    worst, failures = off_m(WANTED)
+@pytest.mark.parametrize("time", [{"time_s": 0.5}, {}], ids=["at its time", "at some break"])
+def test_a_motion_that_meets_every_place_has_no_error(time):
+    worst, failures = off_m(WANTED, **time)
     assert worst < 1e-9
     assert failures == ()
 
@@ -47,3 +48,7 @@ def test_a_place_that_the_motion_misses_is_named_with_the_distance(which, key):
     assert len(failures) == 1
     assert key in failures[0]
     assert "0.001 m away" in failures[0]
+
+
+def test_a_waypoint_that_is_met_at_another_time_is_missed():
+    assert off_m(WANTED, time_s=0.3)[0] > MISS_M
