@@ -15,6 +15,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import least_effort, sampled, sampled_where_moving
@@ -27,8 +28,6 @@ from linkplan.planner.problem.problem import Problem
 
 # Samples of a path: a path of a few radians is sampled about every degree.
 _PATH_SAMPLES = 121
-# An actuator acts on a coordinate if its effort there is more than this share of the largest; less is rounding.
-ACTING_SHARE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -204,7 +203,7 @@ def inertia_notes(path: KinematicLoopPath) -> list[str]:
 def acts(path: KinematicLoopPath) -> np.ndarray:
     """Return the mask (n_s, n_u) of the coordinates on which each actuator acts somewhere along a path."""
     most = np.abs(path.ratio).max(axis=0)
-    return most > ACTING_SHARE * most.max(axis=0, initial=0.0)
+    return most > ROUNDING_SHARE * most.max(axis=0, initial=0.0)
 
 
 def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
@@ -218,7 +217,7 @@ def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the least and the largest effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
-    pushes = np.abs(ratio) > ACTING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
+    pushes = np.abs(ratio) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
     found = np.zeros((*ratio.shape[:2], 2))
     for j in np.flatnonzero(pushes.any(axis=(0, 1))):
         columns = pushes[:, :, j].any(axis=0)  # an actuator acts on few coordinates
