@@ -23,11 +23,8 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
-from linkplan.planner.closed_chain.guess import first_guess, poses_along
+from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, poses_along
 from linkplan.planner.problem.problem import Problem
-
-# Samples of a path: a path of a few radians is sampled about every degree.
-_PATH_SAMPLES = 121
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -148,8 +145,8 @@ def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
 
 
 def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return poses with equally many poses inserted between each two, to have at least `_PATH_SAMPLES` poses."""
-    parts = int(np.ceil((_PATH_SAMPLES - 1) / max(1, len(poses) - 1)))
+    """Return poses with equally many poses inserted between each two, to have at least `GUESS_SAMPLES` poses."""
+    parts = int(np.ceil((GUESS_SAMPLES - 1) / max(1, len(poses) - 1)))
     if parts == 1:
         return poses
     places = poses[:, mechanism.independent]
@@ -179,7 +176,7 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
     """
     mechanism, motion = problem.mechanism, problem.motion
     guess = first_guess(problem, problem.start_pose())
-    time = np.linspace(0.0, guess.duration_s, _PATH_SAMPLES)
+    time = np.linspace(0.0, guess.duration_s, GUESS_SAMPLES)
     follows = motion.kind != "reach" and problem.reference is not None and not motion.waypoints
     title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"
     poses = poses_along(mechanism, guess, time)
