@@ -15,7 +15,16 @@ def test_the_least_value_of_a_parabola_is_its_vertex_s_wherever_the_samples_are(
     assert least_between(values, POINTS)[0] == pytest.approx(-2.0, rel=1e-9)
 
 
-@pytest.mark.parametrize("values", [-5.0 * (POINTS - 0.4) ** 2, POINTS + 1.0, np.where(POINTS > 0.5, np.inf, 3.0)])
+@pytest.mark.parametrize(
+    "values",
+    [
+        -5.0 * (POINTS - 0.4) ** 2,
+        POINTS + 1.0,
+        np.where(POINTS > 0.5, np.inf, 3.0),
+        5.0 * (POINTS - 1.01) ** 2,
+        5.0 * (POINTS + 0.01) ** 2,
+    ],
+)
 def test_without_a_vertex_inside_the_least_sample_counts(values):
     assert least_between(values, POINTS)[0] == values.min()
 

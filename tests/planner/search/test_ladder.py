@@ -210,10 +210,15 @@ def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_
     assert ("optimal" in plan.message) == (status == "optimal")
 
 
-@pytest.mark.parametrize(("duration", "too_short"), [(0.995, False), (0.98, True)])
-def test_along_speed_limits_the_phase_plane_rules_a_duration_out_beyond_a_hundredth_only(duration, too_short):
+@pytest.mark.parametrize(
+    ("switch_times", "duration", "too_short"),
+    [(None, 0.995, False), (None, 0.98, True), ([0.5], 0.9995, False), ([0.5], 0.998, True)],
+)
+def test_the_phase_plane_rules_out_a_duration_by_a_thousandth_and_along_speed_limits_by_a_hundredth(
+    switch_times, duration, too_short
+):
     search = search_for(load_problem("knee-reach", [f"motion.duration_s={duration}"]))
-    known = replace(search.smooth, duration_s=1.0, switch_times_s=None, boundaries_s=None)
+    known = replace(search.smooth, duration_s=1.0, switch_times_s=switch_times, boundaries_s=None)
     search.__dict__["quickest"] = known
     assert no_time(search) is too_short
 
