@@ -11,6 +11,8 @@ from typing import BinaryIO
 
 from linkplan.models.errors import LinkplanError, ProblemError, escaped, one_line
 
+# Largest result that is read back: a trajectory of 20,000 intervals x 10 x 40 joints x 8 bytes, a record of 10,000 cases.
+MAX_FILE_BYTES = 64_000_000
 # Largest TOML file that is read, far above any problem or batch file.
 MOST_TOML_BYTES = 16_000_000
 # Deepest nesting of tables: the parser recurses at each level.

@@ -43,6 +43,8 @@ ROOMS = {
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.
 MOST_ARROWS = 20
+# Names of numbers at the top of our files: each is one more thing to know.
+MOST_CONSTANTS = 458
 # The root of the public package: installed as `linkplan` itself, above everything.
 PUBLIC = ROOT / "studies" / "package"
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
@@ -166,6 +168,34 @@ def test_no_file_is_longer_than_four_hundred_lines():
     files = [*SOURCES, *(ROOT / "tests").rglob("*.py")]
     long = {str(p.relative_to(ROOT)): n for p in files if (n := len(p.read_text(encoding="utf-8").splitlines())) > 400}
     assert not long
+
+
+def is_number(node: ast.expr) -> bool:
+    """Return True for a number, and for a sum, product or shift of numbers."""
+    if isinstance(node, ast.BinOp):
+        return is_number(node.left) and is_number(node.right)
+    if isinstance(node, ast.UnaryOp):
+        return is_number(node.operand)
+    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
+
+
+def constants(path: Path) -> list[str]:
+    """Return the names that a file gives to numbers at its top level, each of a row `A, B = 1, 2` as well."""
+    found = []
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            of_row = isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple)
+            pairs = zip(target.elts, node.value.elts, strict=True) if of_row else [(target, node.value)]
+            found += [ast.unparse(name) for name, value in pairs if is_number(value)]
+    return found
+
+
+def test_named_numbers_are_few_and_their_names_have_two_words_or_more():
+    named = {path: constants(path) for path in SOURCES}
+    assert sum(len(names) for names in named.values()) <= MOST_CONSTANTS
+    short = {str(path.relative_to(ROOT)): name for path, names in named.items() for name in names if "_" not in name[1:]}
+    assert not short
 
 
 def test_no_test_imports_from_another_test_module():

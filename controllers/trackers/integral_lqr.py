@@ -15,11 +15,9 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.linear import times
 from linkplan.controllers.trackers.lqr import Errors, Regulator, linearise, regulate, regulator
+from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
-
-# Weighted singular values below this share of the largest count as zero; the derivatives are accurate to 1e-12.
-_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -69,8 +67,8 @@ def integrable(stiffness: np.ndarray, effort_map: np.ndarray) -> np.ndarray:
         effort_map: B (n_s, n_u), in the same units.
     """
     n = len(stiffness)
-    for count in range(min(n, int(np.linalg.matrix_rank(effort_map, rtol=_RANK_TOLERANCE))), 0, -1):
-        best, most = None, _RANK_TOLERANCE
+    for count in range(min(n, int(np.linalg.matrix_rank(effort_map, rtol=RANK_TOLERANCE))), 0, -1):
+        best, most = None, RANK_TOLERANCE
         for outputs in itertools.combinations(range(n), count):
             rest = np.concatenate([np.delete(stiffness, outputs, axis=1), effort_map], axis=1)
             sizes = np.linalg.svd(rest, compute_uv=False)

@@ -14,6 +14,8 @@ from linkplan.models.tree.friction import frictions_of
 _BATCH_SIZE, _LARGE_OUTPUT = 32, 256
 # Moment arms below this share of the largest are zero to rounding, at an actuator's dead centre.
 _ZERO_ARM_SHARE = 1e-12
+# Efforts that miss no more than this share of the largest effort give the whole: above rounding, far below what is felt.
+HOLDING_TOLERANCE = 1e-9
 
 
 @functools.lru_cache(maxsize=64)

@@ -22,7 +22,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import POSITION_ROUNDING, unit_steps
 
 # Largest distance of a site from its target, as a share of the mechanism's extent.
-_ARRIVED_SHARE = 1e-9
+ARRIVED_SHARE = 1e-9
 # Longest step [rad or extents].
 _MAX_STEP = 0.5
 # The iteration ends if a step [rad or extents], or its relative gain (a target out of reach), is below this.
@@ -53,7 +53,7 @@ class SitePose:
 
     def arrived(self, mechanism: Mechanism) -> bool:
         """Return True if every site is at its target."""
-        return bool(self.off_m.max(initial=0.0) <= _ARRIVED_SHARE * mechanism.extent_m)
+        return bool(self.off_m.max(initial=0.0) <= ARRIVED_SHARE * mechanism.extent_m)
 
 
 @functools.lru_cache(maxsize=16)
@@ -98,7 +98,7 @@ def site_pose(
         off = off_m(mechanism, targets, end)
         away = float(np.linalg.norm((end - start)[mechanism.independent] / unit))
         inside = np.all((end >= ranges[:, 0] - POSITION_ROUNDING) & (end <= ranges[:, 1] + POSITION_ROUNDING))
-        there = bool(inside and off.max(initial=0.0) <= _ARRIVED_SHARE * mechanism.extent_m)
+        there = bool(inside and off.max(initial=0.0) <= ARRIVED_SHARE * mechanism.extent_m)
         order = (not inside, not there, 0.0 if there else float(off.max()), there and not prefer(end), away)
         found.append((order, len(found), SitePose(pose=end, off_m=off)))
         if order == (False, False, 0.0, False, 0.0):

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import advance, continue_to, step_sizes
@@ -21,10 +22,8 @@ from linkplan.models.poses.singular_poses import (
 )
 from linkplan.models.tree.joints import Joint
 
-# A dependent joint's rate below this share of the independent joint's rate is zero to rounding.
-_ZERO_RATE_SHARE = 1e-9
 # Violations of a joint's range below this are rounding of the assembly [rad or m].
-_RANGE_ROUNDING = 1e-8
+RANGE_ROUNDING = 1e-8
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
 
@@ -101,7 +100,7 @@ def _is_open(mechanism: Mechanism, s: tuple[float, ...]) -> bool:
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
     if poses is None:
         return False
-    kept = (poses >= ranges[:, 0] - _RANGE_ROUNDING) & (poses <= ranges[:, 1] + _RANGE_ROUNDING)
+    kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
     return bool(np.all(kept))
 
 
@@ -186,7 +185,7 @@ def _leaves_ranges(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     ranges = [(mechanism.joints[i].lower, mechanism.joints[i].upper) for i in mechanism.dependent]
     low, high = np.array(ranges).reshape(-1, 2).T
     z = poses[:, mechanism.dependent]
-    return np.maximum(z - high, low - z) > _RANGE_ROUNDING
+    return np.maximum(z - high, low - z) > RANGE_ROUNDING
 
 
 def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int):
@@ -198,7 +197,7 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
         for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
             outward = trial[i] - q[i] if limit == joint.upper else q[i] - trial[i]
             # A joint that does not move with the coordinate, or returns into its range, is no stop.
-            if not outside > _RANGE_ROUNDING or not outward > _ZERO_RATE_SHARE * step_sizes(mechanism)[i]:
+            if not outside > RANGE_ROUNDING or not outward > ROUNDING_SHARE * step_sizes(mechanism)[i]:
                 continue
             pose = _pose_where(mechanism, q, trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
             distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
@@ -260,7 +259,7 @@ def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[
 
     found = []
     rates = sampled(mechanism.dynamics.velocity_map, poses)[:, :, coordinate]
-    rates[np.abs(rates) < _ZERO_RATE_SHARE] = 0.0
+    rates[np.abs(rates) < ROUNDING_SHARE] = 0.0
     for joint in mechanism.dependent:
         moving = np.flatnonzero(rates[:, joint])  # the rate at a dead centre itself has no sign
         for before, after in pairwise(moving):

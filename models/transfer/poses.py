@@ -6,12 +6,11 @@ from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.poses.along import evaluated, mapped
 from linkplan.models.poses.assembly import advance, step_sizes
 from linkplan.models.poses.continuation import MAX_CORRECTION_SHARE, MAX_GAMMA_CHANGE
+from linkplan.models.poses.reach import RANGE_ROUNDING
 from linkplan.models.transfer.output_map import OutputMap
 
 # Newton steps from a neighbour's tangent. Three leave rounding after a stride of two degrees.
 _NEWTON_STEPS = 4
-# A dependent joint this far beyond its range [rad or m] is beyond it by more than rounding.
-_RANGE_ROUNDING = 1e-8
 # Status of a point: on the map; the loops do not close there; next to a singular pose; or 100 plus the index of the joint
 # that is beyond its range.
 ON_MAP, OPEN_LOOPS, NEAR_SINGULAR, BEYOND_RANGE = 0, 1, 2, 100
@@ -97,5 +96,5 @@ class KnownPoses:
         beyond = np.maximum(found - upper, lower - found)
         beyond[:, mechanism.independent] = 0.0
         worst = np.argmax(np.nan_to_num(beyond), axis=1)
-        status = np.where(np.nan_to_num(beyond).max(axis=1) > _RANGE_ROUNDING, BEYOND_RANGE + worst, ON_MAP)
+        status = np.where(np.nan_to_num(beyond).max(axis=1) > RANGE_ROUNDING, BEYOND_RANGE + worst, ON_MAP)
         return np.where(np.isnan(found[:, 0]), OPEN_LOOPS, status)

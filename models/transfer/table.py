@@ -7,6 +7,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.poses.along import sampled
+from linkplan.models.poses.inverse_kinematics import ARRIVED_SHARE
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.transfer.grid import Grid, adaptive_grid
 from linkplan.models.transfer.output_map import OutputMap, transmission
@@ -21,8 +22,6 @@ REFINED = ("motor_position", "ratio", "inertia", "gravity")
 # Nodes of a table: a controller's has hundreds, and the largest measures the error that it is left with.
 MOST_NODES = 4000
 MOST_JOINTS = 3
-# Newton's method from motors to joints stops when the motors are within this share of their range of the target.
-_ARRIVED_SHARE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -185,7 +184,7 @@ def _joint_positions(
         step = np.full(off.shape, np.nan)
         step[there] = np.linalg.solve(ratio[there], off[there][:, :, None])[:, :, 0]
         s[active] = np.clip(s[active] + step, low - rounding, high + rounding)
-        done[active] = np.abs(off / unit).max(axis=1) < _ARRIVED_SHARE
+        done[active] = np.abs(off / unit).max(axis=1) < ARRIVED_SHARE
     s[~done] = np.nan
     return s
 

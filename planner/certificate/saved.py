@@ -127,6 +127,6 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     )
     q = follow(problem.mechanism, s, trajectory.start_pose)
     rate, _ = effort_rates(trajectory, time)
-    wanted = s if reference is None else reference.derivative(time)
+    wanted = s if reference is None else reference.derivative(time - trajectory.breaks_s[0])
     values = sampled(ca.Function("objective", symbols, [ca.densify(integrands)]), q, v, a, u, rate, wanted)[:, :, 0]
     return float(width @ values.sum(axis=1)), float(width @ np.abs(values).sum(axis=1))

@@ -19,7 +19,7 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
-_GUESS_SAMPLES = 121
+GUESS_SAMPLES = 121
 # Ratio of the guessed duration to the time of the last waypoint with a prescribed time, if the guess would end before that.
 _LAST_WAYPOINT_STRETCH = 1.25
 
@@ -89,7 +89,7 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
 def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
     """Yield endlessly the first guess with a few half waves of pseudo-random size added, the same in every run."""
     base = first_guess(problem, start_pose)
-    times = np.linspace(0.0, base.duration_s, _GUESS_SAMPLES)
+    times = np.linspace(0.0, base.duration_s, GUESS_SAMPLES)
     s = base.position(times)
     unit = np.array([1.0 if j.kind == "hinge" else problem.mechanism.extent_m for j in problem.mechanism.independent_joints])
     span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)  # a guess that hardly moves is bent by this much
@@ -249,7 +249,7 @@ def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
         return _LAST_WAYPOINT_STRETCH * given[-1]
     mechanism, limit = problem.mechanism, problem.limits.effort
     unit = _smooth_path(problem, 1.0)
-    tau = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
+    tau = np.linspace(0.0, 1.0, GUESS_SAMPLES)
     try:
         poses = follow(mechanism, unit(tau), start_pose, problem.solver.deadline)
     except AssemblyError:
@@ -299,7 +299,7 @@ def even_poses(problem: Problem, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.lru_cache(maxsize=4)
 def _even_poses(request: _PosesRequest) -> tuple[np.ndarray, np.ndarray]:
-    times = np.linspace(0.0, request.guess.duration_s, _GUESS_SAMPLES)
+    times = np.linspace(0.0, request.guess.duration_s, GUESS_SAMPLES)
     poses = poses_along(request.mechanism, request.guess, times, request.deadline)
     times.flags.writeable = poses.flags.writeable = False
     return times, poses

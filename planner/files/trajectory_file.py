@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.errors import PlanFileError, one_line
-from linkplan.models.reading import read_file
+from linkplan.models.reading import MAX_FILE_BYTES, read_file
 from linkplan.planner.files.archive import read_member
 from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
-# The largest mesh of the highest degree for a mechanism of forty joints: 20,000 intervals x 10 x 40 x 8 bytes.
-_MAX_FILE_BYTES = 64_000_000
 # Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.
 _MAX_COEFFICIENTS = 24
 
@@ -27,7 +25,7 @@ def read_trajectory(path: Path) -> Trajectory:
         PlanFileError: when the file is missing, truncated or no trajectory.
     """
     try:
-        content = read_file(path, f"'{path}'", _MAX_FILE_BYTES, PlanFileError)
+        content = read_file(path, f"'{path}'", MAX_FILE_BYTES, PlanFileError)
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             held = archive.namelist()
             lacking = [name for name in (*ARRAYS, "periodic") if f"{name}.npy" not in held]
@@ -57,7 +55,7 @@ def _array(archive: zipfile.ZipFile, name: str, wanted: type) -> np.ndarray:
     Raises:
         ValueError: when it has another type, or its header does not match its length.
     """
-    content = read_member(archive, f"{name}.npy", _MAX_FILE_BYTES)
+    content = read_member(archive, f"{name}.npy", MAX_FILE_BYTES)
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)

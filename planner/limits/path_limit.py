@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Protocol, Self
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.samples import Samples, least_between, samples_of
 from linkplan.planner.problem.instant import Instant
@@ -26,8 +27,6 @@ __all__ = ["Bounds", "Instant", "Margin", "PathLimit", "Problem", "Samples", "Sc
 
 Bounds = tuple[float, float]
 MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
-# A limit counts as kept if its overrun is at most this share of it, which is rounding.
-ROUNDING_SHARE = 1e-9
 # Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
 BETWEEN_NODES_FACTOR = 1.001
 # Limits that cannot be removed from a problem are widened by this factor.

@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from linkplan.models.errors import ProblemError
 from linkplan.planner.limits.path_limit import Tightened
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
@@ -196,10 +195,8 @@ def completed(problem: OdeProblem, guess: StateGuess) -> CompletedGuess:
     low, high = problem.duration
     duration = guess.duration_s
     if duration is None:
-        duration = 0.5 * (low + high) if np.isfinite(high) and high < 100 * max(low, 1e-9) else max(low, min(1.0, high))
+        duration = 0.5 * (low + high) if high < 100 * low else 1.0
     duration = float(np.clip(duration, low, high))
-    if duration <= 0:
-        raise ProblemError(f"a guess's duration_s is positive, got {guess.duration_s!r}")
     effort = guess.effort
     if effort is None:
         effort = np.tile([_middle(row, 0.0) for row in problem.effort_limit], (len(guess.state), 1))

@@ -8,12 +8,12 @@ longer. The leg from start to goal and the shortest way over a grid of places bo
 
 import numpy as np
 
-from linkplan.planner.phase_plane.bang_bang_motions import parts_of
+from linkplan.planner.phase_plane.bang_bang_motions import TURNING_PLACES, parts_of
 from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem
 
-# Cells of the grid, and places on it at which a motion may rest.
-_GRID_CELLS, _RESTING_PLACES = 400, 60
+# Cells of the grid: bounds need fewer than the motion itself.
+_GRID_CELLS = 400
 
 
 def quicker_may_exist(problem: Problem, start_pose: np.ndarray, duration_s: float) -> bool:
@@ -35,7 +35,7 @@ def quicker_may_exist(problem: Problem, start_pose: np.ndarray, duration_s: floa
     if np.any(plane.drag < 0):
         return True
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
-    rests = np.linspace(0, len(plane.s) - 1, _RESTING_PLACES).round().astype(int)
+    rests = np.linspace(0, len(plane.s) - 1, TURNING_PLACES).round().astype(int)
     places = np.unique(np.concatenate([[start, goal], rests, *_furthest(plane, start)]))
     first, last = np.searchsorted(places, [start, goal])
     straight = _legs(plane, start, np.array([goal]), 1 if goal > start else -1)[0] if goal != start else np.inf

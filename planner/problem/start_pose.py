@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
@@ -12,9 +13,6 @@ from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.reference import Sine
-
-# The share of the largest effort by which the effort of springs may differ after a turn.
-_SAME_EFFORT_SHARE = 1e-9
 
 
 def start_pose(
@@ -124,13 +122,13 @@ def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.
     """Refuse springs and servos' ranges for which the next turn is another than the last."""
     still = np.zeros(mechanism.n_q)
     before, after = (np.array(mechanism.dynamics.passive(q, still)).ravel() for q in (pose, pose + gone))
-    if np.abs(after - before).max() > _SAME_EFFORT_SHARE * max(np.abs(after).max(), np.abs(before).max()):
+    if np.abs(after - before).max() > ROUNDING_SHARE * max(np.abs(after).max(), np.abs(before).max()):
         joint = mechanism.joints[int(np.argmax(np.abs(after - before)))]
         raise ProblemError(f"motion.turns of joint {names}: a spring on joint {joint.name} winds up with every turn")
     rest, nothing = np.zeros((1, mechanism.dof)), np.zeros((1, mechanism.n_u))
     ctrl, later = (needed_controls(mechanism, q[None], rest, nothing)[0] for q in (pose, pose + gone))
     for actuator, x, y in zip(mechanism.actuators, ctrl, later, strict=True):
-        if actuator.limits_control and abs(y - x) > _SAME_EFFORT_SHARE * max(abs(x), abs(y)):
+        if actuator.limits_control and abs(y - x) > ROUNDING_SHARE * max(abs(x), abs(y)):
             raise ProblemError(
                 f"motion.turns of joint {names}: the ctrl of servo {actuator.name} goes on by {y - x:.4g} with them and"
                 f" has a ctrlrange of {actuator.control_lower:g} to {actuator.control_upper:g}"

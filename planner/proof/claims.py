@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.certificate import DYNAMICS_SHARE, INVERSE_DYNAMICS_SHARE, RANGE_SLACK
-from linkplan.planner.limits.path_limit import ROUNDING_SHARE
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.motion import Kinetics, State
 from linkplan.planner.proof.walk import Ball, walk_of

@@ -12,7 +12,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.trajectory import Trajectory
 
-# Largest jump between two pieces, as a share of the motion's span or largest speed: rounding of the program's solution.
+# Largest jump between two pieces, and largest difference of a planned velocity from the slope of the position, as a share
+# of the motion's span or largest speed: rounding of the program's solution. Measured: 2e-10 on fine meshes.
 JOIN_SHARE = 1e-8
 # Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.
 _EFFORT_JUMP = 1e-7

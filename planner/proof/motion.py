@@ -11,6 +11,7 @@ from flint import arb, arb_poly, arb_series
 from linkplan.planner.problem.robust import Corner
 from linkplan.planner.proof.blocks import Blocks, loaded_tree
 from linkplan.planner.proof.branch import pose_of
+from linkplan.planner.proof.ends import JOIN_SHARE
 from linkplan.planner.proof.linear import Matrix, product, solve, transposed
 from linkplan.planner.proof.walk import Ball, dense
 from linkplan.planner.trajectory import Trajectory
@@ -48,11 +49,6 @@ class Piece:
         return cls(begin_s=begin, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
 
 
-# Largest difference between the slope of the planned position and the planned velocity that counts as rounding, as a share
-# of the interval's largest speed; the same for their slopes. Measured: 2e-10 in double precision on fine meshes.
-_ROUNDING_SHARE = 1e-8
-
-
 def _agrees(trajectory: Trajectory, k: int) -> bool:
     """Return True if the planned velocity on interval k and its slope are those of the position, to rounding."""
     widths = np.diff(trajectory.breaks_s)[:, None]
@@ -63,7 +59,7 @@ def _agrees(trajectory: Trajectory, k: int) -> bool:
         pairs.append((bent, planned))
     return all(
         one.shape == other.shape
-        and np.abs(one[:, k] - other[:, k]).max(initial=0.0) <= _ROUNDING_SHARE * np.abs(other).max(initial=0.0)
+        and np.abs(one[:, k] - other[:, k]).max(initial=0.0) <= JOIN_SHARE * np.abs(other).max(initial=0.0)
         for one, other in pairs
     )
 

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.planner.refinement.switches import SHARE_AT_LIMIT
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.collocation import Transcribed
 
-# A path quantity within this share of its limit counts as at the limit. The second share of a segment, at each of its ends,
-# is left out.
-SHARE_AT_LIMIT = 1e-3
+# This share of a segment, at each of its ends, is left out.
 SHARE_BESIDE_SWITCHES = 0.15
 # An end of an arc within so many intervals of a switch time is that switch time.
 INTERVALS_TO_SAME_SWITCH = 2.5

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.planner.refinement.constrained_arcs import FixedArcs
+from linkplan.planner.refinement.constrained_arcs import SAMPLES_OF_INTERVAL, FixedArcs
 from linkplan.planner.refinement.switches import PiecewiseMotion
 
-# The effort of an arc is sampled at so many instants. This share of an arc along a power limit shows the arc before it.
-SAMPLES_OF_ARC, SHARE_INTO_ARC = 33, 0.1
+# This share of an arc along a power limit shows the arc before it.
+SHARE_INTO_ARC = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -73,7 +73,7 @@ def _without_gaps(seen: list[_Arc], motion: PiecewiseMotion, limit: np.ndarray) 
             arcs[-1] = replace(arcs[-1], end=parted)
             continue
         if arc.loose:
-            mean = motion.effort_at(np.linspace(arc.begin, arc.end, SAMPLES_OF_ARC)).mean(axis=0)
+            mean = motion.effort_at(np.linspace(arc.begin, arc.end, SAMPLES_OF_INTERVAL)).mean(axis=0)
             arc = replace(arc, effort=np.where(mean > limit.mean(axis=1), limit[:, 1], limit[:, 0]))
         arcs.append(arc if parted is None else replace(arc, begin=parted))
         parted = None

@@ -6,7 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-# A coefficient within this share of the span of the limits counts as at its limit; the solver is exact to 1e-8.
+# A coefficient within this share of the span of the limits counts as at its limit, and so does a path quantity within this
+# share of its limit; the solver is exact to 1e-8.
 SHARE_AT_LIMIT = 1e-3
 # Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
 SMEARED_INTERVALS = 3

@@ -26,13 +26,13 @@ class Path(Generic[Stage]):
 class Steps:
     """How a parameter is changed: from `begin` towards `end`, by a `factor` at a time.
 
-    A lost step is tried again with the root of the factor, down to `least` (as far from 1 as that); `most` steps in all.
+    A lost step is tried again with the root of the factor, `halvings` times at most; `most` steps in all.
     """
 
     begin: float
     end: float
     factor: float
-    least: float
+    halvings: int
     most: int
 
 
@@ -53,7 +53,7 @@ def followed(
         enough: whether to end, from a stage, the next, and whether the step between them was a whole one.
         after_loss: returns the stage from which a lost step is tried again.
     """
-    stages, value, factor = [stage], steps.begin, steps.factor
+    stages, value, factor, halvings = [stage], steps.begin, steps.factor, steps.halvings
     way = np.sign(np.log(steps.factor))
     for _ in range(steps.most):
         # The relative distance at which a parameter counts as at its end: rounding.
@@ -62,9 +62,9 @@ def followed(
         following = float(way * min(way * value * factor, way * steps.end))
         found = solve(stages[-1], following)
         if found is None:
-            factor = float(np.sqrt(factor))
-            if abs(np.log(factor)) < abs(np.log(steps.least)):
+            if not halvings:
                 return Path(stages=tuple(stages), arrived=False)
+            factor, halvings = float(np.sqrt(factor)), halvings - 1
             stages[-1] = after_loss(stages[-1])
             continue
         stages.append(found)

@@ -30,10 +30,9 @@ from linkplan.planner.search.starts import least_time_motion, no_time, with_swit
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
-# The factor between successive durations, the smallest factor after lost steps, and the largest number of steps. If the
-# whole way is shorter, the smallest factor is this power of it.
-DURATION_FACTOR, _MIN_FACTOR, _MAX_STEPS = 1.15, 1.03, 40
-_MIN_FACTOR_POWER = 0.25
+# The factor between successive durations, and the largest number of steps. The smallest step, after lost ones, is a quarter
+# in the logarithm.
+DURATION_FACTOR, _MAX_STEPS = 1.15, 40
 # A free duration is long enough if the last step saved less than this share of the objective, or if the motion ends before
 # its limit by more than the second share.
 MIN_SAVING, _MIN_UNUSED_SHARE = 1e-3, 1e-3
@@ -152,8 +151,7 @@ def continued(problem: Problem, quickest: Guess, n_intervals: int, known: KnownM
         shares = durations / durations.sum()
     begin = Continued(start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
     whole = min(DURATION_FACTOR, longest(problem) / quickest.duration_s)
-    smallest = min(_MIN_FACTOR, whole**_MIN_FACTOR_POWER)
-    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=smallest, most=_MAX_STEPS)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, halvings=2, most=_MAX_STEPS)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
     at = path.stages[-1]
     if not path.arrived:

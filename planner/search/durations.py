@@ -43,7 +43,7 @@ def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, st
 
     begin = _BoundedByGuess(found=found, unbounded=unbounded_duration(problem, found.solution))
     duration = found.motion.duration_s
-    steps = Steps(begin=duration, end=np.inf, factor=_EXTENSION_FACTOR, least=_EXTENSION_FACTOR, most=_MAX_EXTENSIONS)
+    steps = Steps(begin=duration, end=np.inf, factor=_EXTENSION_FACTOR, halvings=0, most=_MAX_EXTENSIONS)
     at = followed(begin, steps, solve).stages[-1]
     return at.found, at.unbounded
 

@@ -13,7 +13,7 @@ from linkplan.planner.search.solving import Iterate, solve_from
 
 # Continuation in the effort limits begins at most at this factor. Its first step is the whole way; the smallest one is a
 # quarter of it in the logarithm.
-_MAX_FIRST_FACTOR, _MIN_STEP_POWER, _MAX_STEPS = 0.999, 0.25, 6
+_MAX_FIRST_FACTOR, _MAX_STEPS = 0.999, 6
 
 
 def efforts_suffice(search: Search) -> bool:
@@ -36,7 +36,7 @@ def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
         return _Limited(start=motion_of(found.motion), durations=durations, found=found)
 
     begin = min(least.factor, _MAX_FIRST_FACTOR)
-    steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, least=begin**-_MIN_STEP_POWER, most=_MAX_STEPS)
+    steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, halvings=2, most=_MAX_STEPS)
     path = followed(_Limited(start=motion_of(least.trajectory), durations=least.durations), steps, solve)
     found = path.stages[-1].found
     return certified(problem, found) if path.arrived and found is not None else None

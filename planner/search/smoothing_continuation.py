@@ -19,8 +19,8 @@ from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.transcription.mesh import halved
 
-# The share of the smoothing at the end, the factor of each step, the smallest factor, and the largest number of steps.
-_FINAL_SHARE, _STEP_FACTOR, _MIN_FACTOR, _MAX_STEPS = 1e-3, 0.1, 0.3, 8
+# The share of the smoothing at the end, the factor of each step, and the largest number of steps.
+_FINAL_SHARE, _STEP_FACTOR, _MAX_STEPS = 1e-3, 0.1, 8
 # The smoothing is small enough if a step gains less than the first share of the objective. The mesh is fine enough if a
 # finer one gains less than the second share, or at the last number of intervals.
 _MIN_GAIN_OF_STEP, _MIN_GAIN_OF_MESH, _MAX_INTERVALS = 1e-5, 1e-4, 160
@@ -71,7 +71,7 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
     if first <= _EXACT_TRACKING_SHARE * unit:
         return refined, 0.0
     steps = Steps(
-        begin=case.smoothing, end=_FINAL_SHARE * SMOOTHING_WEIGHT, factor=_STEP_FACTOR, least=_MIN_FACTOR, most=_MAX_STEPS
+        begin=case.smoothing, end=_FINAL_SHARE * SMOOTHING_WEIGHT, factor=_STEP_FACTOR, halvings=0, most=_MAX_STEPS
     )
     at, change = followed(begin, steps, solved, enough=settled).stages[-1], 0.0
     while (

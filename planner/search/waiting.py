@@ -11,10 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.saved import objective_value
 from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -26,9 +27,6 @@ from linkplan.planner.search.solving import solve_from
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
-# The share of the largest effort by which efforts that hold a pose may miss it, and the share of the duration below which
-# there is no wait.
-_HOLDING_TOLERANCE, _MIN_WAIT_SHARE = 1e-9, 1e-9
 # Intervals of the rest.
 _REST_INTERVALS = 10
 # With several driven degrees of freedom: the share of the time left for a solve that begins at a rest and a motion beside
@@ -68,7 +66,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     several = search.problem.mechanism.dof > 1
     problem = _on_its_scheme(search.within(replace(budget, share_of_time=_SHARE_OF_TIME_LEFT) if several else budget), quick)
     wait = problem.motion.duration_s - quick.trajectory.duration_s
-    if wait <= _MIN_WAIT_SHARE * problem.motion.duration_s:
+    if wait <= MIN_INTERVAL_SHARE * problem.motion.duration_s:
         return None
     for what, guess, mesh, durations in _waits(problem, quick, wait):
         for warm in (True, False):
@@ -193,7 +191,7 @@ def _held(problem: Problem, end: str) -> np.ndarray | None:
         return None
     still = np.zeros((1, mechanism.dof))
     effort, missed = needed_effort(mechanism, close_at(mechanism, getattr(motion, end))[None], still, still)
-    slack = _HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
+    slack = HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
     if np.abs(missed).max() > slack or np.any(effort[0] < limit[:, 0] - slack) or np.any(effort[0] > limit[:, 1] + slack):
         return None
     return effort[0]

@@ -16,6 +16,7 @@ import msgspec
 from msgspec import Struct
 
 from linkplan.models.errors import PlanFileError, one_line
+from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.batch import plan_cases
 from linkplan.planner.files.archive import read_member
 from linkplan.planner.files.trajectory_file import read_trajectory
@@ -30,8 +31,6 @@ from linkplan.studies.output.batch_table import case_record, case_row
 _MIN_BLOCK_CASES, _MAX_BLOCK_CASES = 8, 64
 _CASES = "cases.json"
 _FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
-# Largest file of a plan; on the largest mesh it has some ten megabytes.
-_MAX_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -113,7 +112,7 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> li
         raise PlanFileError(f"'{path}' is not a file; remove it, and the same command plans its cases again")
     try:
         with zipfile.ZipFile(path) as archive:
-            answers = msgspec.json.decode(read_member(archive, _CASES, _MAX_BYTES), type=list[_Answer])
+            answers = msgspec.json.decode(read_member(archive, _CASES, MAX_FILE_BYTES), type=list[_Answer])
             if [one.name for one in answers] != [case.name for case in cases]:
                 raise ValueError("its cases are not those of the batch")
             if place is not None:
@@ -138,7 +137,7 @@ def _unpack(archive: zipfile.ZipFile, answers: Sequence[_Answer], place: Path) -
     for name in archive.namelist():
         if name != _CASES:
             (place / name).parent.mkdir(exist_ok=True)
-            (place / name).write_bytes(read_member(archive, name, _MAX_BYTES))
+            (place / name).write_bytes(read_member(archive, name, MAX_FILE_BYTES))
     for name in planned:
         read_plan_record(place / name)
         read_trajectory(place / name / "trajectory.npz")

@@ -5,10 +5,8 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.files.json_record import read_record
-
-# Largest record; ten thousand cases have 40 MB.
-_MAX_BYTES = 64_000_000
 
 
 class CaseRecord(Struct, frozen=True):
@@ -35,4 +33,4 @@ def read_batch_record(path: Path) -> dict:
     Raises:
         PlanFileError: if the file is damaged, or is not a batch's record.
     """
-    return msgspec.to_builtins(read_record(path, BatchRecord, _MAX_BYTES))
+    return msgspec.to_builtins(read_record(path, BatchRecord, MAX_FILE_BYTES))

@@ -38,7 +38,7 @@ DEFAULT_POSES = 5
 _REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCAN_POSITIONS = 41
 # A worst pose closer than this share of the line to a chosen pose is that pose.
-_SAME_POSE_SHARE = 1e-3
+SAME_POSE_SHARE = 1e-3
 # Trial periods of loops with contacts. A simulated contact takes about ten times the time.
 _CONTACT_TRIAL_PERIODS = 4_000
 
@@ -368,7 +368,7 @@ def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
     """Return positions (n, n_s) with the worst of each scan added, unless it is already present."""
     for scan in scans:
         s = scan.line.at(scan.positions[scan.worst])
-        if np.abs(positions - s).max(axis=1).min() > _SAME_POSE_SHARE * max(1e-9, np.ptp(scan.line.states, axis=0).max()):
+        if np.abs(positions - s).max(axis=1).min() > SAME_POSE_SHARE * max(1e-9, np.ptp(scan.line.states, axis=0).max()):
             positions = np.vstack([positions, s])
     if positions.shape[1] == 1:
         positions = positions[np.argsort(positions[:, 0])]

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-
-# Changes and excesses below this share of the largest value along a path are rounding errors.
-_ROUNDING_SHARE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -26,7 +24,7 @@ class Column:
         """Whether the value is the same at every pose, except for rounding errors."""
         if not np.isfinite(self.values).all():
             return bool(np.all(self.values == self.values[0]))
-        return bool(np.all(np.ptp(self.values, axis=0) <= _ROUNDING_SHARE * self.scale))
+        return bool(np.all(np.ptp(self.values, axis=0) <= ROUNDING_SHARE * self.scale))
 
     def cell(self, k: int) -> float | str:
         """Return the entry of sample k, with rounding errors as zero."""
@@ -159,7 +157,7 @@ def _inertias(path: KinematicLoopPath) -> list[tuple[str, str, np.ndarray, float
 def _same(own: np.ndarray, reflected: np.ndarray) -> list[int | None]:
     """Return the coordinate whose inertia (n, n_s) equals the reflected inertia (n, n_u) of each actuator, or None."""
     with np.errstate(invalid="ignore"):
-        same = np.all(np.abs(reflected[:, None, :] - own[:, :, None]) <= _ROUNDING_SHARE * own[:, :, None], axis=0)
+        same = np.all(np.abs(reflected[:, None, :] - own[:, :, None]) <= ROUNDING_SHARE * own[:, :, None], axis=0)
     return [int(np.argmax(of)) if of.any() else None for of in same.T]
 
 
@@ -179,8 +177,8 @@ def weight_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list
     for j, actuator in enumerate(path.mechanism.actuators):
         effort, (low, high) = path.holding_effort[:, j], path.limit[j]
         excess = np.maximum(low - effort, effort - high)
-        beyond = excess > _ROUNDING_SHARE * max(_scale(effort), _scale(path.limit[j]))
-        if beyond.any() and not (changing and np.ptp(effort) <= _ROUNDING_SHARE * _scale(effort)):
+        beyond = excess > ROUNDING_SHARE * max(_scale(effort), _scale(path.limit[j]))
+        if beyond.any() and not (changing and np.ptp(effort) <= ROUNDING_SHARE * _scale(effort)):
             k = int(np.argmax(excess))
             said.append(
                 f"holding weight and springs asks {actuator.name} for {effort[k]:.4g} {actuator.unit} at {_pose(path, k)},"
@@ -195,13 +193,13 @@ def unheld_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list
     With `changing`, coordinates whose missing effort is the same at all poses are left out. Rods that spin about their own
     axis are always left out: their missing effort is a rounding error.
     """
-    said, least = [], _ROUNDING_SHARE * _scale(path.gravity_effort)
+    said, least = [], ROUNDING_SHARE * _scale(path.gravity_effort)
     for i, joint in enumerate(path.mechanism.independent_joints):
         if not path.mechanism.steered[i]:
             continue
         missing = np.abs(path.unheld_effort[:, i])
         beyond = missing > least
-        if beyond.any() and not (changing and np.ptp(missing) <= _ROUNDING_SHARE * _scale(missing)):
+        if beyond.any() and not (changing and np.ptp(missing) <= ROUNDING_SHARE * _scale(missing)):
             k = int(np.argmax(missing))
             said.append(
                 f"no actuator holds {joint.name} still in {int(beyond.sum())} of {len(missing)} poses:"

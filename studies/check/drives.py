@@ -3,12 +3,12 @@
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.check.check_report import effort_unit
-from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE
 
 # A joint is at the end of its range within this distance [rad or m], the accuracy of assembly.
 RANGE_END_TOLERANCE = 1e-8
@@ -73,11 +73,11 @@ def pressed_stops(mechanism: Mechanism) -> str | None:
     limit, arms = mechanism.effort_limit, np.array(dynamics.effort_map(home))
     mobility = np.linalg.solve(np.array(dynamics.reduced_inertia(home)), arms)
     falling = np.array(dynamics.acceleration(home, still, np.zeros(mechanism.n_u))).ravel()
-    driven = np.abs(arms).max(axis=1, initial=0.0) > ACTING_SHARE * np.abs(arms).max(initial=0.0)
+    driven = np.abs(arms).max(axis=1, initial=0.0) > ROUNDING_SHARE * np.abs(arms).max(initial=0.0)
     hold = np.clip(np.linalg.pinv(mobility[driven]) @ -falling[driven], limit[:, 0], limit[:, 1])
     gained = falling + mobility @ hold
     rates = np.array(dynamics.velocity_map(home)) @ gained
-    least = ACTING_SHARE * np.abs(falling).max(initial=0.0)
+    least = ROUNDING_SHARE * np.abs(falling).max(initial=0.0)
     pressed = [
         (joint, x)
         for joint, x, rate in zip(mechanism.joints, home, rates, strict=True)
@@ -114,7 +114,7 @@ def _efforts(mechanism: Mechanism, column: int) -> list[tuple[Actuator, np.ndarr
     arms = np.array(mechanism.dynamics.effort_map(mechanism.home))[column]
     found = []
     for actuator, arm in zip(mechanism.actuators, arms, strict=True):
-        acts = abs(arm) > ACTING_SHARE * np.abs(arms).max()
+        acts = abs(arm) > ROUNDING_SHARE * np.abs(arms).max()
         found.append((actuator, np.sort(arm * np.array([actuator.lower, actuator.upper])) if acts else np.zeros(2)))
     return found
 

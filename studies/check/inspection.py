@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.closure.closed_pose import keyframe_of
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.assembly import close_at
@@ -24,7 +25,7 @@ from linkplan.studies.check.drives import (
     pushed_one_way,
     undriven,
 )
-from linkplan.studies.check.kinematic_loop_report import ACTING_SHARE, KinematicLoopPath
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 from linkplan.studies.check.softness import massless_findings, softness_note
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
@@ -145,7 +146,9 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     """Return the problems, and the notes on facts that are no faults, each a sentence."""
     problems, notes = _home_findings(mechanism)
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
-    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > ACTING_SHARE * reached.max()}
+    driven = {
+        int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > ROUNDING_SHARE * reached.max()
+    }
     steerable = bool(driven) and _steerable(mechanism)
     base, floating = floating_sentence(mechanism.model), floating_columns(mechanism)
     problems += [] if base is None else [base]
@@ -239,7 +242,7 @@ def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, colum
     """Tell if a joint also moves with other coordinates, except passive ones, so that they can move it off its stop."""
     rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
     free = ~mechanism.steered
-    return bool(np.any(np.delete(rates * ~free, column) > ACTING_SHARE * rates.max()))
+    return bool(np.any(np.delete(rates * ~free, column) > ROUNDING_SHARE * rates.max()))
 
 
 def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:

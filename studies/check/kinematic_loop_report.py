@@ -15,6 +15,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import least_effort, sampled, sampled_where_moving
@@ -22,13 +23,8 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
-from linkplan.planner.closed_chain.guess import first_guess, poses_along
+from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, poses_along
 from linkplan.planner.problem.problem import Problem
-
-# Samples of a path: a path of a few radians is sampled about every degree.
-_PATH_SAMPLES = 121
-# An actuator acts on a coordinate if its effort there is more than this share of the largest; less is rounding.
-ACTING_SHARE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -149,8 +145,8 @@ def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
 
 
 def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return poses with equally many poses inserted between each two, to have at least `_PATH_SAMPLES` poses."""
-    parts = int(np.ceil((_PATH_SAMPLES - 1) / max(1, len(poses) - 1)))
+    """Return poses with equally many poses inserted between each two, to have at least `GUESS_SAMPLES` poses."""
+    parts = int(np.ceil((GUESS_SAMPLES - 1) / max(1, len(poses) - 1)))
     if parts == 1:
         return poses
     places = poses[:, mechanism.independent]
@@ -180,7 +176,7 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
     """
     mechanism, motion = problem.mechanism, problem.motion
     guess = first_guess(problem, problem.start_pose())
-    time = np.linspace(0.0, guess.duration_s, _PATH_SAMPLES)
+    time = np.linspace(0.0, guess.duration_s, GUESS_SAMPLES)
     follows = motion.kind != "reach" and problem.reference is not None and not motion.waypoints
     title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"
     poses = poses_along(mechanism, guess, time)
@@ -204,7 +200,7 @@ def inertia_notes(path: KinematicLoopPath) -> list[str]:
 def acts(path: KinematicLoopPath) -> np.ndarray:
     """Return the mask (n_s, n_u) of the coordinates on which each actuator acts somewhere along a path."""
     most = np.abs(path.ratio).max(axis=0)
-    return most > ACTING_SHARE * most.max(axis=0, initial=0.0)
+    return most > ROUNDING_SHARE * most.max(axis=0, initial=0.0)
 
 
 def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
@@ -218,7 +214,7 @@ def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the least and the largest effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
-    pushes = np.abs(ratio) > ACTING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
+    pushes = np.abs(ratio) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
     found = np.zeros((*ratio.shape[:2], 2))
     for j in np.flatnonzero(pushes.any(axis=(0, 1))):
         columns = pushes[:, :, j].any(axis=0)  # an actuator acts on few coordinates

@@ -11,8 +11,7 @@ from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.inspection_blocks import reach_table
 from linkplan.studies.output.document import Block, Facts, Text
 
-# The summary's lines, with two on what to do next; problems, coordinates and notes take at most these.
-SUMMARY_LINES = 30
+# So many problems, coordinates and notes at most: with two lines on what to do next the summary fits on a screen.
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
 # A sentence of the summary is cut at this length; it stays on three lines of a narrow terminal.
 _MOST_CHARACTERS = 240

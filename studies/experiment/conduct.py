@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from linkplan.models.errors import LinkplanError, PlanFileError
-from linkplan.models.reading import read_file
+from linkplan.models.reading import MAX_FILE_BYTES, read_file
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources
@@ -22,9 +22,6 @@ from linkplan.studies.tasks.engine import Engine, Say
 from linkplan.studies.tasks.progress import Progress
 from linkplan.studies.tasks.streaming import streamed
 from linkplan.studies.tasks.unfinished import PLAN, done
-
-# Largest file of a plan, as in the readers of plans.
-_MAX_BYTES = 64_000_000
 
 
 def conduct(
@@ -83,7 +80,7 @@ def _opened(folder: Path, settings: Settings, written: str) -> Experiment:
 def _hash_of(folder: Path) -> str:
     digest = hashlib.sha256()
     for name in ("plan.json", "trajectory.npz"):
-        digest.update(read_file(folder / name, f"'{folder / name}'", _MAX_BYTES, PlanFileError))
+        digest.update(read_file(folder / name, f"'{folder / name}'", MAX_FILE_BYTES, PlanFileError))
     return digest.hexdigest()
 
 

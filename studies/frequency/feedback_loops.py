@@ -25,7 +25,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
@@ -43,8 +43,6 @@ QUANTITIES = {
     "reference+ff": "1",
 }
 LAW_NAMES = {"pd": "PD", "pd+ff": "PD with feedforward", "lqr": "LQR"}
-# Largest missing share of the effort that holds a pose: above rounding, far below any physical effort.
-_HOLDING_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -98,12 +96,12 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
     still = np.zeros((1, mechanism.dof))
     hold, missed = needed_effort(mechanism, pose[None], still, still)
     point = OperatingPoint(mechanism=mechanism, pose=pose, velocity=still[0], hold=hold[0])
-    if not np.all(np.isfinite(hold)) or np.abs(missed).max() > _HOLDING_TOLERANCE * max(1.0, np.abs(hold).max()):
+    if not np.all(np.isfinite(hold)) or np.abs(missed).max() > HOLDING_TOLERANCE * max(1.0, np.abs(hold).max()):
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {point.name}")
     limit = mechanism.effort_limit if effort_limit is None else effort_limit
     for actuator, effort, (low, high) in zip(mechanism.actuators, hold[0], limit, strict=True):
         # An actuator at a limit responds in one direction only, so the loop is not linear there.
-        room = _HOLDING_TOLERANCE * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
+        room = HOLDING_TOLERANCE * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
         if not low + room < effort < high - room:
             shown = effort if abs(effort) > room else 0.0
             raise LinkplanError(

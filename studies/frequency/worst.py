@@ -5,8 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.optimize
 
-# A scanned minimum must lie below a neighbour by this much, relative to max(1, |value|): smaller dips are rounding.
-_ROUNDING_DEPTH = 1e-9
+from linkplan.models.closure.rank import ROUNDING_SHARE
 
 
 def local_minima(function: Callable[[float], float], at: np.ndarray, values: np.ndarray | None = None) -> list[float]:
@@ -19,7 +18,8 @@ def local_minima(function: Callable[[float], float], at: np.ndarray, values: np.
     scanned = np.array([function(x) for x in at] if values is None else values, dtype=float)
     walled = np.concatenate([[np.inf], np.where(np.isnan(scanned), np.inf, scanned), [np.inf]])
     here, before, after = walled[1:-1], walled[:-2], walled[2:]
-    deep = np.maximum(before, after) > here + _ROUNDING_DEPTH * (1.0 + np.abs(np.where(np.isfinite(here), here, 0.0)))
+    # Smaller dips are rounding.
+    deep = np.maximum(before, after) > here + ROUNDING_SHARE * (1.0 + np.abs(np.where(np.isfinite(here), here, 0.0)))
     found = []
     for i in np.flatnonzero((here < before) & (here <= after) & deep):
         low, high = float(at[max(0, i - 1)]), float(at[min(len(at) - 1, i + 1)])

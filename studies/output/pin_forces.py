@@ -7,6 +7,7 @@ force through the body's joints, with everything that passes them: closures, ten
 import mujoco
 import numpy as np
 
+from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, sampled
 from linkplan.models.selected_model import whole_spec
@@ -14,8 +15,6 @@ from linkplan.models.tree.coordinates import FREE, SLIDE, joint_label
 
 # The step [s] of the central difference for MuJoCo's accelerations of ball joints, whose coordinates are not its own.
 _DIFFERENCE_STEP_S = 1e-6
-# A singular value below this share of the largest is that of a dependent row.
-_DEPENDENT_SHARE = 1e-9
 
 
 def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
@@ -51,7 +50,7 @@ def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray
     T = mechanism.qvel_of(np.broadcast_to(q[:, None], units.shape), units).transpose(0, 2, 1)  # qvel = T q'
     held = np.einsum("nrk,nkj->njr", loops[:, :, kept], T)
     multipliers = np.einsum(
-        "nrj,nj->nr", np.linalg.pinv(held, rcond=_DEPENDENT_SHARE), needed - np.einsum("nju,nu->nj", maps, u)
+        "nrj,nj->nr", np.linalg.pinv(held, rcond=RANK_TOLERANCE), needed - np.einsum("nju,nu->nj", maps, u)
     )
     outputs = [actuator.output for actuator in mechanism.actuators]
     left = required - np.einsum("nrk,nr->nk", loops, multipliers) - np.einsum("nuk,nu->nk", moments[:, outputs], u)
@@ -107,4 +106,4 @@ def _across_slides(model: mujoco.MjModel, body: int, axes: np.ndarray, force: np
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body] - 3)
     slides = [joint for joint in joints if int(model.jnt_type[joint]) == SLIDE]
     along = axes[:, slides].transpose(0, 2, 1)
-    return force - np.einsum("nij,nj->ni", along @ np.linalg.pinv(along, rcond=_DEPENDENT_SHARE), force)
+    return force - np.einsum("nij,nj->ni", along @ np.linalg.pinv(along, rcond=RANK_TOLERANCE), force)

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-# A column with a longer cell has sentences and is aligned to the left.
-_LONGEST_WORD_LETTERS = 24
+# A longer cell is a sentence: its column is aligned to the left, and it is folded on a narrow terminal.
+SENTENCE_LETTERS = 24
 _GAP = "  "
 
 
@@ -23,7 +23,7 @@ def said(cell: object, digits: int = 4) -> str:
 
 def to_the_left(column: int, cells: Sequence[str]) -> bool:
     """Tell if a column is aligned to the left: the first one, and columns of sentences."""
-    return column == 0 or max(map(len, cells), default=0) > _LONGEST_WORD_LETTERS
+    return column == 0 or max(map(len, cells), default=0) > SENTENCE_LETTERS
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4) -> str:

@@ -10,13 +10,13 @@ from rich.table import Table as Drawn
 from rich.text import Text as Words
 
 from linkplan.studies.output.document import Block, Checklist, Table, Text
-from linkplan.studies.output.tables import headed, said, to_the_left
+from linkplan.studies.output.tables import SENTENCE_LETTERS, headed, said, to_the_left
 from linkplan.studies.output.text import ROUNDED_DIGITS, checks, text_of
 
 _TONES = {"good": "green", "bad": "red", "note": "yellow"}
 _VERDICTS = {"NO": "red", "infeasible": "red", "failed": "red", "optimal": "green", "passed": "green"}
-# Cells up to this length are never folded, for example "-100 to 100"; longer words are broken at the second length.
-_UNFOLDED_LETTERS, _LONGEST_WORD_LETTERS = 24, 36
+# Longer words are broken.
+_LONGEST_WORD_LETTERS = 36
 # The columns between two columns of a table.
 _GAP_LETTERS = 2
 
@@ -78,9 +78,9 @@ def _least(head: str, cells: Sequence[str]) -> int:
     """Return the least width of a column: that of its short cells, and of the words of its head and of its long cells."""
     title, bracket, unit = head.partition(" [")
     words = [*title.split(), bracket[1:] + unit]
-    words += [word for text in cells if len(text) > _UNFOLDED_LETTERS for word in text.split()]
-    short = [len(text) for text in cells if len(text) <= _UNFOLDED_LETTERS]
-    long = _UNFOLDED_LETTERS if len(short) < len(cells) else 0
+    words += [word for text in cells if len(text) > SENTENCE_LETTERS for word in text.split()]
+    short = [len(text) for text in cells if len(text) <= SENTENCE_LETTERS]
+    long = SENTENCE_LETTERS if len(short) < len(cells) else 0
     return max(min(max(map(len, words), default=0), _LONGEST_WORD_LETTERS), long, *short, 0)
 
 

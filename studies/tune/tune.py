@@ -18,7 +18,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.kinds import LQR_ERRORS
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import SCAN_POSITIONS
+from linkplan.studies.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
 from linkplan.studies.bode.scan import Line, judge_of
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import Margins, margins
@@ -40,8 +40,6 @@ _SEARCH_RESERVE = 1.005
 _UNSTABLE_SHORTFALL = 10.0
 # Rounds of searching gains and adding the worst poses of a line (at most two were needed in practice).
 _MAX_ROUNDS = 5
-# A worst pose closer than this share of the line to another pose is not shown.
-_SAME_POSE_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -163,7 +161,7 @@ def tune(
     if line is not None and not best.shortfall:
         worst = _worst(mechanism, line, settings_found, wanted, timing, effort_limit, law)
         at = np.array([point.state[0] for point in points])
-        distance = _SAME_POSE_SHARE * (line.high - line.low)
+        distance = SAME_POSE_SHARE * (line.high - line.low)
         worst = [point for point in worst if np.abs(at - point.state[0]).min() > distance][:1]
         points = sorted([*points, *worst], key=lambda point: float(point.state[0]))
         best = _evaluated(points, settings_found, wanted, timing, effort_limit, law)

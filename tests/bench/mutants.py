@@ -4,7 +4,8 @@
 
 Each mutant changes one constant, sign, comparison or bound in a copy of the tree. The nearest tests are the file of the same
 name, the files that import the changed one, and the folder of the same name. They run until the first failure, which counts
-if that test passes without the change. The script prints every mutant with "detected" or "SURVIVED", and the share detected.
+if that test passes without the change. The script prints every mutant with "detected", "timed out" or "SURVIVED", and the
+share that did not survive.
 """
 
 import argparse
@@ -58,11 +59,13 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
     source = (ROOT / path).read_text(encoding="utf-8")
     lines = [line.encode() for line in source.splitlines()]
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Assign) and node.col_offset == 0 and isinstance(node.value, ast.Constant):
-            value = node.value
-            if type(value.value) in (int, float) and value.value:
-                text = repr(type(value.value)(value.value * CONSTANT_FACTOR))
-                yield Mutant(path=path, line=value.lineno, begin=value.col_offset, end=value.end_col_offset or 0, text=text)
+        if isinstance(node, ast.Assign) and node.col_offset == 0:
+            for value in node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]:
+                if isinstance(value, ast.Constant) and type(value.value) in (int, float) and value.value:
+                    text = repr(type(value.value)(value.value * CONSTANT_FACTOR))
+                    yield Mutant(
+                        path=path, line=value.lineno, begin=value.col_offset, end=value.end_col_offset or 0, text=text
+                    )
         elif isinstance(node, ast.Compare | ast.BinOp):
             left, right = (node.left, node.comparators[0]) if isinstance(node, ast.Compare) else (node.left, node.right)
             table = COMPARISONS if isinstance(node, ast.Compare) else OPERATORS
@@ -92,10 +95,10 @@ def nearest_tests(path: Path) -> list[str]:
     return [*dict.fromkeys(str(test.relative_to(ROOT)) for test in files), str(folder)]
 
 
-def is_detected(mutant: Mutant, copy: Path, *, slow: bool, timeout_s: float) -> bool:
-    """Return True if the nearest tests fail with the change only; the copy is as before afterwards.
+def verdict_on(mutant: Mutant, copy: Path, *, slow: bool, timeout_s: float) -> str:
+    """Return "detected" if the nearest tests fail with the change only, else "SURVIVED"; the copy is as before afterwards.
 
-    Tests that take longer than `timeout_s` count as failed: it must exceed the time that they take without the change.
+    "timed out" means that they take longer than `timeout_s`: an endless loop, if they take less without the change.
     """
     target, marks = copy / mutant.path, [] if slow else ["-m", "not slow"]
 
@@ -110,10 +113,10 @@ def is_detected(mutant: Mutant, copy: Path, *, slow: bool, timeout_s: float) -> 
     try:
         first = failed(nearest_tests(mutant.path))
     except subprocess.TimeoutExpired:
-        return True
+        return "timed out"
     finally:
         target.write_text(source, encoding="utf-8")
-    return bool(first) and not failed([re.sub(r"\[.*", "", test) for test in first])
+    return "detected" if first and not failed([re.sub(r"\[.*", "", test) for test in first]) else "SURVIVED"
 
 
 def main() -> int:
@@ -137,9 +140,9 @@ def main() -> int:
             else:
                 shutil.copy(source, copy / name)
         for number, mutant in enumerate(drawn, 1):
-            seen = is_detected(mutant, copy, slow=arguments.slow, timeout_s=arguments.timeout)
-            detected += seen
-            print(f"{number}/{len(drawn)} {'detected' if seen else 'SURVIVED'}: {mutant.words()}", flush=True)
+            verdict = verdict_on(mutant, copy, slow=arguments.slow, timeout_s=arguments.timeout)
+            detected += verdict != "SURVIVED"
+            print(f"{number}/{len(drawn)} {verdict}: {mutant.words()}", flush=True)
     print(f"{detected} of {len(drawn)} detected ({detected / len(drawn):.0%}), out of {len(every)} possible mutants")
     return 0
 

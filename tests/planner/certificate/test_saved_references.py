@@ -18,3 +18,9 @@ def test_a_reference_that_is_missed_in_one_interval_is_named():
     position[:, 5] += 1e-3
     off = replace(plan.trajectory, position=position)
     assert any("reference is missed" in words for words in disagreements(plan.problem, off, plan.objective))
+
+
+def test_a_motion_whose_clock_begins_later_follows_its_reference_as_well():
+    plan = body_plan(HINGE, 'kind = "track"\n', *SINE)
+    later = replace(plan.trajectory, breaks_s=plan.trajectory.breaks_s + 0.3)
+    assert disagreements(plan.problem, later, plan.objective) == ()

@@ -12,18 +12,16 @@ from tests.support.ode import FREE_EFFORT, NAN, squared_effort
 SPEED, DURATION_S, INTERVALS = 3.0, 2.0, 4
 
 
-def judged(running: np.ndarray | None = None, **limits):
+def judged(running: np.ndarray | None = None, **given):
     """Return the certificate of x = SPEED t with x' = u, int u^2 and the final cost 5 x(T) - x(0) + T^2."""
     problem = OdeProblem(
         name="straight",
         rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
-        start=[0],
-        goal=[NAN],
         effort_limit=FREE_EFFORT,
         duration_s=DURATION_S,
         running_cost=squared_effort,
         final_cost=lambda x0, xT, T, p: 5 * xT[0] - x0[0] + T**2,  # noqa: ARG005
-        **limits,
+        **{"start": [0], "goal": [NAN]} | given,
     )
     breaks = np.linspace(0.0, DURATION_S, INTERVALS + 1)
     motion = OdeTrajectory(
@@ -60,6 +58,22 @@ def test_the_margin_of_a_state_is_its_least_distance_to_its_limits(limit, margin
     certificate = judged(state_limit=[limit])
     assert certificate.state_margin[0] == pytest.approx(margin, abs=1e-9)
     assert certificate.passed == (margin > 0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "missed"),
+    [
+        ({"start": [1.5]}, 1.5 / (SPEED * DURATION_S)),
+        ({"goal": [SPEED * DURATION_S + 1.5]}, 1.5 / (SPEED * DURATION_S)),
+        ({"start": [NAN], "returns": [0]}, 1.0),
+        ({"ends": lambda x0, xT, T, p: [xT[0] - x0[0]], "ends_limit": [[-1.0, 5.5]]}, 0.5 / (SPEED * DURATION_S)),  # noqa: ARG005
+    ],
+    ids=["start", "goal", "return", "ends"],
+)
+def test_a_boundary_condition_that_is_missed_is_said_with_the_share_of_its_size(asked, missed):
+    certificate = judged(**asked)
+    assert certificate.boundary_error == pytest.approx(missed, rel=1e-12)
+    assert any("are missed by" in failure for failure in certificate.failures)
 
 
 @pytest.mark.parametrize(

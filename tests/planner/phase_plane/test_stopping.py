@@ -47,6 +47,17 @@ def test_a_goal_passed_away_from_the_start_is_met_after_a_run_up():
     assert plan_motion(problem).objective == pytest.approx(least, rel=1e-6)
 
 
+@pytest.mark.parametrize("beyond", [0.0, 0.25, 1.0])
+def test_a_start_as_fast_as_it_may_be_brakes_into_the_goal_and_a_faster_one_comes_back_from_beyond(beyond):
+    speed = 2.0
+    stop = speed**2 / (2 * ACCELERATION)
+    problem = reach(0.0, stop - beyond, start_speed_m_s={"x": speed})
+    guess = least_time_guess(problem, problem.start_pose())
+    assert guess is not None
+    assert guess.duration_s == pytest.approx(speed / ACCELERATION + 2 * np.sqrt(beyond / ACCELERATION), rel=2e-3)
+    assert guess.velocity(np.zeros(1))[0, 0] == pytest.approx(speed, rel=1e-3)
+
+
 @pytest.mark.parametrize(("minimize", "duration"), [("time", "free"), ("effort", 2.0)])
 def test_a_range_that_ends_before_the_stop_is_infeasible_and_the_sentence_names_it(minimize, duration):
     asked = {"minimize": minimize, "duration_s": duration, "start_speed_m_s": {"x": SPEED}}

@@ -151,13 +151,13 @@ def test_names_of_rungs_are_their_own():
 
 
 def test_continuation_goes_to_the_end_by_equal_factors():
-    path = followed(1.0, Steps(begin=1.0, end=10.0, factor=2.0, least=1.1, most=20), lambda _, value: value)
+    path = followed(1.0, Steps(begin=1.0, end=10.0, factor=2.0, halvings=2, most=20), lambda _, value: value)
     assert path.arrived
     assert path.stages == (1.0, 2.0, 4.0, 8.0, 10.0)
 
 
 def test_continuation_goes_down_as_it_goes_up():
-    path = followed(1.0, Steps(begin=1.0, end=0.1, factor=0.5, least=0.9, most=20), lambda _, value: value)
+    path = followed(1.0, Steps(begin=1.0, end=0.1, factor=0.5, halvings=2, most=20), lambda _, value: value)
     assert path.arrived
     assert path.stages == (1.0, 0.5, 0.25, 0.125, 0.1)
 
@@ -170,7 +170,7 @@ def test_a_lost_step_is_tried_again_with_the_root_of_its_factor():
         tried.append(value / stage)
         return value if value < 1.5 * stage else None
 
-    path = followed(1.0, Steps(begin=1.0, end=8.0, factor=4.0, least=1.1, most=30), solve)
+    path = followed(1.0, Steps(begin=1.0, end=8.0, factor=4.0, halvings=2, most=30), solve)
     assert path.arrived
     assert tried[:3] == pytest.approx([4.0, 2.0, np.sqrt(2.0)])
     assert path.stages[-1] == 8.0
@@ -178,7 +178,7 @@ def test_a_lost_step_is_tried_again_with_the_root_of_its_factor():
 
 def test_a_continuation_that_is_lost_for_good_keeps_what_it_passed():
     path = followed(
-        1.0, Steps(begin=1.0, end=8.0, factor=2.0, least=1.5, most=30), lambda _, value: value if value < 3 else None
+        1.0, Steps(begin=1.0, end=8.0, factor=2.0, halvings=0, most=30), lambda _, value: value if value < 3 else None
     )
     assert not path.arrived
     assert path.stages == (1.0, 2.0)
@@ -191,7 +191,7 @@ def test_a_continuation_ends_where_it_has_gone_far_enough():
         enough.append((before, after, whole))
         return after > 3
 
-    path = followed(1.0, Steps(begin=1.0, end=100.0, factor=2.0, least=1.5, most=30), lambda _, v: v, enough=settled)
+    path = followed(1.0, Steps(begin=1.0, end=100.0, factor=2.0, halvings=0, most=30), lambda _, v: v, enough=settled)
     assert path.arrived
     assert path.stages == (1.0, 2.0, 4.0)
     assert all(whole for *_, whole in enough)
@@ -210,10 +210,15 @@ def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_
     assert ("optimal" in plan.message) == (status == "optimal")
 
 
-@pytest.mark.parametrize(("duration", "too_short"), [(0.995, False), (0.98, True)])
-def test_along_speed_limits_the_phase_plane_rules_a_duration_out_beyond_a_hundredth_only(duration, too_short):
+@pytest.mark.parametrize(
+    ("switch_times", "duration", "too_short"),
+    [(None, 0.995, False), (None, 0.98, True), ([0.5], 0.9995, False), ([0.5], 0.998, True)],
+)
+def test_the_phase_plane_rules_out_a_duration_by_a_thousandth_and_along_speed_limits_by_a_hundredth(
+    switch_times, duration, too_short
+):
     search = search_for(load_problem("knee-reach", [f"motion.duration_s={duration}"]))
-    known = replace(search.smooth, duration_s=1.0, switch_times_s=None, boundaries_s=None)
+    known = replace(search.smooth, duration_s=1.0, switch_times_s=switch_times, boundaries_s=None)
     search.__dict__["quickest"] = known
     assert no_time(search) is too_short
 

@@ -73,7 +73,7 @@ def test_what_adds_to_an_objective_beyond_effort_and_time_is_not_waited_through(
     assert waiting._rest_and_motion(other, PATIENT, None) is None
 
 
-@pytest.mark.parametrize(("share", "can_wait"), [(1 - 1e-7, False), (1 + 1e-12, True)])
+@pytest.mark.parametrize(("share", "can_wait"), [(1 - 3e-9, False), (1 - 3e-10, True)])
 def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     """Held at 30 deg, the pendulum's rod needs m g l sin 30 deg; at 60 deg it needs more."""
     limit = share * 9.81 * 0.5 * np.sin(np.radians(30.0))
@@ -82,18 +82,20 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     assert waiting.may_wait(Search(problem=problem, start_pose=problem.start_pose())) is can_wait
 
 
-def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
-    model = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
+CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
 <inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
 <actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
 
-    def problem(minimize: str, duration: float | str):
-        motion = {"kind": "reach", "start_m": {"x": 0.0}, "goal_m": {"x": 1.0}, "duration_s": duration}
-        tables = {"mechanism": {"model": model}, "motion": motion, "objective": {"minimize": minimize}}
-        return Problem.from_tables("cart", tables)
 
-    quick, slow = plan_motion(problem("time", "free")), plan_motion(problem("effort", 1.5))
-    asked = problem("effort", 2.5)
+def cart(minimize: str, duration: float | str) -> Problem:
+    """Return the problem of pushing two kilograms a metre on."""
+    motion = {"kind": "reach", "start_m": {"x": 0.0}, "goal_m": {"x": 1.0}, "duration_s": duration}
+    return Problem.from_tables("cart", {"mechanism": {"model": CART}, "motion": motion, "objective": {"minimize": minimize}})
+
+
+def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
+    quick, slow = plan_motion(cart("time", "free")), plan_motion(cart("effort", 1.5))
+    asked = cart("effort", 2.5)
     search = Search(problem=asked, start_pose=asked.start_pose())
     for plan in (quick, slow):
         search.known.add(plan.trajectory)
@@ -102,3 +104,18 @@ def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
     assert joined.trajectory.duration_s == pytest.approx(2.5, rel=1e-12)
     assert joined.objective == pytest.approx(slow.objective, rel=1e-9)
     assert joined.objective < 0.6 * quick.trajectory.duration_s * 6.0**2
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_the_way_to_a_rest_beside_the_quickest_motion_is_gone_only_if_there_is_time_for_it(factor):
+    """From rest to rest over a metre with 3 m/s2 either way: 2 sqrt(1 / 3) s."""
+    least = 2.0 * np.sqrt(1.0 / 3.0)
+    quick = plan_motion(cart("time", "free"))
+    asked = cart("effort", factor * quick.trajectory.duration_s)
+    plan = waiting.from_waiting(Search(problem=asked, start_pose=asked.start_pose()), PATIENT)
+    assert quick.trajectory.duration_s == pytest.approx(least, rel=1e-6)
+    if factor == 1.0:
+        assert plan is None
+    else:
+        assert plan.passed
+        assert plan.trajectory.duration_s == pytest.approx(factor * least, rel=1e-6)

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.closed_chain.guess import first_guess, motion_of
 from linkplan.planner.closed_chain.transcribe import Transcribed, choose_scales, trajectory_of, transcribe
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import Mesh, halved, segmented, uniform
@@ -181,6 +181,17 @@ def mesh_of(plan) -> tuple[Mesh, np.ndarray]:
     widths = np.diff(plan.trajectory.breaks_s)
     duration = widths.sum()
     return Mesh(fraction=widths / duration, segment=np.zeros(len(widths), dtype=int)), np.array([duration])
+
+
+def test_following_the_reference_costs_nothing_and_a_constant_error_costs_its_square():
+    problem = problem_of("knee-sine-shank", "solver.compile=never")
+    guess = first_guess(problem, problem.start_pose())
+    numbered = transcribe(problem, guess, uniform(10), np.array([guess.duration_s]))
+    program, off = numbered.program, np.array(numbered.start)
+    off[program.layout.states()[:, 0]] += 0.1  # of the unit of positions
+    followed, missed = (float(program.functions["nlp"](x, numbered.parameters)[0]) for x in (numbered.start, off))
+    assert followed < 1e-4 * missed  # the weight on the efforts' rates
+    assert missed - followed == pytest.approx(0.1**2, rel=1e-9)
 
 
 def test_a_closed_loop_is_a_row_at_every_node():

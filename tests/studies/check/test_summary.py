@@ -3,9 +3,10 @@
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.check.summary import SUMMARY_LINES, grouped
+from linkplan.studies.check.summary import grouped
 from tests.support.hexapod import hexapod
 
+SUMMARY_LINES = 30  # what a terminal shows at once
 ARM = '<body name="{side} {k}" pos="0.1 0 0"><joint name="{side} joint {k}" axis="0 1 0" range="-90 90"/><geom size="0.06"/>'
 
 

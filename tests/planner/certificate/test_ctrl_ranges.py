@@ -1,0 +1,39 @@
+"""Ranges of a servo's ctrl that the program does not impose: the certificate checks them."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import body_problem
+
+# A flywheel of 1 kg m2; its actuator gives (1 + q) N.m per unit of ctrl at the angle q, more and more on the way.
+FLYWHEEL = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+<actuator><general name="m" joint="J" gaintype="affine" gainprm="1 1 0" ctrlrange="-3 {most}"/></actuator></mujoco>"""
+TORQUE = 2.0
+
+
+def failures(most: float) -> list[str]:
+    """Return what the certificate says of ctrl along q = t^2, for which the ctrl 2 / (1 + q) is needed."""
+    motion = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 57.29577951308232 }\nduration_s = 1.0\n'
+    problem = body_problem(FLYWHEEL.format(most=most), motion)
+    trajectory = Trajectory(
+        breaks_s=np.array([0.0, 1.0]),
+        position=np.array([0.0, 0.0, 1.0]).reshape(3, 1, 1),
+        velocity=np.array([0.0, 2.0]).reshape(2, 1, 1),
+        effort=np.full((1, 1, 1), TORQUE),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    return [said for said in certify(problem, trajectory).failures if "ctrl" in said]
+
+
+def test_a_ctrl_beyond_its_range_at_the_start_alone_is_said_with_its_excess():
+    (said,) = failures(1.5)
+    assert said.startswith("m would need a ctrl 0.5 beyond its range at t = 0 s")
+
+
+@pytest.mark.parametrize("most", [2.0, 2.5])
+def test_a_ctrl_within_its_range_is_not_named(most):
+    assert failures(most) == []

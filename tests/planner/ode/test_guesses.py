@@ -1,0 +1,45 @@
+"""What a guess lacks: its duration within the bounds, its efforts within their limits."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.ode.formulation import completed
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+
+
+def problem(duration: object, effort_limit: list[list[float]]) -> OdeProblem:
+    return OdeProblem(
+        name="straight",
+        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
+        start=[0],
+        goal=[1],
+        effort_limit=effort_limit,
+        duration_s=duration,
+        final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
+    )
+
+
+@pytest.mark.parametrize(
+    ("bounds", "given", "duration"),
+    [
+        ((0.0, np.inf), None, 1.0),
+        ((3.0, np.inf), None, 3.0),
+        ((0.0, 0.5), None, 0.5),
+        ((2.0, 6.0), None, 4.0),
+        ((0.001, 6.0), None, 1.0),
+        ((2.0, 6.0), 2.5, 2.5),
+        ((2.0, 6.0), 9.0, 6.0),
+        (0.7, 2.0, 0.7),
+    ],
+)
+def test_a_guess_lasts_as_long_as_it_says_and_may_and_else_a_second_or_the_middle(bounds, given, duration):
+    guess = StateGuess(state=np.array([[0.0], [1.0]]), duration_s=given)
+    assert completed(problem(bounds, [[-1.0, 1.0]]), guess).duration_s == pytest.approx(duration, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("limit", "effort"), [([-1.0, 3.0], 1.0), ([-np.inf, 3.0], 3.0), ([-2.0, np.inf], -2.0), ([-np.inf, np.inf], 0.0)]
+)
+def test_an_effort_that_a_guess_lacks_is_the_middle_of_its_limits_or_their_finite_end(limit, effort):
+    guess = completed(problem(1.0, [limit]), StateGuess(state=np.array([[0.0], [0.5], [1.0]])))
+    assert guess.effort == pytest.approx(np.full((3, 1), effort))

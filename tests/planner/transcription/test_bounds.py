@@ -1,0 +1,42 @@
+"""Rows on the durations of segments, against the times that the phase boundaries ask."""
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.transcription.bounds import _boundary_groups
+from linkplan.planner.transcription.formulation import PhaseBoundary
+from linkplan.planner.transcription.mesh import segmented
+
+# Times of two fixed waypoints, of one within a window, of one that is free, and of the goal [s].
+WINDOWS = ((0.2, 0.2), (0.4, 0.6), (0.7, 0.7), (0.0, np.inf), (1.0, 1.1))
+PHASE = np.array([0, 0, 1, 1, 2, 3, 4, 4])
+
+
+def keeps_rows(durations: np.ndarray, windows, shares) -> bool:
+    """Return True if segment durations (n_segments,) keep every row."""
+    boundaries = [PhaseBoundary(state=np.zeros((2, 2)), time=t, share=s) for t, s in zip(windows, shares, strict=True)]
+    formulation = SimpleNamespace(boundaries=(None, *boundaries))
+    rows = _boundary_groups(formulation, segmented(durations, 30, phase=PHASE))
+    return all(low - 1e-9 <= float(weight @ durations[group]) <= high + 1e-9 for group, low, high, weight in rows)
+
+
+def durations_of(times: np.ndarray) -> np.ndarray:
+    """Return durations of segments whose phases end at times (5,) [s], in unequal parts."""
+    parts = np.array([0.3, 0.7, 0.6, 0.4, 1.0, 1.0, 0.5, 0.5])
+    return parts * np.diff(times, prepend=0.0)[PHASE]
+
+
+def test_durations_keep_the_rows_exactly_if_every_boundary_is_at_a_time_that_it_may_have():
+    grid = [(0.1, 0.2), (0.3, 0.4, 0.6, 0.65), (0.68, 0.7), (0.75, 0.9), (0.95, 1.0, 1.1, 1.2)]
+    for times in itertools.product(*grid):
+        legal = all(low <= time <= high for time, (low, high) in zip(times, WINDOWS, strict=True))
+        assert keeps_rows(durations_of(np.array(times)), WINDOWS, [None] * 5) is legal, times
+
+
+@pytest.mark.parametrize(("time", "legal"), [(0.4, False), (0.5, True), (0.6, False)])
+def test_a_boundary_at_a_share_of_the_whole_duration_is_there(time, legal):
+    free, times = (0.0, np.inf), np.array([0.2, 0.3, time, 0.8, 1.0])
+    assert keeps_rows(durations_of(times), [free] * 5, [None, None, 0.5, None, None]) is legal
