@@ -152,16 +152,16 @@ def _closed_chain(model: mujoco.MjModel, chosen: Sequence[int]) -> set[int]:
 
 def _tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
     """Return the bodies that an equality constraint ties together."""
-    kind, ends = int(model.eq_objtype[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
+    kind, ends = int(model.eq_type[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
     ends = tuple(end for end in ends if end >= 0)
-    if kind == int(mujoco.mjtObj.mjOBJ_BODY):
-        return set(ends)
-    if kind == int(mujoco.mjtObj.mjOBJ_SITE):
-        return {int(model.site_bodyid[end]) for end in ends}
-    if kind == int(mujoco.mjtObj.mjOBJ_JOINT):
+    if kind == int(mujoco.mjtEq.mjEQ_JOINT):  # couplings have no type of object
         return {int(model.jnt_bodyid[end]) for end in ends}
-    if kind == int(mujoco.mjtObj.mjOBJ_TENDON):
+    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
         return set().union(*(_bodies_of_tendon(model, end) for end in ends))
+    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_BODY):
+        return set(ends)
+    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        return {int(model.site_bodyid[end]) for end in ends}
     return set()
 
 

@@ -242,7 +242,8 @@ def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> Piec
 def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
     """Return the duration at which the smooth path needs exactly the effort limit, by bisection in the log of time.
 
-    1 s if the loops cannot close along it, if no duration will do, or if there is no limit.
+    1 s if the loops cannot close along it, if no duration will do, or if no limit bounds it. Actuators without a limit bound
+    nothing.
     """
     given = [w.time_s for w in problem.motion.waypoints if w.time_s is not None]
     if given:
@@ -270,7 +271,7 @@ def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
         return float(np.max(np.maximum(effort - limit[:, 1], limit[:, 0] - effort)))
 
     low, high = np.log(1e-5), np.log(1e4)  # [s]
-    if not np.all(np.isfinite(limit)) or excess(high) > 0:
+    if excess(high) > 0 or excess(low) <= 0:
         return 1.0
     for _ in range(40):
         middle = 0.5 * (low + high)

@@ -8,6 +8,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit
 
 # A joint is at the end of its range within this distance [rad or m], the accuracy of assembly.
@@ -64,8 +65,8 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
     return f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}", True
 
 
-def pressed_stops(mechanism: Mechanism) -> str | None:
-    """Return the sentence on joints that weight and springs press onto their stops at home, or None.
+def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:
+    """Return the joints, with their positions [rad or m], that weight and springs press onto their stops at home.
 
     An example is the fingers of an adaptive gripper. Actuators hold the coordinates that they drive, within their limits.
     """
@@ -78,19 +79,24 @@ def pressed_stops(mechanism: Mechanism) -> str | None:
     gained = falling + mobility @ hold
     rates = np.array(dynamics.velocity_map(home)) @ gained
     least = ROUNDING_SHARE * np.abs(falling).max(initial=0.0)
-    pressed = [
-        (joint, x)
+    return [
+        (joint, float(x))
         for joint, x, rate in zip(mechanism.joints, home, rates, strict=True)
         if (abs(x - joint.upper) <= RANGE_END_TOLERANCE and rate > least)
         or (abs(x - joint.lower) <= RANGE_END_TOLERANCE and rate < -least)
     ]
+
+
+def pressed_stops(mechanism: Mechanism) -> str | None:
+    """Return the sentence on joints that weight and springs press onto their stops at home, or None."""
+    pressed = pressed_joints(mechanism)
     if not pressed:
         return None
     names = ", ".join(f"{joint.name} ({joint.said(x, 4)} {joint.unit})" for joint, x in pressed)
+    locks = " ".join(f"--lock {joint.name}={joint.shown(x) + 0.0:.6g}" for joint, x in pressed)
     return (
         f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which"
-        " no actuator holds: a stop's force is not planned for, an equality's that locks the joint is"
-        f' (<joint joint1="{pressed[0][0].name}" polycoef="..."/>)'
+        f" no actuator holds: a stop's force is not planned for; {locks} holds them there, as linkplan new does by itself"
     )
 
 

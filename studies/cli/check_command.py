@@ -54,13 +54,14 @@ def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
     """Return the commands to go on with."""
     subject = shlex.join([arguments.model, *_selection_options(arguments)])
     if floating_joints(whole.found.mechanism.model):
-        further = f"linkplan check {subject} --keep NAMES --fix-base takes one chain with its loops out of the robot"
+        further = (
+            f"linkplan new {subject} -o problem.toml writes a first motion on the fixed base; --keep NAMES --fix-base takes"
+            " one chain with its loops out of the robot"
+        )
     elif arguments.model.endswith(".toml") or arguments.model in PROBLEMS:
         further = f"linkplan plan {subject} -o planned"
     else:
-        further = f"linkplan new {subject} -o problem.toml writes a first motion"
-    if whole.problems and not floating_joints(whole.found.mechanism.model):
-        further = f"mend the problems, then {further}"
+        further = f"linkplan new {subject} -o problem.toml writes a first motion and names what it changes"
     return Facts(rows=[("next", further), ("everything", f"linkplan check {subject} --all")])
 
 

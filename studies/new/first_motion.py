@@ -11,7 +11,7 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.deadline import Deadline
-from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, UnassembledError, one_line
+from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
@@ -25,11 +25,11 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import RUNGS, plan_motion
-from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import PATIENT, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.outcome import OF_TIME
+from linkplan.studies.new.changes import changed_mechanism, raised_limits, raised_notes
 from linkplan.studies.new.hanging import (
     GRAVITY_M_S2,
     at_gravity_equilibrium,
@@ -57,6 +57,7 @@ class FirstMotion:
     tables: dict[str, dict]
     plan: Plan | None
     why: str  # the reason why there is no plan, else ""
+    changes: tuple[str, ...]  # sentences on what was changed of the model
 
     @property
     def description(self) -> str:
@@ -70,10 +71,16 @@ class FirstMotion:
         return f"{self.mechanism.name}: {', '.join(some) or 'no motion'}{within}, from rest to rest with least {least}"
 
     @property
+    def changed(self) -> list[str]:
+        """A sentence on each change of the model."""
+        return [*self.changes, *raised_notes(self.mechanism, self.tables)]
+
+    @property
     def notes(self) -> list[str]:
-        """A sentence on each contact that exists by construction and that the motion ignores."""
+        """A sentence on each change of the model, and on each contact by construction that the motion ignores."""
         certificate = None if self.plan is None else self.plan.certificate
-        return [] if certificate is None else [contact_note(meeting) for meeting in certificate.contacts]
+        contacts = [] if certificate is None else [contact_note(meeting) for meeting in certificate.contacts]
+        return [*self.changed, *contacts]
 
     @property
     def planned(self) -> bool:
@@ -94,9 +101,10 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
         ModelError: if the model cannot be used.
         ProblemError: if no actuator drives the mechanism; the text has an actuator to add.
     """
-    mechanism = _assembled(table)
+    mechanism, changes = changed_mechanism(table)
     _refuse_undriven(mechanism)
-    found = FirstMotion(mechanism=mechanism, tables=_tables(mechanism, *_ends(mechanism, 0.0, 1)), plan=None, why=_SHUT)
+    tables = _tables(mechanism, *_ends(mechanism, 0.0, 1))
+    found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=_SHUT, changes=changes)
     deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
     tried: list[tuple[Mechanism, dict[str, dict]]] = []
     for rungs in (_SMOOTH, RUNGS):  # most motions are found at once from a smooth path
@@ -110,12 +118,12 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             try:
                 answer = plan_motion(Problem.from_tables(moving.name, hurried, mechanism=moving), say, rungs)
             except LinkplanError as error:
-                found = FirstMotion(mechanism=moving, tables=tables, plan=None, why=one_line(error))
+                found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
             why = "" if answer.passed else answer.message
             if OF_TIME in why:
                 why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
-            found = FirstMotion(mechanism=moving, tables=tables, plan=answer, why=why)
+            found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:
                 return found
     if not tried and obstacles:
@@ -149,7 +157,8 @@ def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iter
     # Several hanging joints swing in many ways: shorter motions excite them less and are tried first. One drive excites
     # undriven springs less than all do, and a large motion of a robot's leg needs most of the time.
     sprung = bool(sprung_freedoms(mechanism))
-    shares = reversed(_SHARES) if _many_hang(mechanism) else _SMALL_FIRST if sprung else _SHARES
+    small = sprung or _is_large(mechanism)
+    shares = reversed(_SHARES) if _many_hang(mechanism) else _SMALL_FIRST if small else _SHARES
     for share in shares:
         for kind in (alone, together) if alone and sprung else (together, alone):
             for moved, side in itertools.product(kind, (1, -1)):
@@ -186,21 +195,6 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
     tables["motion"]["duration_s"] = duration
     tables["tracking"] = _gains(mechanism, problem, duration)
     return tables
-
-
-def _assembled(table: Mapping[str, object]) -> Mechanism:
-    """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open."""
-    tables = {"mechanism": dict(table)}
-    try:
-        return mechanism_from_tables(tables)
-    except UnassembledError as error:
-        if not error.home:
-            raise
-        tables["mechanism"] |= error.home
-        try:
-            return mechanism_from_tables(tables)
-        except LinkplanError:
-            raise error from None
 
 
 def _refuse_undriven(mechanism: Mechanism) -> None:
@@ -314,11 +308,14 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
             value = float(f"{joint.shown(values[column]):.6g}")
             motion.setdefault(f"{name}_{joint.unit}", {})[joint.name] = value + 0.0
     motion["duration_s"] = "free"
+    raised = raised_limits(mechanism)
     return {
         "mechanism": dict(mechanism.source),
         "motion": motion,
         "objective": {"minimize": "effort_rate" if _many_hang(mechanism) or sprung_freedoms(mechanism) else "effort"},
-    } | ({"mesh": {"intervals": 20, "tolerance_deg": 1e-3}} if _is_large(mechanism) else {})
+        **({"limits": {"effort": raised}} if raised else {}),
+        **({"mesh": {"intervals": 20, "tolerance_deg": 1e-3}} if _is_large(mechanism) else {}),
+    }
 
 
 def _is_large(mechanism: Mechanism) -> bool:

@@ -1,5 +1,6 @@
 """The problem file of a first motion: its text, with the model's path as seen from the file."""
 
+import textwrap
 from pathlib import Path
 
 from linkplan.models.library import BUILT_IN as MODELS
@@ -22,5 +23,6 @@ def first_text(found: FirstMotion, tables: dict[str, dict], steps: tuple[str, st
         plans.ljust(42) + "plans it, certifies it between the nodes and saves it",
         tracks.ljust(42) + "tracks it in MuJoCo by PD, PD + feedforward and LQR",
         "",
+        *(line for note in found.changed for line in [*textwrap.wrap(f"CHANGED: {note}", 98), ""]),
     ]
     return problem_text(found.mechanism, tables, found.description, begin)

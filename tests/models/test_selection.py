@@ -227,3 +227,14 @@ def test_couplings_of_locked_and_dropped_joints_and_pairs_with_the_ground_are_dr
 def test_a_joint_whose_coupling_moves_a_free_one_cannot_be_locked():
     with pytest.raises(LinkplanError, match="'waist' cannot be locked: tendon 'differential'"):
         compile_model(COUPLED_WAIST, None, Selection(lock={"waist": 0.0}))
+
+
+def test_the_gear_that_drives_a_kept_joint_is_kept_with_its_motor():
+    geared = COUPLED_WAIST.replace("<equality>", '<equality><joint name="gears" joint1="hip" joint2="pinion"/>').replace(
+        '<body name="drive">',
+        '<body name="pinion"><joint name="pinion" axis="0 1 0"/><geom size=".02"/></body><body name="drive">',
+    )
+    geared = geared.replace('<motor name="hip" joint="hip"', '<motor name="pinion" joint="pinion"')
+    _, model, _ = compile_model(geared, None, Selection(keep=("hip",), fix_base=True))
+    assert {model.joint(j).name for j in range(model.njnt)} == {"hip", "pinion"}
+    assert (model.neq, model.nu) == (1, 1)

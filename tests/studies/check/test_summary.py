@@ -57,9 +57,6 @@ def test_a_base_that_floats_is_one_problem_with_its_remedy(ask, ask_json, tmp_pa
         )
     )
     assert not [problem for problem in found["problems"] if "moves freely" in problem]
-    code, _, err = ask("new", str(tmp_path / "robot.xml"))
-    assert code == 2
-    assert "mechanism.fix_base = true" in err
     code, _, err = ask("check", str(tmp_path / "robot.xml"), "--keep", "hip 1", "--fix-base")
     assert code == 0, err
 

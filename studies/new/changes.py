@@ -1,0 +1,95 @@
+"""What a first motion changes of a model that has none as it is, each with a sentence for the user.
+
+A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
+are locked there, since a stop's force is not planned for. A drive whose limit is below the weight at home, as exporters
+write who do not know the motor, gets twice the effort that holds it.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError, UnassembledError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.selection import floating_joints
+from linkplan.models.tree.coordinates import joint_label
+from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.studies.check.drives import pressed_joints
+
+# An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
+_HOLD_MULTIPLE = 2.0
+
+
+def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str, ...]]:
+    """Return a model's mechanism with its floating base fixed and its pressed joints locked, and sentences on both.
+
+    Args:
+        table: the [mechanism] table.
+
+    Raises:
+        ModelError: if the model cannot be used.
+    """
+    mechanism, notes = _assembled(table), []
+    if floats := sorted(floating_joints(mechanism.model)):
+        base = ", ".join(dict.fromkeys(mechanism.model.body(int(mechanism.model.jnt_bodyid[j])).name for j in floats))
+        joints = ", ".join(joint_label(mechanism.model, j) for j in floats)
+        table = dict(table) | {"fix_base": True}
+        mechanism = _assembled(table)
+        notes.append(
+            f"the base {base} floats, and nothing holds it: it is fixed where it stands at home (mechanism.fix_base = true;"
+            f" joints {joints})"
+        )
+    if mechanism.dof and mechanism.n_u and (pressed := _pressed(mechanism)):
+        locks = {**dict(table.get("lock") or {}), **pressed}  # type: ignore[call-overload]
+        mechanism = _assembled(dict(table) | {"lock": locks})
+        said = ", ".join(f"{name} = {value:g}" for name, value in pressed.items())
+        notes.append(
+            f"weight and springs press joints onto their stops at home: they are locked there (mechanism.lock: {said});"
+            " a motion on which they would leave their stops is another mechanism's"
+        )
+    return mechanism, tuple(notes)
+
+
+def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
+    """Return effort limits [N.m or N] by actuator, for those that are too weak to hold the weight at home."""
+    still = np.zeros((1, mechanism.dof))
+    hold = needed_effort(mechanism, mechanism.home[None], still, still)[0][0]
+    raised = {}
+    for actuator, effort, ends in zip(mechanism.actuators, hold, mechanism.effort_limit, strict=True):
+        end = ends[1] if effort > 0 else ends[0]
+        if abs(effort) > abs(end) > 0:
+            factor = _HOLD_MULTIPLE * abs(effort) / abs(end)
+            raised[actuator.name] = [float(f"{x * factor:.3g}") for x in ends]
+    return raised
+
+
+def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[str]:
+    """Return a sentence on each effort limit of a problem's tables that is larger than the model's."""
+    limits = tables.get("limits", {}).get("effort", {})
+    return [
+        f"actuator {actuator.name} is too weak to hold the weight at home: limits.effort takes {limits[actuator.name]}"
+        f" instead of the model's {[float(f'{x:.4g}') for x in ends]} {actuator.unit}; put in the motor's own"
+        for actuator, ends in zip(mechanism.actuators, mechanism.effort_limit, strict=True)
+        if actuator.name in limits
+    ]
+
+
+def _pressed(mechanism: Mechanism) -> dict[str, float]:
+    """Return the positions [deg or m] of the pressed hinges and slides by name."""
+    return {joint.name: joint.shown(x) + 0.0 for joint, x in pressed_joints(mechanism) if joint.chart is None}
+
+
+def _assembled(table: Mapping[str, object]) -> Mechanism:
+    """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open."""
+    tables = {"mechanism": dict(table)}
+    try:
+        return mechanism_from_tables(tables)
+    except UnassembledError as error:
+        if not error.home:
+            raise
+        tables["mechanism"] |= error.home
+        try:
+            return mechanism_from_tables(tables)
+        except LinkplanError:
+            raise error from None

@@ -1,0 +1,89 @@
+"""What `new` changes of a model that has no first motion as it is, and says."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from linkplan.models.poses.along import needed_effort
+from linkplan.planner.problem.problem import Problem
+from linkplan.studies.new.changes import changed_mechanism, raised_limits
+from tests.support.data import DATA
+
+# A chassis that slides and pitches in a plane, with a wheel-leg of five bars whose motors are on the chassis.
+WHEEL_LEG = """<mujoco><option timestep="0.001"/><compiler angle="degree" autolimits="true"/>
+  <default><joint axis="0 1 0" damping="0.02" armature="0.001"/>
+    <geom contype="0" conaffinity="0" size="0.01" mass="0.2"/></default>
+  <worldbody><body name="chassis" pos="0 0 0.5"><joint name="x" type="slide" axis="1 0 0"/>
+    <joint name="z" type="slide" axis="0 0 1"/><joint name="pitch"/><geom type="box" size="0.1 0.1 0.05" mass="5"/>
+    <body name="front" pos="0.05 0 0" euler="0 30 0"><joint name="front_hip"/><geom type="capsule" fromto="0 0 0 0.15 0 0"/>
+      <body name="front_shin" pos="0.15 0 0" euler="0 100 0"><joint name="front_knee"/>
+        <geom type="capsule" fromto="0 0 0 0.25 0 0"/><site name="foot" pos="0.25 0 0"/>
+        <body name="wheel" pos="0.25 0 0"><joint name="axle"/><geom type="cylinder" size="0.05 0.02" euler="90 0 0"/></body>
+      </body></body>
+    <body name="rear" pos="-0.05 0 0" euler="0 150 0"><joint name="rear_hip"/><geom type="capsule" fromto="0 0 0 0.15 0 0"/>
+      <body name="rear_shin" pos="0.15 0 0" euler="0 -100 0"><joint name="rear_knee"/>
+        <geom type="capsule" fromto="0 0 0 0.25 0 0"/><site name="tip" pos="0.25 0 0"/></body></body>
+  </body></worldbody>
+  <equality><connect name="pin" site1="foot" site2="tip"/></equality>
+  <actuator><motor name="front_drive" joint="front_hip" ctrlrange="-20 20"/>
+    <motor name="rear_drive" joint="rear_hip" ctrlrange="-20 20"/><motor name="wheel_drive" joint="axle"/></actuator>
+  </mujoco>"""
+ARM = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/>
+  <inertial pos="0.5 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+  <actuator><motor name="drive" joint="arm" ctrlrange="-{effort} {effort}"/></actuator></mujoco>"""
+WEIGHT_N_M = 2 * 9.81 * 0.5  # of the arm, at home
+
+
+@pytest.mark.slow
+def test_a_whole_robot_is_planned_on_its_fixed_base(tmp_path, ask):
+    (tmp_path / "robot.xml").write_text(WHEEL_LEG, encoding="utf-8")
+    target = tmp_path / "first.toml"
+    code, out, _ = ask("new", str(tmp_path / "robot.xml"), "-o", str(target))
+    assert code == 0, out
+    assert "the base chassis floats" in out
+    text = target.read_text(encoding="utf-8")
+    assert tomllib.loads(text)["mechanism"]["fix_base"] is True
+    assert "# CHANGED: the base chassis floats" in text
+
+
+def test_a_base_that_floats_is_fixed_and_named():
+    mechanism, notes = changed_mechanism({"model": WHEEL_LEG})
+    assert [joint.name for joint in mechanism.joints] == ["front_hip", "front_knee", "axle", "rear_hip", "rear_knee"]
+    assert mechanism.dof == 3
+    assert "joints x, z, pitch" in notes[0]
+
+
+def test_fingers_on_their_stops_are_locked_there_and_keep_other_locks():
+    mechanism, notes = changed_mechanism({"model": str(DATA / "adaptive_gripper.xml"), "lock": {"left_coupler_joint": 0.0}})
+    assert mechanism.source["lock"] == {"left_coupler_joint": 0.0, "right_coupler_joint": 0.0}
+    assert mechanism.dof == 1
+    assert "mechanism.lock: right_coupler_joint = 0" in notes[0]
+
+
+def test_a_drive_that_cannot_hold_its_weight_gets_twice_what_holds_it(tmp_path, ask):
+    weak, _ = changed_mechanism({"model": ARM.format(effort=1.0)})
+    raised = raised_limits(weak)
+    np.testing.assert_allclose(raised["drive"], [-2 * WEIGHT_N_M, 2 * WEIGHT_N_M], rtol=0.01)
+    problem = Problem.from_tables(
+        "lift",
+        {
+            "mechanism": {"model": ARM.format(effort=1.0)},
+            "motion": {"kind": "reach", "start_deg": {"arm": 0.0}, "goal_deg": {"arm": 1.0}, "duration_s": 1.0},
+            "limits": {"effort": raised},
+        },
+    )
+    still = np.zeros((1, 1))
+    hold = needed_effort(problem.mechanism, problem.mechanism.home[None], still, still)[0]
+    assert np.all(hold > problem.limits.effort[:, 0])
+    assert np.all(hold < problem.limits.effort[:, 1])
+    (tmp_path / "arm.xml").write_text(ARM.format(effort=1.0), encoding="utf-8")
+    code, _, err = ask("new", str(tmp_path / "arm.xml"))
+    assert code == 0
+    assert "actuator drive is too weak to hold the weight at home" in err
+
+
+def test_a_drive_that_holds_its_weight_keeps_its_limit():
+    strong, notes = changed_mechanism({"model": ARM.format(effort=1.1 * WEIGHT_N_M)})
+    assert raised_limits(strong) == {}
+    assert notes == ()
