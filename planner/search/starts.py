@@ -206,6 +206,7 @@ def _better_plan(search: Search, budget: Budget) -> Plan | None:
     if search.only_time_counts:
         _, guess = judged_by_the_phase_plane(search)
     else:
+        assert search.quickest is not None  # a swing of it may be better
         guess = phase_plane_guess(search.problem, search.start_pose, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
