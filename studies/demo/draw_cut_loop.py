@@ -14,15 +14,14 @@ from linkplan.studies.output.draw_bodies import draw_bodies
 from linkplan.studies.output.drawing import page
 
 PICTURE = FOLDER / "cut-loop.png"
-TURNED_DEG = -14.0  # of the independent joint in the second panel, so that the gap is seen
 _INDEPENDENT, _DEPENDENT, _GAP = "#0b7a3b", "#b8860b", "#c0392b"
 
 
-def cut_loop_figure(path: Path) -> float:
-    """Draw the knee with its loop closed, and as the tree that MuJoCo's file holds; return the gap of the tree [m]."""
+def cut_loop_figure(path: Path, turned_deg: float = -14.0) -> float:
+    """Draw the knee with its loop closed, and as a tree whose independent joint alone is turned; return its gap [m]."""
     mechanism = load_mechanism("optimus-knee")
     opened = mechanism.home.copy()
-    opened[mechanism.independent] += np.radians(TURNED_DEG)
+    opened[mechanism.independent] += np.radians(turned_deg)
     with page(path, columns=2, size=(8.6, 2.9)) as axes:
         for axis, pose in zip(axes[0], (mechanism.home, opened), strict=True):
             draw_bodies(axis, mechanism, pose[None], np.ones(1), named=False)

@@ -14,7 +14,7 @@ from linkplan.models.poses.skeleton import sticks
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.demo.draw_cut_loop import PICTURE, TURNED_DEG, cut_loop_figure
+from linkplan.studies.demo.draw_cut_loop import PICTURE, cut_loop_figure
 from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
 from linkplan.studies.output.drawing import SERIES
 from tests.support.data import ROOT
@@ -57,11 +57,11 @@ def test_a_built_in_problem_moves_it_and_the_page_on_mechanisms_shows_its_pictur
 
 
 def test_the_drawing_of_the_cut_loop_has_the_gap_that_mujoco_finds(tmp_path):
-    gap = cut_loop_figure(tmp_path / "cut.png")
+    gap = cut_loop_figure(tmp_path / "cut.png", turned_deg=-10.0)
     mechanism = mechanism_of("optimus-knee")
     data = mujoco.MjData(mechanism.model)
     pose = mechanism.home.copy()
-    pose[mechanism.independent] += np.radians(TURNED_DEG)
+    pose[mechanism.independent] += np.radians(-10.0)
     data.qpos[:] = mechanism.qpos_of(pose[None])[0]
     mujoco.mj_forward(mechanism.model, data)
     tied = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
