@@ -55,12 +55,18 @@ def phase_plane_may_help(search: Search) -> bool:
 
 
 def no_time(search: Search) -> bool:
-    """True if the phase plane shows that the given time is too short for any motion."""
+    """True if the phase plane shows that the given time is too short for any motion.
+
+    Its swings turn back on a grid, which makes them late. The least-time plan that they lead to decides.
+    """
     quickest = search.quickest
     if quickest is None or quickest.boundaries_s is not None:
         return False
     surely = GRID_ERROR_FACTOR if quickest.switch_times_s is not None else GRID_ERROR_FACTOR_AT_SPEED_LIMIT
-    return longest(search.problem) * surely < quickest.duration_s
+    if longest(search.problem) * surely >= quickest.duration_s:
+        return False
+    known = least_time_plan(search, HURRIED) if quickest.swings > 1 else None
+    return known is None or not known.passed or longest(search.problem) < known.trajectory.duration_s
 
 
 def far_too_little_time(search: Search) -> bool:

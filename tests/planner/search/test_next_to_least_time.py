@@ -10,6 +10,7 @@ from linkplan.planner.diagnosis import reasons
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.ladder import Search
+from tests.bench.contradictions import weak_case
 from tests.support import fourbar_problems
 from tests.support.tolerances_planner import MINIMUM_TIME
 
@@ -49,6 +50,18 @@ def test_a_weak_least_time_whose_switches_lay_inside_intervals_is_exact():
     plan = plan_motion(Problem.from_tables("weak", tables))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(least, rel=MINIMUM_TIME)
+
+
+@pytest.mark.slow
+def test_a_certified_least_time_refutes_a_later_one_of_the_phase_plane():
+    """It takes 1.93482 s. The swings of the phase plane turn back on a grid, and are more than 0.3 % late."""
+    fourbar, start, goal, limit = weak_case(4078, 4)
+    ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
+    motion = {"kind": "reach", **ends, "duration_s": 1.9387}
+    model = {"model": fourbar.mjcf(start, limit=limit)}
+    tables = {"mechanism": model, "motion": motion, "objective": {"minimize": "effort"}}
+    plan = plan_motion(Problem.from_tables("weak", tables))
+    assert plan.status == "optimal", plan.message
 
 
 @pytest.mark.parametrize(("known", "status"), [(0.9, "failed"), (1.0, "failed"), (1.1, "infeasible")])
