@@ -5,6 +5,7 @@ import pytest
 
 from linkplan.planner.ode.formulation import _open_end_path, completed
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from tests.support.ode import squared_effort
 
 
 def problem(duration: object, effort_limit: list[list[float]]) -> OdeProblem:
@@ -56,5 +57,6 @@ def test_rows_where_no_node_stands_are_those_of_inequalities_with_an_effort():
         duration_s=1.0,
         path=lambda x, u, p, t: [x[0], x[0] * u[0], u[0] - x[0]],  # noqa: ARG005
         path_limit=[[-1.0, 2.0], [-0.5, 0.5], [0.0, 0.0]],
+        running_cost=squared_effort,
     )
     assert _open_end_path(asked) == (1,)
