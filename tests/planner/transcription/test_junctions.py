@@ -9,44 +9,44 @@ from linkplan.planner.transcription.bounds import _with_junctions
 from linkplan.planner.transcription.junctions import find_junctions
 from linkplan.planner.transcription.mesh import segmented
 
-NAN, DURATIONS = np.nan, np.array([1.0, 2.0])
+NAN, DURATIONS = np.nan, np.array([1.0, 2.0, 1.0])
 FORMULATION = SimpleNamespace(
     rows=SimpleNamespace(open_end_path=(0,)), effort=np.array([[-5.0, 5.0]]), units=SimpleNamespace(effort=np.array([5.0]))
 )
-# The effort's limit holds before the switch and the power after it, or the reverse.
-ONTO, OFF = (np.array([[5.0], [NAN]]), np.array([[0], [1]])), (np.array([[NAN], [5.0]]), np.array([[1], [0]]))
+# Between two bangs the power is held. The arc goes on from the first without a jump, or into the last.
+ONTO = np.array([[5.0], [NAN], [-5.0]]), np.array([[0], [1], [0]])
+OFF = np.array([[-5.0], [NAN], [5.0]]), np.array([[0], [1], [0]])
 
 
-def found(held: tuple[np.ndarray, np.ndarray], before: float, after: float) -> np.ndarray | None:
-    """Return the junctions of a motion whose effort is `before` up to the switch at 1 s, and `after` it from there on."""
+def found(held: tuple[np.ndarray, np.ndarray], along: float) -> np.ndarray | None:
+    """Return the junctions of a motion whose effort is `along` on the arc from 1 s to 3 s."""
 
     def nodes(times: np.ndarray):
-        return None, None, None, np.where(times < 1.0, before, after)[:, None]
+        return None, None, None, np.full((len(times), 1), along)
 
-    return find_junctions(FORMULATION, segmented(DURATIONS, 9), DURATIONS, SimpleNamespace(nodes=nodes), *held)
+    return find_junctions(FORMULATION, segmented(DURATIONS, 12), DURATIONS, SimpleNamespace(nodes=nodes), *held)
 
 
 @pytest.mark.parametrize(
-    ("held", "before", "after", "way"), [(ONTO, 5.0, 4.0, 1), (OFF, 4.0, 5.0, -1), (ONTO, 5.0, -4.0, 0), (OFF, -4.0, 5.0, 0)]
+    ("held", "along", "ways"), [(ONTO, 4.0, [1, 0]), (ONTO, -4.0, [0, -1]), (OFF, 4.0, [0, -1]), (OFF, -4.0, [1, 0])]
 )
-def test_an_effort_that_does_not_change_its_sign_goes_on_without_a_jump(held, before, after, way):
-    junctions = found(held, before, after)
-    assert (None if junctions is None else junctions.tolist()) == ([[way]] if way else None)
+def test_an_effort_that_does_not_change_its_sign_goes_on_without_a_jump(held, along, ways):
+    assert found(held, along).ravel().tolist() == ways
 
 
 def test_between_two_bangs_there_is_no_junction():
-    assert found((np.array([[5.0], [-5.0]]), np.array([[0], [0]])), 5.0, -5.0) is None
+    assert found((np.array([[5.0], [-5.0], [5.0]]), np.zeros((3, 1), dtype=int)), 5.0) is None
 
 
 @pytest.mark.parametrize(("held", "way"), [(ONTO, 1), (OFF, -1)])
 def test_beside_a_junction_the_effort_of_the_arc_may_exceed_its_limit(held, way):
-    mesh = segmented(DURATIONS, 9)
-    n, first_of_second = mesh.n_intervals, int(np.flatnonzero(mesh.segment == 1)[0])
+    mesh = segmented(DURATIONS, 12)
+    n, of_arc = mesh.n_intervals, np.flatnonzero(mesh.segment == 1)
     place = np.arange(2 * n).reshape(n, 2, 1)
     lower, upper = np.full(2 * n, -1.0), np.full(2 * n, 1.0)
     layout = SimpleNamespace(effort=lambda: place)
-    _with_junctions(lower, upper, FORMULATION, layout, mesh, held[0], np.array([[way]]))
-    widened = place[first_of_second if way > 0 else first_of_second - 1, :, 0]
+    _with_junctions(lower, upper, FORMULATION, layout, mesh, held[0], np.array([[1], [0]] if way > 0 else [[0], [-1]]))
+    widened = place[of_arc[0] if way > 0 else of_arc[-1], :, 0]
     expected = np.ones(2 * n)
     expected[widened] = 3.0  # by the distance of the two limits
     if way < 0:
