@@ -1,10 +1,11 @@
-"""What a guess lacks: its duration within the bounds, its efforts within their limits."""
+"""What a guess lacks, its duration and efforts; and which rows a formulation has where no node stands."""
 
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import completed
+from linkplan.planner.ode.formulation import _open_end_path, completed
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from tests.support.ode import squared_effort
 
 
 def problem(duration: object, effort_limit: list[list[float]]) -> OdeProblem:
@@ -43,3 +44,19 @@ def test_a_guess_lasts_as_long_as_it_says_and_may_and_else_a_second_or_the_middl
 def test_an_effort_that_a_guess_lacks_is_the_middle_of_its_limits_or_their_finite_end(limit, effort):
     guess = completed(problem(1.0, [limit]), StateGuess(state=np.array([[0.0], [0.5], [1.0]])))
     assert guess.effort == pytest.approx(np.full((3, 1), effort))
+
+
+def test_rows_where_no_node_stands_are_those_of_inequalities_with_an_effort():
+    """At an end without a node the effort jumps; a state does not, and equalities are the nodes' own."""
+    asked = OdeProblem(
+        name="rows",
+        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
+        start=[0],
+        goal=[1],
+        effort_limit=[[-1.0, 1.0]],
+        duration_s=1.0,
+        path=lambda x, u, p, t: [x[0], x[0] * u[0], u[0] - x[0]],  # noqa: ARG005
+        path_limit=[[-1.0, 2.0], [-0.5, 0.5], [0.0, 0.0]],
+        running_cost=squared_effort,
+    )
+    assert _open_end_path(asked) == (1,)

@@ -8,10 +8,11 @@ import pytest
 from scipy.optimize import brentq
 
 from linkplan.planner.ode.case import OdeCase
-from linkplan.planner.ode.costates import is_affine, switching_of
+from linkplan.planner.ode.costates import Switching, is_affine, switching_of
 from linkplan.planner.ode.formulation import start_of, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
+from linkplan.planner.ode.switches import _switch_times
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.ode import FREE_EFFORT, double_integrator, duration, oscillator, solved, squared_effort
@@ -258,3 +259,10 @@ def test_a_duration_that_is_given_is_begun_from_once():
         )
     )
     assert [step.what for step in plan.history if step.what.startswith(("first", "start"))] == ["first solve"]
+
+
+def test_switch_times_are_where_switching_functions_cross_zero():
+    """Straight lines fall through zero at 0.37 s and 1.61 s; a third keeps its sign."""
+    time = np.array([np.linspace(0.0, 1.0, 5), np.linspace(1.0, 2.0, 5)])
+    value = np.stack([0.37 - time, 5.0 * (1.61 - time), 1.0 + time], axis=2)
+    assert _switch_times(Switching(time_s=time, value=value)) == pytest.approx([0.37, 1.61], rel=1e-12)

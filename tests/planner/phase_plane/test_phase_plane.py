@@ -76,7 +76,6 @@ def test_a_leg_without_dampers_is_the_one_that_steps_from_cell_to_cell(way, back
     np.testing.assert_allclose(quick, stepped, rtol=ROUNDING * len(quick))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["knee-sprint", "knee-sprint-bare"])
 def test_a_straight_least_time_is_met_to_the_grid(name):
     problem = load_problem(name)
@@ -112,7 +111,6 @@ def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_
     assert plan.objective == pytest.approx(case.duration, rel=MINIMUM_TIME)
 
 
-@pytest.mark.slow
 def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
     problem = spring(1.9)
     way = replace(problem.motion, waypoints=tuple(Waypoint(position=[x]) for x in (1.5, 0.3)))
@@ -124,7 +122,6 @@ def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
     assert passed.position(passed.boundaries_s)[:, 0] == pytest.approx([1.9, 1.5, 0.3, 0.0])
 
 
-@pytest.mark.slow
 def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
     problem = spring(2.0)
     asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
@@ -143,7 +140,6 @@ def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
     assert guess.duration_s == pytest.approx(case.duration, rel=TURNS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [65, 94, 136, 217])
 def test_a_speed_limit_is_kept_by_braking_in_time_and_left_no_faster_than_full_effort_does(number):
     case = random_case(1, number)

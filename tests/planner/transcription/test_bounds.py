@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.bounds import _boundary_groups
+from linkplan.planner.transcription.bounds import _boundary_groups, _hold_paths
 from linkplan.planner.transcription.formulation import PhaseBoundary
 from linkplan.planner.transcription.mesh import segmented
 
@@ -40,3 +40,27 @@ def test_durations_keep_the_rows_exactly_if_every_boundary_is_at_a_time_that_it_
 def test_a_boundary_at_a_share_of_the_whole_duration_is_there(time, legal):
     free, times = (0.0, np.inf), np.array([0.2, 0.3, time, 0.8, 1.0])
     assert keeps_rows(durations_of(times), [free] * 5, [None, None, 0.5, None, None]) is legal
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+@pytest.mark.parametrize("way", [1, -1, 0])
+def test_a_held_quantity_is_at_its_limit_at_every_node_of_its_arc_and_where_it_meets_a_bang(continuous, way):
+    """Of six intervals with three nodes, 2 and 3 are an arc along the upper limit, which is tightest on interval 3."""
+    n, m, free = 6, 3, np.array([-5.0, 5.0])
+    path = np.tile(free, (n, 1, 1))
+    path[3, 0, 1] = 4.5
+    at_nodes, at_open_ends = np.repeat(path[:, None], m, axis=1), np.array(path)
+    held = np.zeros((n, 1))
+    held[2:4] = 1
+    last = {1: 1, -1: 3, 0: None}[way]
+    meetings = () if last is None else ((last, 0, 0, way),)
+    _hold_paths(path, at_nodes, at_open_ends, held, meetings, {0} if continuous else set())
+    expected, open_ends = np.tile(free, (n, m, 1)), np.tile(free, (n, 1))
+    open_ends[2:4] = -np.inf, np.inf
+    expected[2:4] = 4.5
+    if continuous or way == 1:
+        expected[1, -1] = 4.5
+    if way == -1:
+        open_ends[4] = -np.inf, np.inf
+    np.testing.assert_array_equal(at_nodes[:, :, 0], expected)
+    np.testing.assert_array_equal(at_open_ends[:, 0], open_ends)

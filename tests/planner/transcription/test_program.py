@@ -12,6 +12,7 @@ from linkplan.planner.closed_chain.transcribe import Transcribed, choose_scales,
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import Mesh, halved, segmented, uniform
 from tests.support.plans import planned, problem_of
+from tests.support.sites import arm_of, site_problem
 from tests.support.tolerances_planner import DERIVATIVE, DIFFERENCE, ROWS, SAME_MOTION, STILL
 
 BASES = {"effort": "knee-reach", "tracking": "knee-sine-shank", "time": "knee-sprint"}
@@ -124,25 +125,41 @@ def test_the_assembled_hessian_is_the_upper_triangle_of_the_lagrangian_s(case):
         assert_same(transcribed.program.functions["hess_lag"](*at), hessian(*at))
 
 
-@pytest.mark.slow
-@every_case
-def test_the_assembled_derivatives_agree_with_differences_along_a_random_direction(case):
-    transcribed = built(case)
+def assert_derivatives(transcribed: Transcribed) -> None:
+    """Check the assembled derivatives against differences along a random direction."""
     functions, p = transcribed.program.functions, transcribed.parameters
-    x = point(transcribed, 7)
-    direction = np.random.default_rng(8).normal(size=x.size)
-    step = 1e-5
+    x, rng = point(transcribed, 7), np.random.default_rng(8)
+    direction, weights = rng.normal(size=x.size), rng.normal(size=transcribed.program.n_rows)
 
-    def difference(index: int) -> np.ndarray:
-        ahead, behind, far, back = (
-            np.array(functions["nlp"](x + steps * step * direction, p)[index]).ravel() for steps in (1, -1, 2, -2)
-        )
+    def difference(of, step: float = 1e-5) -> np.ndarray:
+        ahead, behind, far, back = (np.array(of(x + k * step * direction)).ravel() for k in (1, -1, 2, -2))
         return (8 * (ahead - behind) - (far - back)) / (12 * step)
+
+    def lagrangian(at: np.ndarray) -> ca.DM:
+        return 0.7 * functions["grad_f"](at, p)[1] + functions["jac_g"](at, p)[1].T @ weights
 
     rows = np.array(functions["jac_g"](x, p)[1] @ direction).ravel()
     slope = float(ca.dot(functions["grad_f"](x, p)[1], direction))
-    assert np.abs(rows - difference(1)).max() < DIFFERENCE * np.abs(rows).max()
-    assert abs(slope - difference(0)[0]) < DIFFERENCE * max(1.0, abs(slope))
+    bend = np.array(ca.triu2symm(functions["hess_lag"](x, p, 0.7, weights)) @ direction).ravel()
+    assert np.abs(rows - difference(lambda at: functions["nlp"](at, p)[1])).max() < DIFFERENCE * np.abs(rows).max()
+    assert abs(slope - difference(lambda at: functions["nlp"](at, p)[0])[0]) < DIFFERENCE * max(1.0, abs(slope))
+    assert np.abs(bend - difference(lagrangian)).max() < DIFFERENCE * max(1.0, np.abs(bend).max())
+
+
+@every_case
+def test_the_assembled_derivatives_agree_with_differences_along_a_random_direction(case):
+    assert_derivatives(built(case))
+
+
+@pytest.mark.parametrize("durations", [[0.5], [0.2, 0.3]], ids=["1 segment", "2 segments"])
+def test_so_do_those_of_a_program_whose_goal_is_a_place_of_a_site(durations):
+    motion = {"start_deg": {"J1": 60.0, "J2": 40.0, "J3": 20.0}, "goal_at": {"foot": [0.2, 0.0, -0.3]}, "duration_s": 0.5}
+    problem = site_problem(arm_of(0.25, 0.2, 0.15), motion, solver={"compile": "never"})
+    mesh = uniform(3) if len(durations) == 1 else segmented(np.array(durations), 6)
+    guess = first_guess(problem, problem.start_pose())
+    transcribed = transcribe(problem, guess, mesh, np.array(durations))
+    assert transcribed.formulation.endpoint is not None
+    assert_derivatives(transcribed)
 
 
 @every_case
