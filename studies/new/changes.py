@@ -1,8 +1,9 @@
 """What a first motion changes of a model that has none as it is, each with a sentence for the user.
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
-are locked there, since a stop's force is not planned for. A drive whose limit is below the weight at home, as exporters
-write who do not know the motor, gets twice the effort that holds it.
+are locked there, since a stop's force is not planned for. Of a rod that spins while all else rests, a hinge is locked:
+nothing drives the spin, and its equations are too small beside the others for the solver. A drive whose limit is below the
+weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
 """
 
 from collections.abc import Mapping
@@ -41,43 +42,76 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             f" joints {joints})"
         )
     if mechanism.dof and mechanism.n_u and (pressed := _pressed(mechanism)):
-        locks = {**dict(table.get("lock") or {}), **pressed}  # type: ignore[call-overload]
-        mechanism = _assembled(dict(table) | {"lock": locks})
+        table = _with_locks(table, pressed)
+        mechanism = _assembled(table)
         said = ", ".join(f"{name} = {value:g}" for name, value in pressed.items())
         notes.append(
             f"weight and springs press joints onto their stops at home: they are locked there (mechanism.lock: {said});"
             " a motion on which they would leave their stops is another mechanism's"
         )
+    if mechanism.dof and mechanism.n_u and (spins := _spins(mechanism)):
+        table = _with_locks(table, spins)
+        mechanism = _assembled(table)
+        said = ", ".join(f"{name} = {value:g}" for name, value in spins.items())
+        notes.append(
+            "rods spin while all other joints rest, which nothing drives and which moves nothing else: a hinge of each is"
+            f" locked (mechanism.lock: {said})"
+        )
     return mechanism, tuple(notes)
 
 
 def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
-    """Return effort limits [N.m or N] by actuator, for those that are too weak to hold the weight at home."""
+    """Return effort limits [N.m or N] by actuator, for those that are too weak to hold the weight at home.
+
+    Actuators with the same limits are the same motor, or the same default of an exporter: their limits are raised together.
+    """
     still = np.zeros((1, mechanism.dof))
     hold = needed_effort(mechanism, mechanism.home[None], still, still)[0][0]
-    raised = {}
-    for actuator, effort, ends in zip(mechanism.actuators, hold, mechanism.effort_limit, strict=True):
+    limits = [tuple(float(x) for x in ends) for ends in mechanism.effort_limit]
+    factors: dict[tuple[float, ...], float] = {}
+    for effort, ends in zip(hold, limits, strict=True):
         end = ends[1] if effort > 0 else ends[0]
         if abs(effort) > abs(end) > 0:
-            factor = _HOLD_MULTIPLE * abs(effort) / abs(end)
-            raised[actuator.name] = [float(f"{x * factor:.3g}") for x in ends]
-    return raised
+            factors[ends] = max(factors.get(ends, 0.0), _HOLD_MULTIPLE * abs(effort) / abs(end))
+    return {
+        actuator.name: [float(f"{x * factors[ends]:.3g}") for x in ends]
+        for actuator, ends in zip(mechanism.actuators, limits, strict=True)
+        if ends in factors
+    }
 
 
 def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[str]:
-    """Return a sentence on each effort limit of a problem's tables that is larger than the model's."""
+    """Return a sentence on the effort limits of a problem's tables that are larger than the model's, if there are some."""
     limits = tables.get("limits", {}).get("effort", {})
-    return [
-        f"actuator {actuator.name} is too weak to hold the weight at home: limits.effort takes {limits[actuator.name]}"
-        f" instead of the model's {[float(f'{x:.4g}') for x in ends]} {actuator.unit}; put in the motor's own"
+    if not limits:
+        return []
+    said = ", ".join(
+        f"{actuator.name} {limits[actuator.name]} in place of {[float(f'{x:.4g}') for x in ends]} {actuator.unit}"
         for actuator, ends in zip(mechanism.actuators, mechanism.effort_limit, strict=True)
         if actuator.name in limits
-    ]
+    )
+    return [f"actuators are too weak to hold the weight at home: limits.effort takes {said}; put in the motors' own"]
 
 
 def _pressed(mechanism: Mechanism) -> dict[str, float]:
     """Return the positions [deg or m] of the pressed hinges and slides by name."""
     return {joint.name: joint.shown(x) + 0.0 for joint, x in pressed_joints(mechanism) if joint.chart is None}
+
+
+def _spins(mechanism: Mechanism) -> dict[str, float]:
+    """Return the home positions [deg or m] of the independent hinges that are passive freedoms, by name."""
+    passive = [int(index) for index, steered in zip(mechanism.independent, mechanism.steered, strict=True) if not steered]
+    joints = {index: mechanism.joints[index] for index in passive}
+    return {
+        joint.name: float(f"{joint.shown(mechanism.home[index]):.9g}")
+        for index, joint in joints.items()
+        if joint.chart is None and joint.kind == "hinge"
+    }
+
+
+def _with_locks(table: Mapping[str, object], locks: Mapping[str, float]) -> dict[str, object]:
+    given = table.get("lock")
+    return {**table, "lock": {**(given if isinstance(given, Mapping) else {}), **locks}}
 
 
 def _assembled(table: Mapping[str, object]) -> Mechanism:

@@ -309,10 +309,11 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
             motion.setdefault(f"{name}_{joint.unit}", {})[joint.name] = value + 0.0
     motion["duration_s"] = "free"
     raised = raised_limits(mechanism)
+    gentle = _many_hang(mechanism) or bool(sprung_freedoms(mechanism)) or _is_large(mechanism)
     return {
         "mechanism": dict(mechanism.source),
         "motion": motion,
-        "objective": {"minimize": "effort_rate" if _many_hang(mechanism) or sprung_freedoms(mechanism) else "effort"},
+        "objective": {"minimize": "effort_rate" if gentle else "effort"},
         **({"limits": {"effort": raised}} if raised else {}),
         **({"mesh": {"intervals": 20, "tolerance_deg": 1e-3}} if _is_large(mechanism) else {}),
     }

@@ -115,8 +115,9 @@ def command(row: Row, *words: str) -> tuple[int, str]:
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     row.time_s[words[0]] = round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1)
-    lines = (done.stderr.strip() or done.stdout.strip()).splitlines()
-    return done.returncode, next((line for line in reversed(lines) if line.strip()), "")
+    lines = [line for line in (*done.stderr.splitlines(), *done.stdout.splitlines()) if line.strip()]
+    verdict = next((line for line in lines if line.startswith("NOT planned")), "")
+    return done.returncode, verdict or (lines[-1] if lines else "")
 
 
 def tracking_error_deg(folder: Path) -> float | None:

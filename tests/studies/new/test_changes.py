@@ -9,6 +9,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.changes import changed_mechanism, raised_limits
 from tests.support.data import DATA
+from tests.support.parallel_ankle import ankle_text
 
 # A chassis that slides and pitches in a plane, with a wheel-leg of five bars whose motors are on the chassis.
 WHEEL_LEG = """<mujoco><option timestep="0.001"/><compiler angle="degree" autolimits="true"/>
@@ -80,7 +81,33 @@ def test_a_drive_that_cannot_hold_its_weight_gets_twice_what_holds_it(tmp_path, 
     (tmp_path / "arm.xml").write_text(ARM.format(effort=1.0), encoding="utf-8")
     code, _, err = ask("new", str(tmp_path / "arm.xml"))
     assert code == 0
-    assert "actuator drive is too weak to hold the weight at home" in err
+    assert "too weak to hold the weight at home: limits.effort takes drive" in err
+
+
+def test_drives_with_the_same_limit_are_raised_together():
+    two = (
+        ARM.format(effort=1.0)
+        .replace("</body></worldbody>", "</body>{other}</worldbody>")
+        .replace("<actuator>", "<actuator>{motor}")
+    )
+    other = '<body><joint name="wheel" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body>'
+    mechanism, _ = changed_mechanism(
+        {"model": two.format(other=other, motor='<motor name="spin" joint="wheel" ctrlrange="-1 1"/>')}
+    )
+    raised = raised_limits(mechanism)
+    assert raised["spin"] == raised["drive"]
+
+
+def test_the_spin_of_a_push_rod_is_locked_and_nothing_else():
+    loose = ankle_text().replace(
+        '<joint name="rod_roll_left"', '<joint name="rod_spin_left" axis="0 0 1"/><joint name="rod_roll_left"'
+    )
+    before, _ = changed_mechanism({"model": ankle_text()})
+    mechanism, notes = changed_mechanism({"model": loose})
+    assert before.dof == mechanism.dof == 2
+    (locked,) = mechanism.source["lock"]
+    assert locked.startswith("rod_")
+    assert "a hinge of each is locked" in notes[0]
 
 
 def test_a_drive_that_holds_its_weight_keeps_its_limit():
