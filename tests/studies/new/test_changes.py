@@ -105,7 +105,7 @@ def test_the_spin_of_a_push_rod_is_locked_and_nothing_else():
     before, _ = changed_mechanism({"model": ankle_text()})
     mechanism, notes = changed_mechanism({"model": loose})
     assert before.dof == mechanism.dof == 2
-    (locked,) = mechanism.source["lock"]
+    (locked,) = mechanism.selection.lock
     assert locked.startswith("rod_")
     assert "a hinge of each is locked" in notes[0]
 
