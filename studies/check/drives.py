@@ -93,10 +93,11 @@ def pressed_stops(mechanism: Mechanism) -> str | None:
     if not pressed:
         return None
     names = ", ".join(f"{joint.name} ({joint.said(x, 4)} {joint.unit})" for joint, x in pressed)
-    locks = " ".join(f"--lock {joint.name}={joint.shown(x) + 0.0:.6g}" for joint, x in pressed)
+    locks = ", ".join(f"{joint.name} = {joint.shown(x) + 0.0:.6g}" for joint, x in pressed)
     return (
         f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which"
-        f" no actuator holds: a stop's force is not planned for; {locks} holds them there, as linkplan new does by itself"
+        f" no actuator holds: a stop's force is not planned for; mechanism.lock = {{ {locks} }} holds them there,"
+        " as linkplan.new does by itself"
     )
 
 

@@ -61,7 +61,14 @@ def _mark_closure(axis, mechanism: Mechanism, pose: np.ndarray) -> float:
     places, turns = body_frames(mechanism, pose[None])
     ends = np.array([places[0, body] + turns[0, body] @ point for body, point in tied_points(mechanism.model, 0)])
     axis.plot(
-        ends @ right, ends @ up, "--x", color=_GAP, linewidth=2, zorder=6, label=f"closure {mechanism.closure_names[0]}"
+        ends @ right,
+        ends @ up,
+        linestyle="dashed",
+        marker="x",
+        color=_GAP,
+        linewidth=2,
+        zorder=6,
+        label=f"closure {mechanism.closure_names[0]}",
     )
     return float(np.linalg.norm(ends[1] - ends[0]))
 

@@ -207,7 +207,7 @@ def test_gains_that_were_found_are_a_problems_tracking(problem):
         (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose asked for is beyond reach"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"A": 1}]), "a pose names independent joints (O); A follows"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"Q": 1}]), "joints are O, A, C"),
-        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "poses[0] of joint O is a number, got nan"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "poses[0].at_deg of joint O is a number, got nan"),
         (lambda: linkplan.check("optimus-knee", at_deg=[3]), "at_deg is a list of poses"),
         (lambda: linkplan.check("optimus-knee", at_m=[{"O": 0.1}]), "use poses[0].at_deg, not at_m"),
         (lambda: linkplan.bode("optimus-knee", at_deg=[{"A": 1}]), "a pose names the independent joint O; A follows"),
