@@ -6,7 +6,7 @@ A plan is made inside `recording`. Whatever solves calls `record` and `progress`
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from linkplan.planner.solvers.solve import Solution
@@ -35,8 +35,10 @@ class Step:
     build_s: float
     solve_s: float
     integration_error: float | None = None  # of a differential equation, as a share of its states' sizes
-    asked: str = ""  # a hash of the program; the same program has the same answer
-    answer: dict[str, Any] | None = None  # the fields of a converged solution, without its program
+    asked: str = field(default="", repr=False)  # a hash of the program; the same program has the same answer
+    answer: dict[str, Any] | None = field(
+        default=None, repr=False
+    )  # the fields of a converged solution, without its program
 
     @classmethod
     def saved(cls) -> tuple[str, ...]:

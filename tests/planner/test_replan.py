@@ -198,6 +198,12 @@ def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning(t
     assert again.objective == pytest.approx(fresh.objective, rel=SAME_FIGURE)
 
 
+def test_a_step_of_a_history_prints_as_one_line_without_its_solution():
+    (step,) = plan_motion(load_problem("knee-reach")).history
+    assert step.answer is not None
+    assert len(repr(step)) < 400
+
+
 def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
     """A motion kept clear of singular poses was solved with a margin: its program has a row more than its problem."""
     planner, problem = Replanner(), load_problem("knee-reach")
