@@ -67,9 +67,11 @@ class RaiseDegree:
     scheme: str
 
     def apply(self, state: RefinementState) -> RefinementState:
-        """Return the state with the scheme."""
+        """Return the state with the scheme; where no motion is found, one that does not pass is halved instead."""
         higher = replace(state, case=state.case.with_scheme(self.scheme))
-        return _after(higher, np.zeros(state.at.n_intervals, dtype=bool), f"higher degree, {self.scheme}")
+        after = _after(higher, np.zeros(state.at.n_intervals, dtype=bool), f"higher degree, {self.scheme}")
+        lost = after.ended and after.at is state.at and not state.at.passed
+        return replace(state, degree_lost=True, rounds=state.rounds + 1) if lost else after
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -201,7 +201,7 @@ def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np
 def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> str | None:
     """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
     at, report = state.at, state.at.report
-    if report is not None and report.unseen:
+    if state.degree_lost or (report is not None and report.unseen):
         return None
     higher = None if state.target.enclosed else higher_on_arcs(state.case, at, over)
     if higher is None and not (over.any() and _switches_are_open(state)):

@@ -28,13 +28,13 @@ class RefinementState(Generic[MotionT, CertificateT]):
     `asked` has the limits as they are asked: every certificate is against them. `case` has the scheme and the tightened
     limits by now. `at` is the last iterate, `best` the best that passed. `warm` says that finer meshes are solved from
     next to the coarser one's answer. `position_rows` says that ranges are imposed at every instant, `rows_lost` that
-    this led to no solution. `rounds` counts actions, `readings` those that read switches, `read_in` is the round of the
-    last reading. `before` is the objective of the iterate that passed before, `change` its relative change since,
-    `change_before` the one before that, `calm` the number of meshes without change. `falls` says that the last finer
-    mesh erred by less than the one before. `releases` counts releases of arcs. `loose` is the last iterate with the
-    limits as asked after one had passed within tightened limits, `tightenings` counts those since then, `idle` the
-    loosenings since the best one improved. `ended` says that the last action led nowhere. `restored` counts
-    meshes on which the best motion was kept, see `Restore`.
+    this led to no solution, `degree_lost` that a higher degree led to none. `rounds` counts actions, `readings` those
+    that read switches, `read_in` is the round of the last reading. `before` is the objective of the iterate that passed
+    before, `change` its relative change since, `change_before` the one before that, `calm` the number of meshes without
+    change. `falls` says that the last finer mesh erred by less than the one before. `releases` counts releases of arcs.
+    `loose` is the last iterate with the limits as asked after one had passed within tightened limits, `tightenings`
+    counts those since then, `idle` the loosenings since the best one improved. `ended` says that the last action led
+    nowhere. `restored` counts meshes on which the best motion was kept, see `Restore`.
     """
 
     asked: Case[MotionT, CertificateT]
@@ -44,6 +44,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     best: CertifiedIterate[MotionT, CertificateT] | None = None
     position_rows: bool = False
     rows_lost: bool = False
+    degree_lost: bool = False
     rounds: int = 0
     read_in: int = 0
     readings: int = 0

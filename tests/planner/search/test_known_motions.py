@@ -47,6 +47,12 @@ def test_a_least_effort_that_begins_on_the_smooth_path_costs_no_more_than_a_shor
     assert weak_answer(77, 69)["wrong"] == []
 
 
+@pytest.mark.slow
+def test_a_quick_turn_whose_higher_degree_is_not_solved_is_refined_by_halving():
+    """A turn of a four-bar in 0.011 s, at 570 rad/s: the scheme of degree 7 is not solved on 40 intervals."""
+    assert rotary_answer(4078, 11)["wrong"] == []
+
+
 # A rod on a damped hinge: its weight takes most of the motor's torque once a turn, and helps as much half a turn later.
 ROTOR = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0" damping="0.05"/>
 <inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
