@@ -1,6 +1,7 @@
 """A mechanism's planning problem as a formulation: its functions and the numbers of its limits and objective."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -154,14 +155,13 @@ def _interval_rows(
 
 def _exact_costs(problem: Problem, scales: Scales, smoothing: float | None, value: float) -> dict[str, np.ndarray]:
     """Return the exactly integrated costs of an interval, with their weights on the scaled unknowns."""
-    found: dict[str, np.ndarray] = {}
-    nothing = np.zeros(problem.mechanism.n_u)
+    found: dict[str, Any] = {}  # a value, or one for each actuator
     for name, term in problem.objective.terms.items():
         if term.exact is not None:
             weights = problem.objective.weight(name) * term.size(scales, problem.motors) / value
-            found[term.exact] = found.get(term.exact, nothing) + weights
+            found[term.exact] = found.get(term.exact, 0.0) + weights
     if smoothing is not None:
-        found["effort_rate"] = found.get("effort_rate", nothing) + smoothing
+        found["effort_rate"] = found.get("effort_rate", 0.0) + np.full(problem.mechanism.n_u, smoothing)
     return {cost: found[cost] for cost in COSTS if cost in found}
 
 

@@ -23,7 +23,9 @@ def folder(tmp_path_factory):
 def served(folder):
     """Yield the address of a running server; it ends by Ctrl-C, with the exit code of an interrupted command."""
     run = [sys.executable, "-m", "linkplan", "explore", "knee-reach", "--json"]
-    with subprocess.Popen(run, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    piped: dict = {"cwd": folder, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # A process of a script's background inherits that SIGINT is ignored; a terminal's does not.
+    with subprocess.Popen(run, **piped, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)) as process:
         said = json.loads(process.stdout.readline())
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", said["address"])
         assert said["problem"] == "knee-reach"
