@@ -27,7 +27,7 @@ __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
 
 NOTHING_SELECTED = Selection()
-# Python's filters of warnings belong to the whole process.
+# One thread compiles at a time: Python's filters of warnings belong to the whole process.
 _ONE_COMPILATION = threading.RLock()
 
 

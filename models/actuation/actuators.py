@@ -252,7 +252,8 @@ def _read(model: mujoco.MjModel, index: int) -> Actuator:
         lower, upper = (float(x) for x in model.actuator_ctrlrange[channel])
     bounds = list(_clamps(model, index))
     if not any(gains[1:]) and not any(biases[1:]):
-        bounds.append((min(ends := [end * gains[0] + biases[0] for end in (lower, upper)]), max(ends)))
+        least, most = sorted((lower * gains[0] + biases[0], upper * gains[0] + biases[0]))
+        bounds.append((least, most))
     if model.actuator_forcelimited[index]:
         bounds.append(_scaled(model.actuator_forcerange[index], 1.0))
     return Actuator(

@@ -132,7 +132,7 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
             asked = law(s, v)[1]
             nudge = _SLOPE_DIFFERENCE * np.maximum(np.abs(v), size[1])
             by_speed = (law(s, v + nudge)[1] - asked) / nudge
-            # Over a hundredth of a leg the law's change with the place does not matter to Newton's steps.
+            # The law's slope by place is left out of Newton's steps: over a hundredth of a leg it hardly changes them.
             slope = np.eye(len(nodes)) - h * by_speed[:, None] * known.velocity
             step = np.linalg.solve(slope, asked - a)
             a = a + step

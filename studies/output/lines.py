@@ -14,7 +14,7 @@ _MAX_LINES_PER_PLOT = 9
 
 
 class LineStyle(TypedDict):
-    """The style of a line; the colour is an index."""
+    """The look of a line and the index of its colour."""
 
     look: str
     colour: int

@@ -45,7 +45,7 @@ def test_a_boundary_at_a_share_of_the_whole_duration_is_there(time, legal):
 @pytest.mark.parametrize("continuous", [False, True])
 @pytest.mark.parametrize("way", [1, -1, 0])
 def test_a_held_quantity_is_at_its_limit_at_every_node_of_its_arc_and_where_it_meets_a_bang(continuous, way):
-    """Of six intervals with three nodes, 2 and 3 are an arc along the upper limit, which is tightest on interval 3."""
+    """Intervals 2 and 3 of six are an arc along the upper limit. The limit is smallest on interval 3."""
     n, m, free = 6, 3, np.array([-5.0, 5.0])
     path = np.tile(free, (n, 1, 1))
     path[3, 0, 1] = 4.5
