@@ -15,7 +15,7 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import InfeasibleError, LinkplanError
 from linkplan.models.extras import load_extra
 from linkplan.planner.certificate.certificate import Certificate
-from linkplan.planner.certificate.collisions import contact_note
+from linkplan.planner.certificate.collisions import contact_notes
 from linkplan.planner.motion_table import MotionTable, sample_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Proof
@@ -190,7 +190,7 @@ def _unpickled(kind: type[Plan], kept: dict) -> Plan:
 def not_honoured(plan: Plan) -> tuple[str, ...]:
     """Return phrases on what a plan neglects of its model: the problem's list, and contacts along the motion."""
     contacts = () if plan.certificate is None else plan.certificate.contacts
-    return (*plan.problem.not_honoured, *(contact_note(meeting) for meeting in contacts))
+    return (*plan.problem.not_honoured, *contact_notes(contacts))
 
 
 def tracking_errors(plan: Plan) -> tuple[float, float] | None:

@@ -71,12 +71,24 @@ def geom_names(meeting: Meeting) -> str:
     return f"geoms {first} and {second}"
 
 
-def contact_note(meeting: Meeting) -> str:
-    """Return a phrase for a contact that a plan neglects."""
-    depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep along the motion: its forces are not planned for"
-    if meeting.since is not None:
-        return f"contact of {geom_names(meeting)} from t = {meeting.since:.5g} s on, {depth}"
-    return (
-        f"contact of {geom_names(meeting)}, as deep at home, or on a pin that they share, {depth}; the simulator"
-        f" applies them unless told {exclusion(meeting.bodies)}"
+def contact_notes(found: tuple[Meeting, ...]) -> tuple[str, ...]:
+    """Return phrases on the contacts that a plan neglects: one for each that begins on the way, one for all the others."""
+    begun = [
+        f"contact of {geom_names(meeting)} from t = {meeting.since:.5g} s on, {_neglected(meeting.depth_m)}"
+        for meeting in new_meetings(found)
+    ]
+    constant = [meeting for meeting in found if meeting.since is None]
+    if not constant:
+        return tuple(begun)
+    which = geom_names(constant[0]) if len(constant) == 1 else f"{len(constant)} pairs of geoms"
+    exclusions = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in constant))
+    said = (
+        f"contact of {which}, as deep at home, or on a pin that they share,"
+        f" {_neglected(max(meeting.depth_m for meeting in constant))}; the simulator applies them unless the model's"
+        f" <contact> has {exclusions}"
     )
+    return (*begun, said)
+
+
+def _neglected(depth_m: float) -> str:
+    return f"up to {1e3 * depth_m:.2g} mm deep along the motion: contact forces are not planned for"

@@ -11,6 +11,7 @@ method). W is large for efforts and durations: these change where the motion has
 """
 
 import time
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -18,6 +19,9 @@ import numpy as np
 from linkplan.planner.solvers.outcome import SOLVER_TOLERANCE
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 # The status of a solution that is feasible, as IPOPT names it; nothing is minimized.
 FEASIBLE = "Feasible_Point_Found"
@@ -73,13 +77,36 @@ def _least_step(
     import scipy.sparse.linalg
 
     free = np.flatnonzero(~fixed)
-    J = jacobian.tocsc()[binding][:, free]
+    J, first = _stretched(jacobian.tocsc()[binding][:, free])
+    cost, target = np.zeros(J.shape[1]), np.zeros(J.shape[0])
+    cost[first], target[: np.count_nonzero(binding)] = weight[free], missing[binding]
     corner = scipy.sparse.identity(J.shape[0]) * -1e-13  # rows that say the same twice: of normal equations
-    matrix = scipy.sparse.bmat([[scipy.sparse.diags(weight[free]), J.T], [J, corner]], format="csc")
+    matrix = scipy.sparse.bmat([[scipy.sparse.diags(cost), J.T], [J, corner]], format="csc")
     try:
-        found = scipy.sparse.linalg.splu(matrix).solve(np.concatenate([np.zeros(len(free)), missing[binding]]))
+        found = scipy.sparse.linalg.splu(matrix).solve(np.concatenate([np.zeros(len(cost)), target]))
     except RuntimeError:
         return None
     step = np.zeros(len(weight))
-    step[free] = found[: len(free)]
+    step[free] = found[first]
     return step if np.isfinite(step).all() else None
+
+
+def _stretched(rows: "scipy.sparse.csc_matrix", most: int = 50) -> tuple["scipy.sparse.csc_matrix", np.ndarray]:
+    """Return rows whose columns have at most about `most` entries, and the number of each unknown's first column (n,).
+
+    Durations are in thousands of rows, and factors of such columns fill up. Each is a chain of equal unknowns here, tied by
+    rows at the end (Grcar, Matrix stretching for linear equations, 1990): minutes and gigabytes become tenths of a second.
+    """
+    import scipy.sparse
+
+    rows.sort_indices()
+    entries = np.diff(rows.indptr)
+    ends = np.cumsum(np.maximum(1, -(-entries // most)))
+    first = np.concatenate([[0], ends[:-1]])
+    within = np.arange(rows.nnz) - np.repeat(rows.indptr[:-1], entries)
+    column = np.repeat(first, entries) + within // most
+    tied = np.setdiff1d(np.arange(ends[-1]), first)
+    ties = rows.shape[0] + np.arange(len(tied))
+    values = np.concatenate([rows.data, np.ones(len(tied)), -np.ones(len(tied))])
+    places = np.concatenate([rows.indices, ties, ties]), np.concatenate([column, tied - 1, tied])
+    return scipy.sparse.csc_matrix((values, places), shape=(rows.shape[0] + len(tied), ends[-1])), first

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair, Meeting, exclusion, meetings
-from linkplan.planner.certificate.collisions import geom_names
+from linkplan.planner.certificate.collisions import contact_notes, geom_names
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 
 
@@ -53,15 +53,13 @@ def contact_findings(
         return np.array([np.interp(at, way, column) for column in path.positions.T]).T
 
     problems, notes, named = [], [], set()
-    for meeting in meetings(mechanism, way, path.poses, position_at):
+    found = meetings(mechanism, way, path.poses, position_at)
+    notes.extend(contact_notes(tuple(meeting for meeting in found if meeting.since is None)))
+    for meeting in found:
         named.add((meeting.first, meeting.second))
         if meeting.since is None:
-            depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
-            notes.append(
-                f"{geom_names(meeting)} overlap as deep at home, or on a pin that they share, {depth}: contact forces are"
-                f" not planned for; the simulator applies them unless told {exclusion(meeting.bodies)}"
-            )
-        elif treatment == "note":
+            continue
+        if treatment == "note":
             notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")
         else:
             said = _on_the_way(mechanism, meeting, path, position_at)

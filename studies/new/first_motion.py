@@ -20,7 +20,7 @@ from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.certificate.collisions import contact_note, geom_names
+from linkplan.planner.certificate.collisions import contact_notes, geom_names
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
@@ -79,8 +79,7 @@ class FirstMotion:
     def notes(self) -> list[str]:
         """A sentence on each change of the model, and on each contact by construction that the motion ignores."""
         certificate = None if self.plan is None else self.plan.certificate
-        contacts = [] if certificate is None else [contact_note(meeting) for meeting in certificate.contacts]
-        return [*self.changed, *contacts]
+        return [*self.changed, *(() if certificate is None else contact_notes(certificate.contacts))]
 
     @property
     def planned(self) -> bool:
