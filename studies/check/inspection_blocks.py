@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.poses.reach import Reach
 from linkplan.studies.check.check_report import effort_unit, inertia_unit
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
-from linkplan.studies.output.digits import error_figure
+from linkplan.studies.output.digits import figure
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 
 
@@ -38,7 +38,7 @@ def _facts(found: Inspection) -> Facts:
     mechanism = found.mechanism
     n_rows = mechanism.n_closure_rows
     rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
-    gaps = " and ".join(f"{error_figure(gap)} {unit}" for unit, gap in found.closure_gaps.items())
+    gaps = " and ".join(f"{figure(gap, 2)} {unit}" for unit, gap in found.closure_gaps.items())
     home = [f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)]
     rows = [
         ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {gaps}"),

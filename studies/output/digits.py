@@ -27,13 +27,8 @@ def known_digits(plan: Plan) -> int:
 
 
 def figure(value: float, digits: int) -> str:
-    """Return a number with `digits` significant digits."""
-    return f"{value:.{digits}g}"
-
-
-def error_figure(value: float) -> str:
-    """Return an error [m, N.m or N] with two digits; smaller errors than 1e-14 are rounding errors."""
-    return "< 1e-14" if 0 < value < 1e-14 else figure(value, 2)
+    """Return a number with `digits` significant digits; positive ones below 1e-14 are rounding errors."""
+    return "< 1e-14" if 0 < value < 1e-14 else f"{value:.{digits}g}"
 
 
 def radius_figure(radius: float | None) -> str:

@@ -11,14 +11,11 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.output.motion import Motion, motion_of
+from linkplan.studies.output.motion import LEAST_SHOWN, Motion, motion_of
 from linkplan.studies.output.pin_forces import pin_forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# A joint whose value [rad or m] or speed [per second] is never larger rests at zero: the rest is rounding.
-_AT_REST = 1e-9
 
 
 def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
@@ -54,7 +51,7 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
                 limits=(joint.shown(float(bounds[k, 0])), joint.shown(float(bounds[k, 1]))),
             )
             for k in which
-            if np.any(np.abs(values[:, k]) > _AT_REST)
+            if np.any(np.abs(values[:, k]) > LEAST_SHOWN)
         ]
 
     def over_time(title: str, what: str, lines: Sequence[Line]) -> list[Plot]:

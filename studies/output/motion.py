@@ -9,6 +9,9 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.samples import actuator_speeds, closure_forces
 from linkplan.planner.plan import Plan
 
+# A position [rad or m], a speed [per second] or an effort [N.m or N] that is never larger is zero: the rest is rounding.
+LEAST_SHOWN = 1e-9
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Motion:
@@ -41,6 +44,7 @@ def motion_of(plan: Plan) -> Motion:
     time = trajectory.dense_times(steps)
     s, v, a = (at(time) for at in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
     u = trajectory.effort_at(time)
+    u = np.where(np.abs(u).max(axis=0) > LEAST_SHOWN, u, 0.0)
     q = follow(problem.mechanism, s, trajectory.start_pose)
     return Motion(
         time_s=time,

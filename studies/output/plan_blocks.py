@@ -4,7 +4,7 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.studies.output.digits import error_figure, figure, known_digits
+from linkplan.studies.output.digits import figure, known_digits
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.proof_blocks import proof_blocks
@@ -48,7 +48,7 @@ def facts(plan: Plan) -> list[tuple[str, str]]:
         rows.append((f"objective ({problem.objective.name})", value))
     peaks = zip(problem.mechanism.actuators, plan.certificate.peak_effort, problem.limits.effort, strict=True)
     return rows + [
-        (f"effort {a.name}", f"{peak:.5g} {a.unit} at the most, limit {low:g} to {high:g} {a.unit}")
+        (f"effort {a.name}", f"{figure(peak, 5)} {a.unit} at the most, limit {low:g} to {high:g} {a.unit}")
         for a, peak, (low, high) in peaks
     ]
 
@@ -83,11 +83,11 @@ def _error_rows(plan: Plan) -> list[list]:
     kinds = {joint.kind for joint in mechanism.independent_joints}
     errors = {"hinge": (certificate.integration_error_deg, "deg"), "slide": (certificate.integration_error_m, "m")}
     return [
-        ["effort beyond its limit, any instant", error_figure(certificate.effort_excess), units],
-        ["inverse dynamics minus planned effort", error_figure(certificate.dynamics_residual), units],
-        *(["closure gap", error_figure(gap), unit] for unit, gap in (certificate.closure_gaps or {"m": 0.0}).items()),
+        ["effort beyond its limit, any instant", figure(certificate.effort_excess, 2), units],
+        ["inverse dynamics minus planned effort", figure(certificate.dynamics_residual, 2), units],
+        *(["closure gap", figure(gap, 2), unit] for unit, gap in (certificate.closure_gaps or {"m": 0.0}).items()),
         *(
-            ["state after integration at 1e-12", error_figure(error), unit]
+            ["state after integration at 1e-12", figure(error, 2), unit]
             for kind, (error, unit) in errors.items()
             if kind in kinds
         ),
@@ -104,7 +104,7 @@ def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
             if np.isfinite(margin)
         ]
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        rows.append(["error of sites at start, waypoints and goal", error_figure(certificate.site_error_m), "m"])
+        rows.append(["error of sites at start, waypoints and goal", figure(certificate.site_error_m, 2), "m"])
     rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
     rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.studies.output.digits import error_figure, known_digits, radius_figure
+from linkplan.studies.output.digits import figure, known_digits, radius_figure
 from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.plan_blocks import plan_text
 from tests.support.plans import optimal, problem_of
@@ -21,10 +21,10 @@ def test_a_plan_s_figures_have_the_digits_that_its_integration_leaves_of_its_mot
 
 
 def test_errors_have_two_digits_and_rounding_none():
-    assert error_figure(1.2345e-6) == "1.2e-06"
-    assert error_figure(3e-17) == "< 1e-14"
-    assert error_figure(0.0) == "0"
-    assert error_figure(float(np.float64(0.25))) == "0.25"
+    assert figure(1.2345e-6, 2) == "1.2e-06"
+    assert figure(3e-17, 2) == "< 1e-14"
+    assert figure(0.0, 2) == "0"
+    assert figure(float(np.float64(0.25)), 2) == "0.25"
 
 
 def test_every_effort_and_limit_has_its_unit():

@@ -1,5 +1,7 @@
 """The figure of a plan with many coordinates, of hinges and slides: every one is drawn, units apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,11 @@ from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
-from linkplan.studies.output.draw_plan import plan_figure
+from linkplan.studies.output.draw_plan import plan_figure, time_plots
+from linkplan.studies.output.motion import motion_of
 from tests.support.arms import LOWER, UPPER
 from tests.support.figures import curves, saved_figures
+from tests.support.plans import optimal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of
 
 # A line's points against the cubics that it shows, relative to the largest: a page's numbers have five digits.
@@ -134,3 +138,13 @@ def test_the_names_of_pins_are_those_of_joints_and_closures():
     rod = max((patch.get_xy() for patch in axes[0, 0].patches), key=lambda xy: np.ptp(xy, axis=0).max())
     reach = np.linalg.norm(rod - mechanism.model.body("thigh").pos[[0, 2]], axis=1).max()  # to the foot of the shank
     assert reach == pytest.approx(0.2 + 0.5 * np.sqrt(12 * 0.05 / 4), rel=0.01)
+
+
+def test_efforts_of_rounding_size_are_drawn_as_zero():
+    plan = optimal("knee-reach")
+    coasting = replace(plan, trajectory=replace(plan.trajectory, effort=1e-15 * plan.trajectory.effort))
+    plots = time_plots(coasting, motion_of(coasting))
+    for what in ("effort", "power"):
+        (line,) = plots[what][0].series
+        assert not np.any(line.y)
+    assert motion_of(plan).effort.any()
