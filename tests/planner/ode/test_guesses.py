@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import _open_end_path, completed
+from linkplan.planner.ode.formulation import _open_end_path, completed, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from tests.support.ode import squared_effort
 
@@ -44,6 +44,16 @@ def test_a_guess_lasts_as_long_as_it_says_and_may_and_else_a_second_or_the_middl
 def test_an_effort_that_a_guess_lacks_is_the_middle_of_its_limits_or_their_finite_end(limit, effort):
     guess = completed(problem(1.0, [limit]), StateGuess(state=np.array([[0.0], [0.5], [1.0]])))
     assert guess.effort == pytest.approx(np.full((3, 1), effort))
+
+
+@pytest.mark.parametrize(
+    ("limit", "guessed", "unit"),
+    [([-4.0, 3.0], 0.0, 4.0), ([-4.0, 3.0], 0.5, 0.5), ([-4.0, 3.0], 7.0, 4.0), ([-np.inf, np.inf], 7.0, 7.0)],
+)
+def test_the_unit_of_an_effort_is_the_guess_s_within_the_limits(limit, guessed, unit):
+    asked = problem(1.0, [limit])
+    guess = StateGuess(state=np.array([[0.0], [0.5], [1.0]]), effort=np.full((3, 1), guessed))
+    assert units_of(asked, completed(asked, guess)).effort == pytest.approx([unit])
 
 
 def test_rows_where_no_node_stands_are_those_of_inequalities_with_an_effort():
