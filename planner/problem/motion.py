@@ -209,8 +209,8 @@ def _state(
         joint = mechanism.joints[index]
         if index not in values and default is None and int(index) not in mechanism.passive_dofs:
             named = sorted(mechanism.joints[i].name for i in values)
-            others = len(values) == mechanism.dof and not {int(i) for i in values} <= {int(i) for i in mechanism.independent}
-            hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if others else ""
+            as_many = len(values) == mechanism.dof
+            hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if as_many else ""
             raise ProblemError(
                 f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
             )
