@@ -32,6 +32,7 @@ class Piece:
     """One interval of a trajectory: its polynomials in tau in [0, 1], for each coordinate or actuator."""
 
     begin_s: float
+    since: arb  # the time from the motion's begin to the interval's [s]
     width: arb  # [s]
     position: tuple[arb_poly, ...]
     velocity: tuple[arb_poly, ...]
@@ -46,7 +47,8 @@ class Piece:
             name: tuple(arb_poly(power_form(column)) for column in getattr(trajectory, name)[:, k].T)
             for name in ("position", "velocity", "effort")
         }
-        return cls(begin_s=begin, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
+        since = arb(begin) - arb(float(trajectory.breaks_s[0]))
+        return cls(begin_s=begin, since=since, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
 
 
 def _agrees(trajectory: Trajectory, k: int) -> bool:
@@ -157,7 +159,7 @@ def _squared(A: Matrix, n_rows: int) -> Matrix:
 class State:
     """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
 
-    `rate` is dx/dt [1/s].
+    `rate` is dx/dt [1/s], `time` counts from the motion's begin [s].
     """
 
     blocks: Blocks
@@ -167,6 +169,7 @@ class State:
     v: Sequence[arb_series]
     u: Sequence[arb_series]
     rate: arb
+    time: arb_series
 
     @cached_property
     def q(self) -> list[Ball]:
