@@ -238,7 +238,7 @@ def _extras(problem: Problem, _: Trajectory) -> Iterator[Claim]:
 
 def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
     """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`."""
-    mechanism, motion = problem.mechanism, problem.motion
+    mechanism = problem.mechanism
     lines = [("contacts between geoms", "distances between geoms are compared at samples")]
     lines += [
         (f"ctrl of {actuator.name}", "only MuJoCo knows its length")
@@ -250,8 +250,6 @@ def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]
         for limit in problem.extra_limits
         if enclosed(problem, limit) is None
     ]
-    if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        lines.append(("places of sites at start, waypoints and goal", "evaluated at these instants"))
     return [
         *(Finding(name=name, answer="sampled", reason=reason) for name, reason in lines),
         *(Finding(name="certificate at samples", answer="refuted", reason=sentence) for sentence in failures),

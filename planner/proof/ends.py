@@ -6,6 +6,8 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
 from linkplan.planner.certificate.certificate import VELOCITY_SHARE, end_state_error
 from linkplan.planner.certificate.saved import disagreements
+from linkplan.planner.certificate.site_ends import ends_off_m
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.trajectory import Trajectory
@@ -39,7 +41,20 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
         Finding(name="the motion is the one asked for", answer="refuted", reason=sentence)
         for sentence in disagreements(problem, trajectory, None)
     ]
-    return [*found, *_start(problem, trajectory)]
+    return [*found, *_places(problem, trajectory), *_start(problem, trajectory)]
+
+
+def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
+    """Return the finding on the sites that have a place at the start, the goal or a waypoint, at these instants."""
+    motion, name = problem.motion, "sites are where start, goal and waypoints ask"
+    if not (motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints)):
+        return []
+    try:
+        samples = samples_of(problem, trajectory)
+        off, _ = ends_off_m(problem, trajectory, samples.time, samples.q)
+    except AssemblyError as error:
+        return [Finding(name=name, answer="refuted", reason=str(error))]
+    return [finding_of(name, float(off), BOUNDARY_SHARE * problem.mechanism.extent_m, "m")]
 
 
 def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:

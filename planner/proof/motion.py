@@ -107,17 +107,14 @@ class Kinetics:
         tau = (self.tau if corner is None else self.needed(corner))[0]
         factor = 1.0 if corner is None else corner.torque_factor
         P, n_s, n_u = state.effort_map, len(tau), len(state.u)
-        if n_s == n_u:
+        rows, columns = (sorted({place[axis] for place in P}) for axis in (0, 1))  # the others are zero everywhere
+        if n_s == n_u == len(rows) == len(columns):
             (found,) = solve(P, [tau])
             return [x / factor for x in found]
         left = [t / factor - c for t, c in zip(tau, product(P, state.u, n_s), strict=True)]
-        PT = transposed(P)
-        if n_u > n_s:
-            (inner,) = solve(_squared(P, n_s), [left])
-            added = product(PT, inner, n_u)
-        else:
-            (added,) = solve(_squared(PT, n_u), [product(PT, left, n_u)])
-        return [u + x for u, x in zip(state.u, added, strict=True)]
+        P = {(rows.index(i), columns.index(k)): x for (i, k), x in P.items()}
+        added = dict(zip(columns, _least(P, [left[i] for i in rows], len(columns)), strict=True))
+        return [u + added[k] if k in added else u for k, u in enumerate(state.u)]
 
     @cached_property
     def residual(self) -> list[Ball]:
@@ -143,6 +140,16 @@ class Kinetics:
     def actuator_speeds(self) -> list[Ball]:
         """The actuators' speeds (n_u,), B^T q'."""
         return product(transposed(self.state.arms), self.rates, len(self.state.u))
+
+
+def _least(P: Matrix, of: Sequence[Ball], n_columns: int) -> list[Ball]:
+    """Return P^+ b (n_columns,) for a matrix of full rank."""
+    PT, n_rows = transposed(P), len(of)
+    if n_columns >= n_rows:
+        (inner,) = solve(_squared(P, n_rows), [of])
+        return product(PT, inner, n_columns)
+    (found,) = solve(_squared(PT, n_columns), [product(PT, of, n_columns)])
+    return found
 
 
 def _squared(A: Matrix, n_rows: int) -> Matrix:

@@ -11,6 +11,7 @@ from flint import arb, ctx
 import linkplan
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import newton
@@ -20,12 +21,14 @@ from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import TAYLOR_ORDER, prove, states_of
 from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.trajectory import Trajectory
+from tests.support.arms import LOWER, UPPER
 from tests.support.four_bars import random_bars
 from tests.support.linkages import loaded
 from tests.support.mechanisms import doubled_pin, random_quaternion, replaced
 from tests.support.mp_functions import DIGITS, mp_motion, mp_pose, mp_values
 from tests.support.plans import optimal
-from tests.support.random_motions import motion_of
+from tests.support.random_motions import motion_of, needed
+from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 from tests.support.spoilt import answers_beside_limits
 
 CENTRE, RADIUS, INTERVAL = 0.5, 0.25, 1
@@ -217,3 +220,31 @@ def test_the_text_of_a_model_without_a_second_pin_has_no_redundant_claim():
     mechanism = load_mechanism(replaced(random_bars()[0].mjcf(np.random.default_rng(0)), "four-bar", "plain"))
     problem, motion = motion_of(mechanism, np.random.default_rng(0), size=0.1)
     assert not [f for f in prove(problem, motion, existence=False).findings if "redundant" in f.name]
+
+
+# Both motors turn the first joint of two; nothing drives the second.
+TWO_ON_ONE = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="a" axis="0 1 0"/>
+<inertial mass="1" pos=".2 0 0" diaginertia=".01 .01 .01"/><body pos=".3 0 0"><joint name="b" axis="0 1 0"/>
+<inertial mass="1" pos=".1 0 0" diaginertia=".01 .01 .01"/></body></body></worldbody>
+<actuator><motor name="one" joint="a" ctrlrange="-50 50"/><motor name="two" joint="a" gear="2" ctrlrange="-50 50"/>
+</actuator></mujoco>"""
+
+
+def test_efforts_of_two_motors_on_one_joint_of_two_are_decided():
+    problem, motion = motion_of(load_mechanism(TWO_ON_ONE), np.random.default_rng(2))
+    largest = np.abs(needed(problem, motion, motion.dense_times(100))).max()
+    limited = replace(problem, limits=replace(problem.limits, effort=np.full((2, 2), 1.05 * largest) * [-1, 1]))
+    found = [f for f in prove(limited, motion, existence=False).findings if "by inverse dynamics" in f.name]
+    assert [f.answer for f in found] == ["proved", "proved"]
+    assert largest <= max(abs(f.bound) for f in found) <= 1.02 * largest
+
+
+def test_a_site_away_from_its_goal_is_refuted():
+    arm = arm_of(UPPER, LOWER)
+    problem = site_problem(arm, {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}, "duration_s": 1.0})
+    plan = plan_motion(problem)
+    for moved, answer in ((0.0, "proved"), (1e-5, "refuted")):
+        position = np.array(plan.trajectory.position)
+        position[-1, -1, 0] += moved
+        proof = prove(problem, replace(plan.trajectory, position=position), existence=False)
+        assert [f.answer for f in proof.findings if "sites are where" in f.name] == [answer]
