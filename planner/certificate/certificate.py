@@ -140,8 +140,9 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
     allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), 1e-12, 1e-6 * float(inertial))
-    sizes = np.where(np.isfinite(limits.effort), np.abs(limits.effort), 0.0).max(axis=1)
-    beyond = (np.maximum(needed_over, 0.0) / np.maximum(INVERSE_DYNAMICS_SHARE * sizes, 1e-12)).max(axis=1)
+    allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limits.effort), 1e-12)
+    over_ends = np.stack([limits.effort[:, 0] - needed, needed - limits.effort[:, 1]], axis=2)
+    beyond = (np.maximum(over_ends, 0.0) / allowances).max(axis=(1, 2))
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
     findings = (
         (effort_excess > 0, f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s"),
@@ -201,6 +202,12 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         failures=tuple(failures),
         unmendable=tuple(unmendable),
     )
+
+
+def end_sizes(bounds: np.ndarray) -> np.ndarray:
+    """Return the size of each end of limits (n, 2): an end at zero has that of the other, and an infinite one zero."""
+    sizes = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
+    return np.where(np.isfinite(bounds) & (sizes == 0), sizes.max(axis=1, keepdims=True), sizes)
 
 
 def _integration_failures(in_deg: float, in_m: float) -> list[str]:

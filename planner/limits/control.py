@@ -16,8 +16,10 @@ from linkplan.planner.limits.path_limit import (
     Problem,
     Samples,
     Scales,
+    Trajectory,
     margin_of,
 )
+from linkplan.planner.limits.samples import samples_of
 
 # An effort within this share of the clamp of a servo's force counts as clamped, so ctrl has no effect: a motion may enter
 # the clamp between two nodes. Efforts between nodes may be wrong by 200 times as much (DYNAMICS_SHARE). Measured: 4e-5.
@@ -72,6 +74,18 @@ def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
     """Return the ctrl with which a servo gives the effort u."""
     b = actuator.biases
     return (u - b[0] - b[1] * length - b[2] * speed) / actuator.gain
+
+
+def clamped_allowance(problem: Problem, motion: Trajectory, j: int) -> float:
+    """Return the overrun of ctrl that counts as clamped along a motion; 0 if actuator j's force is nowhere clamped."""
+    actuator = problem.mechanism.actuators[j]
+    clamp = np.abs([end for end in (actuator.lower, actuator.upper) if np.isfinite(end)]).max(initial=0.0)
+    if not (clamp and actuator.limits_control):
+        return 0.0
+    samples = samples_of(problem, motion)
+    ctrl = _ctrl(actuator, samples.u[:, j], samples.of_pose("actuator_length")[:, j], samples.actuator_speeds[:, j])
+    _, bent = _ranged(actuator, ctrl, samples.u[:, j], len(samples.points))
+    return float(_CLAMPED_SHARE * clamp / abs(actuator.gain)) if bent.any() else 0.0
 
 
 def _unit(actuator: Actuator) -> float:

@@ -5,11 +5,13 @@ another and joined by small linear systems, so that the cost grows with their su
 """
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from linkplan.models.compiled.on_arrays import on_arrays
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.proof.walk import Walk, walk_of
 
@@ -28,7 +30,7 @@ class Blocks:
     dependent: tuple[int, ...]
     closure: Walk
     tangent: Walk
-    numbers: ca.Function  # q -> E phi, J
+    numbers: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # q -> E phi (rank,), J (rank, n_q)
     tree: Walk
     arms: Walk
     convective: Walk
@@ -49,22 +51,42 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
         UnknownOperationError: when the model has an operation that balls do not enclose.
     """
     dynamics = mechanism.dynamics
-    q, rates = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("qd", mechanism.n_q)
+    q, rates, _ = motion = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
     phi = dynamics.independent_closure(q)
     jacobian = ca.jacobian(phi, q)
     return Blocks(
         mechanism=mechanism,
         independent=tuple(int(i) for i in mechanism.independent),
         dependent=tuple(int(i) for i in mechanism.dependent),
-        closure=walk_of(ca.Function("closure", [q], [phi])),
-        tangent=walk_of(ca.Function("tangent", [q], [jacobian])),
-        numbers=ca.Function("numbers", [q], [ca.densify(phi), ca.densify(jacobian)]),
-        tree=walk_of(dynamics.tree_effort),
-        arms=walk_of(ca.Function("arms", [q], [ca.sparsify(dynamics.effort_matrix(q))])),
-        convective=walk_of(ca.Function("convective", [q, rates], [ca.jtimes(jacobian @ rates, q, rates)])),
-        force_map=walk_of(ca.Function("force_map", [q], [ca.sparsify(dynamics.force_map(q))])),
+        closure=_walk("closure", [q], phi),
+        tangent=_walk("tangent", [q], jacobian),
+        numbers=_in_numbers(ca.Function("numbers", [q], [ca.densify(phi), ca.densify(jacobian)])),
+        tree=_walk("tree", motion, dynamics.tree_effort(*motion)),
+        arms=_walk("arms", [q], ca.sparsify(dynamics.effort_matrix(q))),
+        convective=_walk("convective", [q, rates], ca.jtimes(jacobian @ rates, q, rates)),
+        force_map=_walk("force_map", [q], ca.sparsify(dynamics.force_map(q))),
         n_rows=mechanism.n_closure_rows,
     )
+
+
+def _walk(name: str, inputs: list[ca.SX], output: ca.SX) -> Walk:
+    """Return the walk of an expression without repeated operations."""
+    return walk_of(ca.Function(name, inputs, [output], {"cse": True}))
+
+
+def _in_numbers(function: ca.Function) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Return a call of a function of the pose with a column and a matrix as its outputs, on arrays."""
+    pose, column = np.empty(function.numel_in(0)), np.empty(function.numel_out(0))
+    matrix = np.empty(function.size_out(1), order="F")
+    entries = matrix.reshape(-1, order="F")
+    evaluate = on_arrays(function, [pose], [column, entries])
+
+    def numbers(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pose[:] = q
+        evaluate()
+        return column.copy(), matrix.copy()
+
+    return numbers
 
 
 @functools.lru_cache(maxsize=16)
@@ -74,4 +96,4 @@ def loaded_tree(mechanism: Mechanism, payload_factor: float) -> Walk:
     numbers[[0, 4, 5, 6]] *= payload_factor
     symbols = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
     loaded = mechanism.parametric_dynamics().tree_effort(*symbols, ca.SX(ca.DM(numbers)))
-    return walk_of(ca.Function("loaded_tree", symbols, [ca.densify(loaded)]))
+    return _walk("loaded_tree", symbols, ca.densify(loaded))

@@ -9,6 +9,8 @@ Interval Methods for Systems of Equations, 1990, theorem 5.1.8). J_z is then reg
 z(t) follow by Newton's method on power series, which doubles the number of correct coefficients in each step.
 """
 
+import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -52,9 +54,9 @@ def newton(blocks: Blocks, s: np.ndarray, z: np.ndarray) -> np.ndarray:
     of = list(blocks.dependent)
     size = np.inf
     for _ in range(12):
-        phi, jacobian = (np.array(x) for x in blocks.numbers(q))
+        phi, jacobian = blocks.numbers(q)
         try:
-            step = np.linalg.solve(jacobian[:, of], -phi[:, 0])
+            step = np.linalg.solve(jacobian[:, of], -phi)
         except np.linalg.LinAlgError:
             break
         q[of] += step
@@ -77,7 +79,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
         return Root(enclosure=[], region=[])
     at = np.empty(n + len(s))
     at[list(blocks.independent)], at[list(blocks.dependent)] = [float(x.mid()) for x in s], guess
-    J = np.array(blocks.numbers(at)[1])[:, list(blocks.dependent)]
+    J = blocks.numbers(at)[1][:, list(blocks.dependent)]
     try:
         C = arb_mat(n, n, [float(x) for x in np.linalg.inv(J).ravel()])
     except (np.linalg.LinAlgError, ValueError) as error:
@@ -109,24 +111,30 @@ def series_of(blocks: Blocks, s: Sequence[arb_series], root: Sequence[arb], orde
     """
     n = len(root)
     coefficients = [[z] for z in root]
-    known = 1
-    while n and known < order:
-        cap = min(2 * known, order)
+    for known, cap in _doublings(order) if n else ():
         ctx.cap = cap
         short = [arb_series(x.coeffs(), prec=cap) for x in s]
         q = pose_of(blocks, short, [arb_series(c, prec=cap) for c in coefficients])
         phi = dense(blocks.closure(q)[0], n)
         # The coefficients before `known` vanish for the exact root, and only the first of J_z act on the new ones.
         left = [arb_series([-phi_i[k] for k in range(known, cap)], prec=cap - known) for phi_i in map(_series, phi)]
-        tangent = blocks.tangent(q)[0]
-        J_z = {(i, j): tangent[i, c] for i in range(n) for j, c in enumerate(blocks.dependent) if (i, c) in tangent}
         ctx.cap = cap - known
+        tangent = blocks.tangent([arb_series(x.coeffs()[: cap - known], prec=cap - known) for x in q])[0]
+        J_z = {(i, j): tangent[i, c] for i in range(n) for j, c in enumerate(blocks.dependent) if (i, c) in tangent}
         (added,) = solve(J_z, [left])
         for of, more in zip(coefficients, map(_series, added), strict=True):
             of += [more[k] for k in range(cap - known)]
-        known = cap
     ctx.cap = order
     return [arb_series(c, prec=order) for c in coefficients]
+
+
+@functools.cache
+def _doublings(order: int) -> tuple[tuple[int, int], ...]:
+    """Return the numbers of coefficients before and after each step of Newton's method, which at most doubles them."""
+    caps = [order]
+    while caps[-1] > 1:
+        caps.append((caps[-1] + 1) // 2)
+    return tuple(itertools.pairwise(reversed(caps)))
 
 
 def _series(x: Ball) -> arb_series:

@@ -1,56 +1,42 @@
-"""Claims on every instant of a motion: a quantity as a series, and the interval in which it lies."""
+"""The claims of a problem on every instant of a motion, those on efforts, rates, drives and forces among them."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import casadi as ca
 import numpy as np
+from flint import arb
 
+from linkplan.models.actuation.actuators import Actuator, ranged_control
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.certificate import DYNAMICS_SHARE, INVERSE_DYNAMICS_SHARE, RANGE_SLACK
+from linkplan.planner.limits.control import clamped_allowance
+from linkplan.planner.problem.extra import ExtraLimit, expressed
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.motion import Kinetics, State
-from linkplan.planner.proof.walk import Ball, walk_of
+from linkplan.planner.proof.claim import Claim, of_kinetics, rounding_of, share_of
+from linkplan.planner.proof.finding import Finding
+from linkplan.planner.proof.motion import Kinetics
+from linkplan.planner.proof.pose_claims import (
+    loop_claims,
+    part_claims,
+    reference_claims,
+    singularity_claims,
+    site_claims,
+)
+from linkplan.planner.proof.walk import Ball, UnknownOperationError, Walk, larger, walk_of
 from linkplan.planner.trajectory import Trajectory
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Claim:
-    """low - slack <= f(t) <= high + slack at every instant. All `values` of a state have to keep it.
-
-    Numbers are SI; `per_unit` times them is in `unit`.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    slack: float
-    values: Callable[[State], list[Ball]]
-    per_unit: float = 1.0
 
 
 def claims_of(problem: Problem, trajectory: Trajectory) -> list[Claim]:
     """Return the claims of a problem on a trajectory at every instant."""
-    kinds = (_efforts, _residuals, _joints, _rates_of_effort, _drives, _forces, _margins, _corners, _sites)
+    of_poses = (loop_claims, singularity_claims, part_claims, site_claims, reference_claims)
+    kinds = (_efforts, _residuals, _joints, _rates_of_effort, _drives, _servos, _forces, _corners, *of_poses, _extras)
     return [claim for kind in kinds for claim in kind(problem, trajectory)]
-
-
-def _size(bounds: np.ndarray) -> float:
-    """Return the larger finite end of [low, high]."""
-    ends = np.abs(np.asarray(bounds, dtype=float))
-    return float(ends[np.isfinite(ends)].max(initial=0.0))
-
-
-def _of_kinetics(of: Callable[[Kinetics], Ball]) -> Callable[[State], list[Ball]]:
-    return lambda state: [of(kinetics) for kinetics in state.kinetics]
 
 
 def _efforts(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     for j, (actuator, bounds) in enumerate(zip(problem.mechanism.actuators, problem.limits.effort, strict=True)):
-        size = _size(bounds)
-        if not size and not np.isfinite(bounds).any():
+        if not np.isfinite(bounds).any():
             continue
         low, high = (float(x) for x in bounds)
         yield Claim(
@@ -58,15 +44,15 @@ def _efforts(problem: Problem, _: Trajectory) -> Iterator[Claim]:
             unit=actuator.unit,
             low=low,
             high=high,
-            slack=INVERSE_DYNAMICS_SHARE * size,
-            values=_of_kinetics(lambda kinetics, j=j: kinetics.efforts()[j]),
+            slack=share_of(bounds, INVERSE_DYNAMICS_SHARE),
+            values=of_kinetics(lambda kinetics, j=j: kinetics.efforts()[j]),
         )
         yield Claim(
             name=f"planned effort of {actuator.name}",
             unit=actuator.unit,
             low=low,
             high=high,
-            slack=ROUNDING_SHARE * size,
+            slack=share_of(bounds, ROUNDING_SHARE),
             values=lambda state, j=j: [state.u[j]],
         )
 
@@ -84,8 +70,8 @@ def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
             unit="N.m" if joint.kind == "hinge" else "N",
             low=0.0,
             high=0.0,
-            slack=allowed,
-            values=_of_kinetics(lambda kinetics, i=i: kinetics.residual[i]),
+            slack=(allowed, allowed),
+            values=of_kinetics(lambda kinetics, i=i: kinetics.residual[i]),
         )
 
 
@@ -98,21 +84,17 @@ def _joints(problem: Problem, _: Trajectory) -> Iterator[Claim]:
             values = (
                 (lambda state, i=index: [state.q[i]])
                 if what == "position"
-                else _of_kinetics(lambda kinetics, i=index: kinetics.rates[i])
+                else of_kinetics(lambda kinetics, i=index: kinetics.rates[i])
             )
             yield Claim(
                 name=f"{what} of {joint.name}",
                 unit=f"{joint.unit}{per}",
                 low=float(bounds[0]),
                 high=float(bounds[1]),
-                slack=RANGE_SLACK,
+                slack=(RANGE_SLACK, RANGE_SLACK),
                 values=values,
-                per_unit=_per_unit(joint),
+                per_unit=joint.shown(1.0),
             )
-
-
-def _per_unit(joint: Joint) -> float:
-    return 180.0 / np.pi if joint.kind == "hinge" else 1.0
 
 
 def _rates_of_effort(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -124,7 +106,7 @@ def _rates_of_effort(problem: Problem, _: Trajectory) -> Iterator[Claim]:
                 unit=f"{actuator.unit}/s",
                 low=float(bounds[0]),
                 high=float(bounds[1]),
-                slack=ROUNDING_SHARE * max(1.0, _size(bounds)),
+                slack=rounding_of(bounds),
                 values=lambda state, j=j: [state.rate * state.u[j].derivative()],
             )
 
@@ -139,8 +121,8 @@ def _drives(problem: Problem, _: Trajectory) -> Iterator[Claim]:
                 unit="W",
                 low=float(power[0]),
                 high=float(power[1]),
-                slack=ROUNDING_SHARE * max(1.0, _size(power)),
-                values=_of_kinetics(lambda kinetics, j=j: kinetics.state.u[j] * kinetics.actuator_speeds[j]),
+                slack=rounding_of(power),
+                values=of_kinetics(lambda kinetics, j=j: kinetics.state.u[j] * kinetics.actuator_speeds[j]),
             )
         if motor is not None and motor.line is not None:
             stall, no_load = motor.line
@@ -153,9 +135,39 @@ def _drives(problem: Problem, _: Trajectory) -> Iterator[Claim]:
                 unit="1",
                 low=-1.0,
                 high=1.0,
-                slack=ROUNDING_SHARE,
-                values=_of_kinetics(line),
+                slack=(ROUNDING_SHARE, ROUNDING_SHARE),
+                values=of_kinetics(line),
             )
+
+
+def _servos(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
+    """Yield the claims that a ctrl in its range gives a servo's planned effort, unless its force is clamped anyway."""
+    mechanism = problem.mechanism
+    for j, actuator in enumerate(mechanism.actuators):
+        bounds = (actuator.control_lower, actuator.control_upper)
+        if not (actuator.is_servo and actuator.has_length and np.isfinite(bounds).any()):
+            continue
+        q = ca.SX.sym("q", mechanism.n_q)
+        length = walk_of(ca.Function("length", [q], [ca.densify(mechanism.dynamics.actuator_length(q)[j])]))
+
+        def ctrl(kinetics: Kinetics, j: int = j, actuator: Actuator = actuator, length: Walk = length) -> Ball:
+            state = kinetics.state
+            on = (arb(1), length(state.q)[0][0, 0], kinetics.actuator_speeds[j])
+            gain, bias = (
+                sum((arb(c) * x for c, x in zip(of, on, strict=True) if c), arb(0))
+                for of in (actuator.gains, actuator.biases)
+            )
+            return ranged_control(actuator, (state.u[j] - bias) / gain, state.u[j], gain, lambda a, b: larger(arb(a), b))
+
+        more = clamped_allowance(problem, trajectory, j)
+        yield Claim(
+            name=f"ctrl of {actuator.name}",
+            unit="",
+            low=float(bounds[0]),
+            high=float(bounds[1]),
+            slack=(more, more) if more else rounding_of(bounds),
+            values=of_kinetics(ctrl),
+        )
 
 
 def _forces(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -171,49 +183,9 @@ def _forces(problem: Problem, _: Trajectory) -> Iterator[Claim]:
             unit="N2",
             low=-np.inf,
             high=rating**2,
-            slack=2 * ROUNDING_SHARE * max(1.0, rating) * rating,
-            values=_of_kinetics(squared),
+            slack=(0.0, 2 * ROUNDING_SHARE * max(1.0, rating) * rating),
+            values=of_kinetics(squared),
         )
-
-
-def _margins(problem: Problem, _: Trajectory) -> Iterator[Claim]:
-    """Yield the claims on J_z's determinants relative to home, on tendons' lengths and on ball joints' angles."""
-    mechanism, margin = problem.mechanism, problem.limits.singular_margin
-    q = ca.SX.sym("q", mechanism.n_q)
-    if margin > 0:
-        at_home = np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel()
-        walk = walk_of(ca.Function("blocks", [q], [mechanism.dynamics.block_singularity(q) / ca.DM(at_home)]))
-        for block in range(len(at_home)):
-            yield Claim(
-                name=f"distance from a singular pose, block {block + 1}",
-                unit="1",
-                low=float(margin),
-                high=np.inf,
-                slack=ROUNDING_SHARE,
-                values=lambda state, walk=walk, b=block: [walk(state.q)[0][b, 0]],
-            )
-    if mechanism.tendons:
-        lengths = walk_of(ca.Function("tendons", [q], [ca.densify(mechanism.dynamics.tendon_length(q))]))
-        for k, tendon in enumerate(mechanism.tendons):
-            yield Claim(
-                name=f"length of tendon {tendon.name}",
-                unit=tendon.unit,
-                low=float(tendon.low),
-                high=float(tendon.high),
-                slack=ROUNDING_SHARE * max(1.0, _size(np.array([tendon.low, tendon.high]))),
-                values=lambda state, walk=lengths, k=k: [walk(state.q)[0][k, 0]],
-            )
-    if mechanism.balls:
-        turns = walk_of(ca.Function("balls", [q], [ca.densify(mechanism.dynamics.ball_turns(q))]))
-        for k, ball in enumerate(mechanism.balls):
-            yield Claim(
-                name=f"sin^2 of half the angle of ball joint {ball.name}",
-                unit="1",
-                low=-np.inf,
-                high=float(np.sin(ball.largest / 2) ** 2),
-                slack=ROUNDING_SHARE,
-                values=lambda state, walk=turns, k=k: [walk(state.q)[0][k, 0]],
-            )
 
 
 def _corners(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -228,26 +200,57 @@ def _corners(problem: Problem, _: Trajectory) -> Iterator[Claim]:
                     unit=actuator.unit,
                     low=float(bounds[0]),
                     high=float(bounds[1]),
-                    slack=INVERSE_DYNAMICS_SHARE * _size(bounds),
-                    values=_of_kinetics(lambda kinetics, j=j, corner=corner: kinetics.efforts(corner)[j]),
+                    slack=share_of(bounds, INVERSE_DYNAMICS_SHARE),
+                    values=of_kinetics(lambda kinetics, j=j, corner=corner: kinetics.efforts(corner)[j]),
                 )
 
 
-def _sites(problem: Problem, _: Trajectory) -> Iterator[Claim]:
-    """Yield the claims on sites' coordinates and distances from walls."""
-    mechanism = problem.mechanism
-    q = ca.SX.sym("q", mechanism.n_q)
-    for limit in problem.limits.site:
-        if limit.normal is None:  # a tube
+def enclosed(problem: Problem, limit: ExtraLimit) -> Walk | None:
+    """Return the walk of (q, v, a, u) -> a user's expression; None if balls do not enclose one of its operations."""
+    at, symbols = free_instant(problem.mechanism)
+    try:
+        return walk_of(ca.Function("extra", symbols[:4], [ca.densify(expressed(limit, at))]))
+    except UnknownOperationError:
+        return None
+
+
+def _extras(problem: Problem, _: Trajectory) -> Iterator[Claim]:
+    """Yield the claims on users' own expressions."""
+    of_s = list(problem.mechanism.independent)
+    for limit in problem.extra_limits:
+        walk = enclosed(problem, limit)
+        if walk is None:
             continue
-        place = mechanism.dynamics.site_places(q)[:, limit.index]
-        value = ca.densify(ca.dot(ca.DM(limit.normal), place) - limit.origin)
-        walk = walk_of(ca.Function("site", [q], [value]))
+
+        def value(kinetics: Kinetics, walk: Walk = walk) -> Ball:
+            v, a = ([of[i] for i in of_s] for of in (kinetics.rates, kinetics.accelerations))
+            return walk(kinetics.state.q, v, a, kinetics.state.u)[0][0, 0]
+
         yield Claim(
-            name=f"{limit.what} of site {limit.site}",
-            unit="m",
-            low=float(limit.low),
-            high=float(limit.high),
-            slack=ROUNDING_SHARE * max(1.0, _size(np.array([limit.low, limit.high]))),
-            values=lambda state, walk=walk: [walk(state.q)[0][0, 0]],
+            name=f"extra limit '{limit.name}'",
+            unit=limit.unit,
+            low=limit.lower,
+            high=limit.upper,
+            slack=rounding_of((limit.lower, limit.upper)),
+            values=of_kinetics(value),
         )
+
+
+def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
+    """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`."""
+    mechanism = problem.mechanism
+    lines = [("contacts between geoms", "distances between geoms are compared at samples")]
+    lines += [
+        (f"ctrl of {actuator.name}", "only MuJoCo knows its length")
+        for actuator in mechanism.actuators
+        if actuator.is_servo and not actuator.has_length
+    ]
+    lines += [
+        (f"extra limit '{limit.name}'", "balls do not enclose one of its operations")
+        for limit in problem.extra_limits
+        if enclosed(problem, limit) is None
+    ]
+    return [
+        *(Finding(name=name, answer="sampled", reason=reason) for name, reason in lines),
+        *(Finding(name="certificate at samples", answer="refuted", reason=sentence) for sentence in failures),
+    ]

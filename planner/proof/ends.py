@@ -1,6 +1,4 @@
-"""What holds at single instants: pieces that join, prescribed states; and what is checked at samples only."""
-
-from collections.abc import Sequence
+"""What holds at single instants: pieces that join, prescribed states."""
 
 import numpy as np
 
@@ -8,6 +6,8 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
 from linkplan.planner.certificate.certificate import VELOCITY_SHARE, end_state_error
 from linkplan.planner.certificate.saved import disagreements
+from linkplan.planner.certificate.site_ends import ends_off_m
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.trajectory import Trajectory
@@ -24,9 +24,9 @@ START_POSE_ERROR = 1e-6
 def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     """Return the findings on breaks, ends and waypoints, and on the slope of the planned position."""
     span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), 1e-9)
-    speed = max(float(np.abs(trajectory.velocity).max()), 1e-9 / trajectory.duration_s)
+    speeds = _speeds(problem, trajectory)
     found = []
-    for what, of, size in (("position", trajectory.position, span), ("velocity", trajectory.velocity, speed)):
+    for what, of, size in (("position", trajectory.position, span), ("velocity", trajectory.velocity, speeds)):
         jumps = (np.abs(of[0, 1:] - of[-1, :-1]) / size).max(axis=1)
         at = int(np.argmax(jumps)) if len(jumps) else 0
         value = float(jumps.max(initial=0.0))
@@ -34,19 +34,34 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
         found.append(
             finding_of(f"the pieces of {what} join", value, JOIN_SHARE, "of its span", when, f" at t = {when:.6g} s")
         )
-    found += [_slope(trajectory, speed), *_effort_jumps(problem, trajectory)]
-    error = float(end_state_error(problem, trajectory, speed))
+    found += [_slope(trajectory, speeds), *_effort_jumps(problem, trajectory)]
+    error = float(end_state_error(problem, trajectory, float(speeds.max())))
     found.append(finding_of("the motion starts and ends where asked", error, BOUNDARY_SHARE, "of its span"))
     found += [
         Finding(name="the motion is the one asked for", answer="refuted", reason=sentence)
         for sentence in disagreements(problem, trajectory, None)
     ]
-    return [*found, *_start(problem, trajectory)]
+    return [*found, *_places(problem, trajectory), *_start(problem, trajectory)]
+
+
+def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
+    """Return the finding on the sites that have a place at the start, the goal or a waypoint, at these instants."""
+    motion, name = problem.motion, "sites are where start, goal and waypoints ask"
+    if not (motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints)):
+        return []
+    try:
+        samples = samples_of(problem, trajectory)
+        off, _ = ends_off_m(problem, trajectory, samples.time, samples.q)
+    except AssemblyError as error:
+        return [Finding(name=name, answer="refuted", reason=str(error))]
+    return [finding_of(name, float(off), BOUNDARY_SHARE * problem.mechanism.extent_m, "m")]
 
 
 def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on jumps of efforts with a limited rate."""
-    jumps = np.abs(trajectory.effort[0, 1:] - trajectory.effort[-1, :-1]).max(axis=0, initial=0.0)
+    """Return the findings on jumps of efforts with a limited rate, from a period to the next too."""
+    ahead = trajectory.effort[0] if trajectory.periodic else trajectory.effort[0, 1:]
+    before = trajectory.effort[-1, np.arange(-1 if trajectory.periodic else 0, len(trajectory.breaks_s) - 2)]
+    jumps = np.abs(ahead - before).max(axis=0, initial=0.0)
     size = max(float(np.abs(trajectory.effort).max()), float(np.finfo(float).tiny))
     return [
         finding_of(f"the pieces of effort of {actuator.name} join", float(jumps[j]) / size, _EFFORT_JUMP, "of the largest")
@@ -55,15 +70,24 @@ def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     ]
 
 
-def _slope(trajectory: Trajectory, speed: float) -> Finding:
+def _speeds(problem: Problem, trajectory: Trajectory) -> np.ndarray:
+    """Return for each coordinate (n_s,) the largest speed of the coordinates with its unit, rad/s or m/s."""
+    hinges = np.array([joint.kind == "hinge" for joint in problem.mechanism.independent_joints])
+    largest = np.abs(trajectory.velocity).max(axis=(0, 1))
+    return np.maximum(
+        np.where(hinges, *(largest[of].max(initial=0.0) for of in (hinges, ~hinges))), 1e-9 / trajectory.duration_s
+    )
+
+
+def _slope(trajectory: Trajectory, speed: np.ndarray) -> Finding:
     """Return the finding on the difference of the planned velocity from the slope of the planned position."""
     widths = np.diff(trajectory.breaks_s)[:, None]
     slope = (len(trajectory.position) - 1) * np.diff(trajectory.position, axis=0) / widths
     name, velocity = "the planned velocity is the slope of the planned position", trajectory.velocity
     if slope.shape == velocity.shape:  # coefficients of the difference bound it
-        return finding_of(name, float(np.abs(slope - velocity).max()) / speed, JOIN_SHARE, "of the largest speed")
+        return finding_of(name, float((np.abs(slope - velocity) / speed).max()), JOIN_SHARE, "of the largest speed")
     time = trajectory.dense_times(24)
-    apart = np.abs(trajectory.slope_at(time) - trajectory.velocity_at(time)).max() / speed
+    apart = (np.abs(trajectory.slope_at(time) - trajectory.velocity_at(time)) / speed).max()
     if apart > VELOCITY_SHARE:
         return finding_of(name, float(apart), VELOCITY_SHARE, "of the largest speed")
     reason = f"at samples it differs by {apart:.2g} of the largest speed: the scheme is not second-order consistent"
@@ -83,23 +107,3 @@ def _start(problem: Problem, trajectory: Trajectory) -> list[Finding]:
         return [Finding(name=name, answer="refuted", reason=str(error))]
     apart = np.where(moved, 0.0, np.abs(trajectory.start_pose - own))
     return [finding_of(name, float(apart.max(initial=0.0)), START_POSE_ERROR, "rad or m", float(trajectory.breaks_s[0]))]
-
-
-def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
-    """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`."""
-    mechanism, motion = problem.mechanism, problem.motion
-    lines = [("contacts between geoms", "distances between geoms are compared at samples")]
-    if any(actuator.is_servo for actuator in mechanism.actuators):
-        lines.append(("ctrl of servos", "a servo's clamp is a switch"))
-    if any(limit.is_tube for limit in problem.limits.site):
-        lines.append(("tubes around sites' paths", "the nearest segment changes along the motion"))
-    if problem.extra_limits:
-        lines.append(("extra limits", "users' expressions are evaluated at samples"))
-    if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        lines.append(("places of sites at start, waypoints and goal", "evaluated at these instants"))
-    if motion.kind == "track":
-        lines.append(("the reference is followed", "compared at samples"))
-    return [
-        *(Finding(name=name, answer="sampled", reason=reason) for name, reason in lines),
-        *(Finding(name="certificate at samples", answer="refuted", reason=sentence) for sentence in failures),
-    ]

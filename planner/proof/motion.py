@@ -32,6 +32,7 @@ class Piece:
     """One interval of a trajectory: its polynomials in tau in [0, 1], for each coordinate or actuator."""
 
     begin_s: float
+    since: arb  # the time from the motion's begin to the interval's [s]
     width: arb  # [s]
     position: tuple[arb_poly, ...]
     velocity: tuple[arb_poly, ...]
@@ -46,7 +47,8 @@ class Piece:
             name: tuple(arb_poly(power_form(column)) for column in getattr(trajectory, name)[:, k].T)
             for name in ("position", "velocity", "effort")
         }
-        return cls(begin_s=begin, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
+        since = arb(begin) - arb(float(trajectory.breaks_s[0]))
+        return cls(begin_s=begin, since=since, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
 
 
 def _agrees(trajectory: Trajectory, k: int) -> bool:
@@ -105,17 +107,14 @@ class Kinetics:
         tau = (self.tau if corner is None else self.needed(corner))[0]
         factor = 1.0 if corner is None else corner.torque_factor
         P, n_s, n_u = state.effort_map, len(tau), len(state.u)
-        if n_s == n_u:
+        rows, columns = (sorted({place[axis] for place in P}) for axis in (0, 1))  # the others are zero everywhere
+        if n_s == n_u == len(rows) == len(columns):
             (found,) = solve(P, [tau])
             return [x / factor for x in found]
         left = [t / factor - c for t, c in zip(tau, product(P, state.u, n_s), strict=True)]
-        PT = transposed(P)
-        if n_u > n_s:
-            (inner,) = solve(_squared(P, n_s), [left])
-            added = product(PT, inner, n_u)
-        else:
-            (added,) = solve(_squared(PT, n_u), [product(PT, left, n_u)])
-        return [u + x for u, x in zip(state.u, added, strict=True)]
+        P = {(rows.index(i), columns.index(k)): x for (i, k), x in P.items()}
+        added = dict(zip(columns, _least(P, [left[i] for i in rows], len(columns)), strict=True))
+        return [u + added[k] if k in added else u for k, u in enumerate(state.u)]
 
     @cached_property
     def residual(self) -> list[Ball]:
@@ -143,6 +142,16 @@ class Kinetics:
         return product(transposed(self.state.arms), self.rates, len(self.state.u))
 
 
+def _least(P: Matrix, of: Sequence[Ball], n_columns: int) -> list[Ball]:
+    """Return P^+ b (n_columns,) for a matrix of full rank."""
+    PT, n_rows = transposed(P), len(of)
+    if n_columns >= n_rows:
+        (inner,) = solve(_squared(P, n_rows), [of])
+        return product(PT, inner, n_columns)
+    (found,) = solve(_squared(PT, n_columns), [product(PT, of, n_columns)])
+    return found
+
+
 def _squared(A: Matrix, n_rows: int) -> Matrix:
     """Return A A^T (n_rows, n_rows)."""
     found: Matrix = {}
@@ -157,7 +166,7 @@ def _squared(A: Matrix, n_rows: int) -> Matrix:
 class State:
     """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
 
-    `rate` is dx/dt [1/s].
+    `rate` is dx/dt [1/s], `time` counts from the motion's begin [s].
     """
 
     blocks: Blocks
@@ -167,6 +176,7 @@ class State:
     v: Sequence[arb_series]
     u: Sequence[arb_series]
     rate: arb
+    time: arb_series
 
     @cached_property
     def q(self) -> list[Ball]:

@@ -1,6 +1,5 @@
 """The proof of a motion: boxes of time are halved until every claim is proved, refuted or too narrow to decide."""
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,13 +11,15 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import Blocks, blocks_of
 from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
-from linkplan.planner.proof.claims import Claim, claims_of
-from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings, sampled_findings
+from linkplan.planner.proof.claim import Claim
+from linkplan.planner.proof.claims import claims_of, sampled_findings
+from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings
 from linkplan.planner.proof.existence import ATTEMPTS, EXISTENCE_SECONDS, EXISTENCE_SHARE, Neighbourhood, no_motion
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.planner.proof.linear import NotSeparatedError
 from linkplan.planner.proof.motion import Piece, State
-from linkplan.planner.proof.taylor import TaylorForm, Verdict
+from linkplan.planner.proof.record import Record, finding_of_claim, undecided_reason
+from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.proof.walk import UnknownOperationError
 from linkplan.planner.trajectory import Trajectory
 
@@ -32,8 +33,8 @@ _MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
 _NEAR_PLAN = -1
 # After so many boxes without a closed branch none is halved any more: the loops do not close.
 _MAX_LOST = 16
-# A bound beyond the known range is not used if its remainder is more than this share of it, until so many halvings.
-_LOOSE_SHARE, _TIGHTENING_ROUNDS = 1e-2, 8
+# A bound beyond the known range whose remainder is large is not used until so many halvings.
+_TIGHTENING_ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -62,32 +63,6 @@ class _Anchor:
     z: np.ndarray
     slope: np.ndarray  # dz/dtau
     tau: float
-
-
-@dataclass(eq=False, slots=True, kw_only=True)
-class _Record:
-    """What is known of one claim so far; the only mutable state of a proof."""
-
-    least: float = math.inf
-    greatest: float = -math.inf
-    least_at: float = 0.0
-    greatest_at: float = 0.0
-    boxes: int = 0
-    refuted: Verdict | None = None
-    refuted_at: float = 0.0
-    undecided: list[tuple[float, float]] = field(default_factory=list)
-
-    def loosened_by(self, verdict: Verdict, form: TaylorForm, claim: Claim) -> bool:
-        """Return True if a bound would extend the known range, and is mostly the remainder."""
-        extends = verdict.least < self.least or verdict.greatest > self.greatest
-        size = max(abs(verdict.least), abs(verdict.greatest), claim.slack if claim.low == claim.high else 0.0)
-        return extends and not form.remainder <= _LOOSE_SHARE * size
-
-    def add(self, verdict: Verdict, time_s: float) -> None:
-        if verdict.least < self.least:
-            self.least, self.least_at = verdict.least, time_s
-        if verdict.greatest > self.greatest:
-            self.greatest, self.greatest_at = verdict.greatest, time_s
 
 
 def prove(
@@ -171,15 +146,17 @@ class _Sweep:
     until: Deadline
     order: int
     boxes: int = 0
-    records: list[_Record] = field(default_factory=list)
-    closure: _Record = field(default_factory=_Record)
+    records: list[Record] = field(default_factory=list)
+    closure: Record = field(default_factory=Record)
     start_gap: float = 0.0
     near: Neighbourhood | None = None
+    depth: int = 0  # halvings of the next interval's first boxes
+    interval: int = 0
 
     def run(self) -> None:
         trajectory, n = self.trajectory, len(self.trajectory.breaks_s) - 1
-        self.records = [_Record() for _ in self.claims]
-        self.marks = [(arb(c.low) - arb(c.slack), arb(c.high) + arb(c.slack)) for c in self.claims]
+        self.records = [Record() for _ in self.claims]
+        self.marks = [tuple(map(arb, claim.marks)) for claim in self.claims]
         span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), 1e-9)
         self.slack = [arb(0, float(JOIN_SHARE * x)) for x in span]
         pieces = (Piece.of(trajectory, k) for k in range(n))
@@ -199,7 +176,7 @@ class _Sweep:
                 self.blocks, s, newton(self.blocks, self.trajectory.start_pose[list(self.blocks.independent)], given)
             )
         except NotSeparatedError:
-            self.start_gap = math.inf
+            self.closure.undecided.append((piece.begin_s, piece.begin_s))
             return _Anchor(region=None, end=[], z=given, slope=np.zeros_like(given), tau=0.0)
         pairs = zip(root.enclosure, given.tolist(), strict=True)
         self.start_gap = max((float(abs(x - g).upper()) for x, g in pairs), default=0.0)
@@ -219,7 +196,8 @@ class _Sweep:
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval; return where the branch is at its end."""
         asked = [_NEAR_PLAN] if self.near else list(range(len(self.claims)))
-        stack = [_Box(centre=0.5, radius=0.5, halvings=0, claims=asked)]
+        stack = _boxes(self.depth, asked)
+        coarsest = _MAX_HALVINGS
         most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
         while stack:
             box = stack.pop()
@@ -240,10 +218,14 @@ class _Sweep:
                     stack += box.halves(open_claims)
                 continue
             left = [i for i in open_claims if not self._decided(i, states, piece, box)]
+            coarsest = coarsest if left else min(coarsest, box.halvings)
             if left and last:
                 self._leave(piece, box, left, closed=True)
             elif left:
                 stack += box.halves(left)
+        self.interval += 1
+        if coarsest < _MAX_HALVINGS:
+            self.depth = max(0, coarsest - (self.interval % 4 == 0))  # sometimes coarser boxes are tried
         return anchor
 
     def _states(self, piece: Piece, box: _Box, anchor: _Anchor) -> tuple[tuple[State, State], _Anchor]:
@@ -308,8 +290,14 @@ class _Sweep:
 
     def findings(self) -> list[Finding]:
         """Return the findings of all claims, the closure first."""
-        of_claims = (_finding(c, r) for c, r in zip(self.claims, self.records, strict=True))
+        of_claims = (finding_of_claim(c, r) for c, r in zip(self.claims, self.records, strict=True))
         return [*_closure_findings(self), *of_claims]
+
+
+def _boxes(halvings: int, claims: list[int]) -> list[_Box]:
+    """Return the boxes of an interval that is halved so often, the first one last."""
+    n = 2**halvings
+    return [_Box(centre=(k + 0.5) / n, radius=0.5 / n, halvings=halvings, claims=claims) for k in reversed(range(n))]
 
 
 def states_of(
@@ -338,8 +326,9 @@ def states_of(
         ctx.cap = cap
         about = arb_poly([x, 1])
         s, v, u = ([arb_series(p(about).coeffs(), prec=cap) for p in of] for of in local)
-        rate = 1 / (piece.width * r)
-        return State(blocks=blocks, piece=piece, s=s, z=series_of(blocks, s, z, cap), v=v, u=u, rate=rate)
+        half = piece.width * r
+        time = arb_series((piece.since + piece.width * along)(about).coeffs(), prec=cap)
+        return State(blocks=blocks, piece=piece, s=s, z=series_of(blocks, s, z, cap), v=v, u=u, rate=1 / half, time=time)
 
     return state(arb(0), point.enclosure, order + 2), state(everywhere, root.enclosure, order + 3), root
 
@@ -353,22 +342,16 @@ def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> 
     return adjacent and all(of.contains(x) for of, x in zip(region, anchor.end, strict=True))
 
 
-def _undecided(boxes: list[tuple[float, float]]) -> str:
-    begin, end = boxes[0]
-    more = f" and in {len(boxes) - 1} more boxes" if len(boxes) > 1 else ""
-    return f"not decided between t = {begin:.9g} s and {end:.9g} s{more}"
-
-
 def _closure_findings(sweep: _Sweep) -> list[Finding]:
     if not sweep.blocks.rank:
         return []
     record, name = sweep.closure, "the loops close, on one branch without a singular pose"
-    if record.undecided:
-        return [Finding(name=name, answer="undecided", boxes=record.boxes, reason=_undecided(record.undecided))]
     mark = START_POSE_ERROR
-    if not sweep.start_gap <= mark:
+    if sweep.start_gap > mark:
         reason = f"the start pose is {sweep.start_gap:.3g} rad or m from the closed pose"
         return [Finding(name=name, answer="refuted", bound=sweep.start_gap, mark=mark, boxes=record.boxes, reason=reason)]
+    if record.undecided:
+        return [Finding(name=name, answer="undecided", boxes=record.boxes, reason=undecided_reason(record.undecided))]
     return [
         Finding(
             name=name,
@@ -380,21 +363,3 @@ def _closure_findings(sweep: _Sweep) -> list[Finding]:
             boxes=record.boxes,
         )
     ]
-
-
-def _finding(claim: Claim, record: _Record) -> Finding:
-    """Return the finding of a claim from its record."""
-    k, high, low = claim.per_unit, claim.high + claim.slack, claim.low - claim.slack
-    if record.refuted is not None:
-        upper = record.refuted.least > high
-        value, mark = (record.refuted.least, high) if upper else (record.refuted.greatest, low)
-        reason = f"{value * k:.9g} {claim.unit} at t = {record.refuted_at:.9g} s, beyond {mark * k:.9g}"
-        shared = {"answer": "refuted", "margin": -abs(value - mark) * k, "time_s": record.refuted_at, "reason": reason}
-    else:
-        upper = high - record.greatest <= record.least - low
-        value, mark = (record.greatest, high) if upper else (record.least, low)
-        margin, when = min(high - record.greatest, record.least - low) * k, record.greatest_at if upper else record.least_at
-        reason = _undecided(record.undecided) if record.undecided else ""
-        answer = "undecided" if record.undecided else "proved"
-        shared = {"answer": answer, "margin": margin, "time_s": when, "reason": reason}
-    return Finding(name=claim.name, unit=claim.unit, bound=value * k, mark=mark * k, boxes=record.boxes, **shared)

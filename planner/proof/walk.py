@@ -42,7 +42,8 @@ def _slope(x: Ball) -> arb:
     return x[1] if isinstance(x, arb_series) else arb(0)
 
 
-def _larger(a: Ball, b: Ball) -> Ball:
+def larger(a: Ball, b: Ball) -> Ball:
+    """Return the larger of two numbers at every point."""
     low, high = constant_term(a), constant_term(b)
     if low >= high:
         return a
@@ -50,11 +51,11 @@ def _larger(a: Ball, b: Ball) -> Ball:
 
 
 def _smaller(a: Ball, b: Ball) -> Ball:
-    return -_larger(-a, -b)
+    return -larger(-a, -b)
 
 
 def _magnitude(a: Ball, _: Ball) -> Ball:
-    return _larger(a, -a)
+    return larger(a, -a)
 
 
 def _signed_square(a: Ball, _: Ball) -> Ball:
@@ -139,8 +140,8 @@ _OPERATIONS: dict[int, Callable] = {
     ca.OP_MUL: operator.mul,
     ca.OP_DIV: operator.truediv,
     ca.OP_NEG: lambda a, _: -a,
-    ca.OP_TWICE: lambda a, _: a + a,
-    ca.OP_SQ: lambda a, _: a * a,
+    ca.OP_TWICE: operator.add,  # of the same two
+    ca.OP_SQ: operator.mul,
     ca.OP_INV: lambda a, _: 1 / a,
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
@@ -150,7 +151,7 @@ _OPERATIONS: dict[int, Callable] = {
     ca.OP_ATAN2: _atan2,
     ca.OP_FABS: _magnitude,
     ca.OP_SIGN: _sign,
-    ca.OP_FMAX: _larger,
+    ca.OP_FMAX: larger,
     ca.OP_FMIN: _smaller,
     ca.OP_LT: _less,
     ca.OP_LE: _at_most,

@@ -129,7 +129,7 @@ def drawn(seed: int, number: int) -> Drawn:
     """Return a random problem by its number: least time, one in three of them within a power, or least effort."""
     rng = np.random.default_rng([seed, number])
     while True:
-        slider = _slider(rng)
+        slider = random_slider(rng)
         start = float(rng.uniform(-np.pi, np.pi))
         goal = start + float(rng.choice([-1, 1]) * rng.uniform(0.5, 5.0))
         curves = _curves(slider, start, goal)
@@ -161,7 +161,7 @@ def drawn_with_a_pin(seed: int, number: int) -> Drawn:
     """Return a random least time within a pin's rating that is between what it bears at rest and what it would without."""
     rng = np.random.default_rng([seed, number, 12])
     while True:
-        slider = _slider(rng)
+        slider = random_slider(rng)
         start = float(rng.uniform(-np.pi, np.pi))
         goal = start + float(rng.choice([-1, 1]) * rng.uniform(0.5, 2.0))
         curves = _curves(slider, start, goal)
@@ -207,7 +207,8 @@ def _within_a_pin(curves: Curves, force: CubicSpline, limit: float, rating: floa
     return within
 
 
-def _slider(rng: np.random.Generator) -> Slider:
+def random_slider(rng: np.random.Generator) -> Slider:
+    """Return a random slider-crank, one in two of them with a spring."""
     size, heavy = float(10 ** rng.uniform(-1.5, 0.0)), float(10 ** rng.uniform(-0.5, 1.0))
     r = size * float(rng.uniform(0.3, 1.0))
     l = r * float(rng.uniform(1.6, 4.0))  # noqa: E741

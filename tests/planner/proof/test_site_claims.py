@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flint import arb
 
-from linkplan.planner.proof.claims import _sites
+from linkplan.planner.proof.pose_claims import site_claims
 from tests.support.arms import LOWER, UPPER, foot_of
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 
@@ -24,7 +24,7 @@ NORMAL, THROUGH = np.array([3.0, 0.0, 4.0]) / 5.0, np.array([0.9, 5.0, 0.2])
 )
 def test_a_claim_encloses_the_place_of_a_site(limit, quantity):
     problem = site_problem(arm_of(UPPER, LOWER), {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}}, {"foot": limit})
-    (claim,) = _sites(problem, None)
+    (claim,) = site_claims(problem, None)
     (value,) = claim.values(SimpleNamespace(q=[arb(x) for x in POSE]))
     expected = quantity(foot_of(POSE)[0])
     assert abs(float(value.mid()) - expected) < 1e-12
