@@ -25,12 +25,11 @@ from linkplan.planner.motion_step import NextMotion, motion_step
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.free_duration import bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step, record, recorded, recording, silent
+from linkplan.planner.refinement.switch_search import bounded_by_guess
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers.newton import Conditions, Optimum, conditions_of, newton_step
-from linkplan.planner.solvers.outcome import Solver
-from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
+from linkplan.planner.solvers.solve import Solution, Solver, build_solver, run_solver
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
 

@@ -11,7 +11,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
-from linkplan.planner.limits.effort_rate import effort_rates
+from linkplan.planner.limits.actuators import effort_rates
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.scales import Scales

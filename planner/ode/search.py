@@ -17,12 +17,12 @@ from linkplan.planner.ode.starts import piecewise_constant, sampled_guess
 from linkplan.planner.ode.switches import has_arcs, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Iterate, attempt
-from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.refine import refine
-from linkplan.planner.refinement.refined import Refined
+from linkplan.planner.refinement.state import Refined
+from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
 from linkplan.planner.search.rungs import Budget
-from linkplan.planner.solvers.outcome import INVALID, SOLVER_TOLERANCE
+from linkplan.planner.solvers.solve import INVALID, SOLVER_TOLERANCE
 from linkplan.planner.transcription.formulation import Start
 from linkplan.planner.transcription.mesh import Mesh, broken, uniform
 

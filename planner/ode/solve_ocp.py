@@ -30,10 +30,8 @@ from linkplan.planner.ode.starts import (
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, progress, record, recorded, recording, silent, step_of
-from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, try_in_turn
-from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
-from linkplan.planner.solvers.solve import solve
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, Steps, followed, try_in_turn
+from linkplan.planner.solvers.solve import OUT_OF_TIME, solve, why_stopped
 from linkplan.planner.transcription.mesh import broken
 
 __all__ = ["RUNGS", "OdePlan", "plan_ode"]

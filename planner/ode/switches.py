@@ -14,8 +14,7 @@ from linkplan.planner.ode.costates import Switching, is_affine, last_costates, s
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
-from linkplan.planner.solvers.outcome import SUCCEEDED
-from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.solvers.solve import SUCCEEDED, Solution
 
 # A solution replaces another one with switch times if its objective is better by this share, and by ten times the error of
 # its states. Next to an arc that vanishes the duration changes by the root of the solver's tolerance, 1e-10.

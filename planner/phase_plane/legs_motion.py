@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.phase_plane.leg_field import AT_FORCE
-from linkplan.planner.phase_plane.power_legs import Leg, power_legs
+from linkplan.planner.phase_plane.power_legs import AT_FORCE, Leg, power_legs
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix

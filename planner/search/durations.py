@@ -7,9 +7,10 @@ import numpy as np
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
-from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.solving import Iterate, solve_from
+from linkplan.planner.refinement.case import Iterate
+from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
+from linkplan.planner.search.rungs import Steps, followed
+from linkplan.planner.search.solving import solve_from
 from linkplan.planner.solvers.solve import Solution
 
 # A duration longer than that of the phase plane's motion by this factor is long enough: the error of its grid is a

@@ -11,7 +11,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import record, step_of
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
-from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, halved

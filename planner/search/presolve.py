@@ -11,11 +11,11 @@ from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
-from linkplan.planner.certificate.site_ends import SITE_SLACK
+from linkplan.planner.certificate.boundary import SITE_SLACK
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.limits.site import site_title
-from linkplan.planner.phase_plane.stopping import no_way_to_stop
+from linkplan.planner.phase_plane.energy_bounds import no_way_to_stop
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
 

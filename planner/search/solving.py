@@ -1,16 +1,24 @@
-"""One solve of a mechanism's problem from a guess: what every rung begins with."""
+"""One solve of a mechanism's problem from a guess, which every rung begins with, and the mesh of it.
 
+The first mesh is as fine as the problem asks for, and fine enough for the swings of a start.
+"""
+
+import itertools
 from typing import Any
 
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of, held_arcs_of
-from linkplan.planner.closed_chain.guess import closes
+from linkplan.planner.closed_chain.guess import Guess, closes
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
-from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
-__all__ = ["Iterate", "solve_from"]
+# The smallest number of intervals for each swing of a guess, and for each segment between switch times.
+INTERVALS_PER_SWING = 40
+_MIN_INTERVALS_PER_SEGMENT = 3
+# Samples of a segment on a mesh graded by efforts; next to its ends they are this share of it apart.
+_SAMPLES_PER_SEGMENT, _END_SPACING_SHARE = 301, 1e-6
 
 
 def solve_from(
@@ -31,3 +39,79 @@ def solve_from(
         return None
     fixed = None if guess.power_arcs is None else held_arcs_of(problem, guess)
     return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts, fixed=fixed)
+
+
+def first_mesh(problem: Problem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
+    """Return the first mesh of a problem and its segments' durations [s] in a guess."""
+    n = n_intervals or max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings if guess.swings > 1 else 0)
+    if guess.boundaries_s is not None:
+        durations = np.diff(guess.boundaries_s)
+        return segmented(durations, n, phase=np.arange(len(durations))), durations
+    if problem.mesh.breaks is not None and n_intervals is None:
+        return broken(problem.mesh.breaks), np.array([guess.duration_s])
+    return uniform(n), np.array([guess.duration_s])
+
+
+def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with switch times (n_switches,) [s] within a guess's phases, and its segments' durations [s].
+
+    The mesh is finer where the guess is fast: near a singular pose a motion covers in a hundredth of its time what takes
+    half of it elsewhere. Every interval has an equal share of time, way and change of speed together.
+    """
+    boundaries = _boundaries(guess)
+    ends = np.sort(np.concatenate([boundaries, switch_times_s]))
+    # Samples of a guess at which its speed is measured.
+    times = np.linspace(0.0, guess.duration_s, 4001)
+    progress = np.concatenate([[0.0], np.cumsum(_pace(guess, times))])
+    return _spread(times, n_intervals * progress / progress[-1], ends, boundaries)
+
+
+def mesh_along_power(guess: Guess, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a graded mesh for a guess along limits on power, and its segments' durations [s].
+
+    Along a limit the effort P / w falls off from a bang however short: an interval more for each time that it halves.
+    """
+    boundaries = _boundaries(guess)
+    assert guess.switch_times_s is not None  # along limits on power
+    assert guess.power_arcs is not None
+    ends = np.sort(np.concatenate([boundaries, guess.switch_times_s]))
+    graded = np.geomspace(_END_SPACING_SHARE, 0.5, _SAMPLES_PER_SEGMENT)
+    inside = np.concatenate([graded, 1.0 - graded[-2::-1]])
+    times = np.concatenate([ends, *(begin + inside * (end - begin) for begin, end in itertools.pairwise(ends))])
+    times = np.unique(times)
+    halvings = np.zeros(len(times) - 1)
+    middle = 0.5 * (times[1:] + times[:-1])
+    assert guess.effort is not None  # that of legs along limits on power
+    along = guess.power_arcs[np.searchsorted(ends, middle) - 1] != 0
+    size = np.log2(np.maximum(np.abs(guess.effort(middle)), np.finfo(float).tiny))
+    halvings[1:] = np.where(along[1:] & along[:-1], np.abs(np.diff(size, axis=0)), 0.0).max(axis=1)
+    progress = np.concatenate([[0.0], np.cumsum(n_intervals * _pace(guess, times) + halvings)])
+    return _spread(times, progress, ends, boundaries)
+
+
+def _boundaries(guess: Guess) -> np.ndarray:
+    return np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
+
+
+def _pace(guess: Guess, times: np.ndarray) -> np.ndarray:
+    """Return the shares (n - 1,) of a guess between its samples: of time, way and change of speed together."""
+    position, velocity = guess.position(times), guess.velocity(times)
+    pace = np.diff(times)[:, None] / guess.duration_s
+    for values in (position, velocity):
+        steps = np.abs(np.diff(values, axis=0))
+        pace = np.hstack([pace, steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)])
+    return pace.mean(axis=1)
+
+
+def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundaries: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """Return the mesh of segments between `ends` [s] with an interval for each unit of progress (n,) at times (n,) [s]."""
+    at_ends = np.interp(ends, times, progress)
+    fraction, segment = [], []
+    for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
+        count = max(_MIN_INTERVALS_PER_SEGMENT, int(np.round(end - begin)))
+        breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
+        breaks[[0, -1]] = ends[k], ends[k + 1]
+        fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))
+        segment += [k] * count
+    phase = np.searchsorted(boundaries, ends[:-1], side="right") - 1
+    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment), phase=phase), np.diff(ends)

@@ -20,10 +20,11 @@ from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import certified, refined, without_solving
-from linkplan.planner.search.duration_continuation import DURATION_FACTOR
-from linkplan.planner.search.ladder import Budget, Search
-from linkplan.planner.search.least_time import shortest_motion
+from linkplan.planner.search.continuations import DURATION_FACTOR
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.rungs import Budget
 from linkplan.planner.search.solving import solve_from
+from linkplan.planner.search.starts import shortest_motion
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 

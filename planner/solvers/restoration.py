@@ -15,8 +15,7 @@ import time
 import casadi as ca
 import numpy as np
 
-from linkplan.planner.solvers.outcome import SOLVER_TOLERANCE
-from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, Solution
 from linkplan.planner.transcription.collocation import Transcribed
 
 # The status of a solution that is feasible, as IPOPT names it; nothing is minimized.

@@ -10,8 +10,16 @@ import numpy as np
 
 from linkplan.models.compiled.functions import CodeT, compiled_as_asked
 from linkplan.models.deadline import NO_DEADLINE, Deadline
-from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import chain_key, node_key
+from linkplan.planner.transcription.bounds import (
+    bang_coefficients,
+    bounds,
+    find_junctions,
+    given_nodes,
+    junction_places,
+    linear_rows,
+    row_bounds,
+)
+from linkplan.planner.transcription.compiled import chain_key, node_key, without_numbers
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, stretched_durations
 from linkplan.planner.transcription.interval import (
     ChainFunctions,
@@ -20,14 +28,11 @@ from linkplan.planner.transcription.interval import (
     interval_of,
     open_end_path,
 )
-from linkplan.planner.transcription.junctions import find_junctions, junction_places
-from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.layout import Layout, Triplets
 from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.node import NodeFunctions, build_node
-from linkplan.planner.transcription.numbers import without_numbers
 from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.schemes import Scheme
-from linkplan.planner.transcription.triplets import Triplets
+from linkplan.planner.transcription.system import NodeFunctions, build_node
 
 # Efforts stay this share inside their limits, so that rounding in evaluating the polynomial cannot exceed a limit.
 _LIMIT_ROUNDING_SHARE = 4e-15

@@ -20,9 +20,16 @@ import numpy as np
 
 from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram, bernstein_matrix, bernstein_product
 from linkplan.planner.transcription.layout import Layout
-from linkplan.planner.transcription.node import NodeFunctions, Pattern, build_node, convert_lists, nonzeros, triplets
 from linkplan.planner.transcription.schemes import Scheme
-from linkplan.planner.transcription.system import System
+from linkplan.planner.transcription.system import (
+    NodeFunctions,
+    Pattern,
+    System,
+    build_node,
+    convert_lists,
+    nonzeros,
+    triplets,
+)
 
 # Costs of an interval, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.
 COSTS = ("time", "effort", "effort_rate")
