@@ -30,10 +30,10 @@ ROOMS = {
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "proof", "solvers", "refinement",
         "motion_table", "plan", "closed_chain", "phase_plane", "search", "ode", "diagnosis", "planning", "robustness",
-        "plan_record", "plan_folder", "motion_step", "replan", "batch",
+        "plan_record", "plan_folder", "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections",
+        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections",
         "feedback_loop", "rigid_plant", "mujoco_plant", "simulate", "controls", "playback",
     ),
     "studies": (

@@ -14,9 +14,9 @@ from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system,
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.limits.site import site_at_home
+from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
 from linkplan.planner.transcription.interval import COSTS, IntervalRows

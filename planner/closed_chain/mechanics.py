@@ -27,10 +27,9 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.limits.site import SitePathLimit
-from linkplan.planner.problem.instant import Instant
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.scales import Scales
-from linkplan.planner.problem.terms import Term
 from linkplan.planner.transcription.system import System, node_symbols
 
 # Operations of Gamma (the solution with J_z) above which a program is lifted. Andrews' squeezer has 322 and is not.

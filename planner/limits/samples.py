@@ -7,8 +7,8 @@ import numpy as np
 
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.corner_efforts import corner_efforts_along
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.robust import corner_efforts_along
 from linkplan.planner.trajectory import Trajectory
 
 # Samples of an interval at which limits are checked: at least, and per node.

@@ -12,12 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.ode.case import FirstSolution, OdeCase
-from linkplan.planner.ode.costates import is_affine
 from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem
-from linkplan.planner.ode.search import OdeSearch, best_plan, first_mesh, first_solutions
-from linkplan.planner.ode.starts import (
+from linkplan.planner.ode.search import (
+    OdeSearch,
+    best_plan,
+    first_mesh,
+    first_solutions,
     integrated,
     is_open,
     of_least_time,
@@ -27,6 +29,7 @@ from linkplan.planner.ode.starts import (
     stretched,
     with_smallest_efforts,
 )
+from linkplan.planner.ode.switches import is_affine
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, progress, record, recorded, recording, silent, step_of

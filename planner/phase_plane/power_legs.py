@@ -5,9 +5,9 @@ pin force is affine in the effort, so that its rating R bounds it by the roots o
 effort, power and pin forces allow from where a motion begins, another back from where it ends, and where they cross the
 switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985).
 
-Along a power limit the effort falls off from a bang at rest that may last a hundred-thousandth of the motion, which neither
-a grid over the way nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is held along
-it; the instants themselves are left to the solver.
+Along a power limit the effort falls off from a bang at rest that may last a hundred-thousandth of the motion, which
+neither a grid over the way nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is
+held along it; the instants themselves are left to the solver.
 """
 
 from collections.abc import Callable

@@ -11,11 +11,10 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.planner.keys.motion_section import MotionSection, WaypointSection
-from linkplan.planner.problem.joint_values import joint_values
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
 from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
-from linkplan.planner.problem.values import DERIVED, frozen
+from linkplan.planner.problem.values import DERIVED, frozen, joint_values
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -8,14 +8,12 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.closing import CLOSING_CALLS
 from linkplan.controllers.trackers.computed_torque import ComputedTorque
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.integral_lqr import IntegralLQR
 from linkplan.controllers.trackers.lqr import LQR
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
 from linkplan.controllers.trackers.pd import PD
 from linkplan.controllers.trackers.prediction import RUNGE_KUTTA_STAGES, condensing
-from linkplan.controllers.trackers.stepping import steps_of
-from linkplan.controllers.trackers.tracker import AnyTracker
+from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, steps_of
 from linkplan.models.mechanism import Mechanism
 
 
