@@ -13,9 +13,6 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import AXES
 from linkplan.planner.trajectory import Trajectory
 
-# Samples of a written motion per interval; loops are followed from sample to sample.
-SAMPLES_PER_INTERVAL = 10
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MotionTable:
@@ -117,7 +114,7 @@ def motion_table(
         AssemblyError: when the loops do not close along the motion.
     """
     mechanism = problem.mechanism
-    dense = trajectory.dense_times(SAMPLES_PER_INTERVAL)
+    dense = trajectory.dense_times(10)  # near enough to follow the loops from sample to sample
     begin, end = trajectory.breaks_s[0], trajectory.breaks_s[-1]
     time = (dense if jumps else _single_valued(dense)) if time_s is None else np.asarray(time_s, dtype=float)
     within = begin + np.mod(time - begin, end - begin) if trajectory.periodic else np.clip(time, begin, end)

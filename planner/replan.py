@@ -36,9 +36,6 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
 
-# The largest number of times that limits are tightened after a warm motion overran them between its nodes.
-_MAX_TIGHTENINGS = 2
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class NextMotion:
@@ -225,8 +222,8 @@ class Replanner:
             if trajectory is None or certificate is None:
                 return None
             record(_step(solution, certificate, "constraints tightened" if recorded() else "solved again"))
-            if not case.error_report(certificate).overruns or case.n_tightenings == _MAX_TIGHTENINGS:
-                break
+            if not case.error_report(certificate).overruns or case.n_tightenings == 2:
+                break  # a motion that overruns its limits still is planned anew
             # Tightening starts anew, because the kept program's own tightening belongs to another motion.
             case = case.tightened(certificate, trajectory)
             assert self._solver is not None  # of the first solution

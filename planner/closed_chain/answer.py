@@ -18,8 +18,6 @@ from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.trajectory import Trajectory
 
-# Slow shares of a motion below this are its start, end and turning points, and not worth a sentence.
-SLOW_SHARE = 0.1
 # The first word of an optimal plan's message, unless the phase plane shows that no motion is quicker.
 LOCALLY = "locally "
 
@@ -87,7 +85,7 @@ def finished(
             sentence += f"; {demand.sentence('the reference itself')}"
             details |= {"reference_needs": demand.needed, "reference_needs_at_s": demand.time_s}
     slow = None if failure is not None else slow_share(problem.mechanism, trajectory)
-    if slow is not None and slow[0] > SLOW_SHARE:
+    if slow is not None and slow[0] > 0.1:  # less are its start, end and turning points
         share, joint = slow
         details["slow_friction_share"] = share
         sentence += (

@@ -149,7 +149,7 @@ def _continued(
 
     # It begins with the whole way, from at most this share of the end. The smallest step is a quarter in the logarithm.
     way = end / min(begin, 0.999 * end)
-    steps = Steps(begin=end / way, end=end, factor=way, halvings=2, most=6)
+    steps = Steps(begin=end / way, end=end, factor=way, halvings=2)
     path = followed(None, steps, solve_at)
     last = path.stages[-1]
     return best_plan(problem_at(end), [last]) if path.arrived and last is not None else None

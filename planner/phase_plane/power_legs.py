@@ -33,13 +33,6 @@ _POSES_PER_PART = 2001
 # Integrations: the method, its relative tolerance, and its absolute tolerance as a share of the way and of the largest
 # speed. The exact one serves where a bang arc ends at rest, which happens at a 30,000th of the largest speed.
 _ROUGH_INTEGRATION, _EXACT_INTEGRATION = ("Radau", 1e-7, 1e-7), ("LSODA", 1e-10, 1e-14)
-# The longest integration, in the time that full effort takes, and the share of the duration within which a boundary is at a
-# switch.
-_MAX_TIME_FACTOR, _AT_SWITCH_SHARE = 1e6, 1e-7
-# The legs are not distinct within this share of the way from its ends.
-_BESIDE_END_SHARE = 1e-7
-# Instants in each step of the integration at which arcs are examined, and halvings to find the ends of an arc.
-_INSTANTS_PER_STEP, _ARC_END_HALVINGS = 4, 60
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -166,11 +159,9 @@ class Leg:
         return self.field.keeps(*self.state(self._looks()), towards=self.towards)
 
     def _looks(self) -> np.ndarray:
-        """Return the instants (n,), in its own time, at which it is examined: some in each step of the integration."""
+        """Return the instants (n,), in its own time, at which it is examined: four in each step of the integration."""
         knots = np.unique(np.clip(self.steps, self.begin, self.end))
-        looks = np.interp(
-            np.arange(_INSTANTS_PER_STEP * (len(knots) - 1) + 1) / _INSTANTS_PER_STEP, np.arange(len(knots)), knots
-        )
+        looks = np.interp(np.arange(4 * (len(knots) - 1) + 1) / 4, np.arange(len(knots)), knots)
         return 0.5 * (looks[1:] + looks[:-1])
 
     def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
@@ -180,7 +171,7 @@ class Leg:
         for k in range(1, len(looks)):
             if held[k] != held[k - 1]:
                 before, after = looks[k - 1], looks[k]
-                for _ in range(_ARC_END_HALVINGS):
+                for _ in range(60):  # to rounding
                     middle = 0.5 * (before + after)
                     before, after = (middle, after) if self.held_at(middle) == held[k - 1] else (before, middle)
                 found.append((self.later + after, held[k - 1]))
@@ -311,7 +302,7 @@ def _legs(
 
         there.terminal = stalled.terminal = True
         stalled.direction = -1.0
-        until = _MAX_TIME_FACTOR * span / fastest
+        until = 1e6 * span / fastest  # a million times what full effort takes
         found = scipy.integrate.solve_ivp(
             rates, (0.0, until if towards else -until), [begin, v], method=method, events=(there, stalled),
             dense_output=True, rtol=share, atol=small * np.array([span, fastest]),
@@ -320,8 +311,9 @@ def _legs(
         return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
 
     ahead, back = leg(start, part.speeds[0], goal, towards=True), leg(goal, part.speeds[1], start, towards=False)
-    low = max(way * start, way * back.state(back.begin)[0]) + _BESIDE_END_SHARE * span
-    high = min(way * goal, way * ahead.state(ahead.end)[0]) - _BESIDE_END_SHARE * span
+    beside = 1e-7 * span  # so near to the ends the legs are not distinct
+    low = max(way * start, way * back.state(back.begin)[0]) + beside
+    high = min(way * goal, way * ahead.state(ahead.end)[0]) - beside
 
     def apart(at: float) -> float:
         return way * (ahead.speed_at(way * at) - back.speed_at(way * at))
@@ -361,7 +353,7 @@ def _guess(problem: Problem, start_pose: np.ndarray, legs: list[Leg], arcs: list
 
     known = boundaries[1:-1]
     instants = np.array([end for end, _ in arcs[:-1]])
-    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _AT_SWITCH_SHARE * duration
+    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > 1e-7 * duration  # not at a boundary
     switch_times = instants[apart]
     inner = np.sort(np.concatenate([[0.0], switch_times, known, [duration]]))
     at = np.searchsorted([end for end, _ in arcs[:-1]], 0.5 * (inner[1:] + inner[:-1]))

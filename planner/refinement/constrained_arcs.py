@@ -25,8 +25,6 @@ INTERVALS_TO_SAME_SWITCH = 2.5
 # If coefficients are at a limit and the curve is further from it than this share, the coefficients keep it away. The curve
 # is sampled at so many instants of an interval.
 SHARE_OFF_LIMIT, SAMPLES_OF_INTERVAL = 1e-7, 33
-# This share of an arc along a power limit shows the arc before it.
-SHARE_INTO_ARC = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -254,7 +252,7 @@ def _from_rest(arcs: list[_Arc], motion: PiecewiseMotion, limit: np.ndarray, pow
         return arcs
     forward = arcs[0].begin <= arcs[-1].begin
     origin, near, far = (first.begin, along.begin, along.end) if forward else (first.end, along.end, along.begin)
-    at = near + SHARE_INTO_ARC * (far - near)
+    at = near + 0.1 * (far - near)  # a tenth into the arc, behind what the mesh smears
     effort = float(motion.effort_at(np.array([at]))[0, 0])
     most = limit[0, 1] if effort > 0 else limit[0, 0]
     if effort == 0.0 or abs(effort) >= abs(most) or (along is not first and first.effort[0] != most):

@@ -22,10 +22,6 @@ from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED, Solution
 # The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the
 # error of the mesh. The second share holds if the coarser motion is less exact.
 LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
-# The objective must keep still on this many meshes in a row; on one mesh it can do so by chance.
-MESHES_WITHOUT_CHANGE = 2
-# An error that a finer mesh leaves at more than this share does not fall: each mesh has another motion.
-FALLING_ERROR = 0.5
 # The relative change of the objective that counts as none where an enclosure by coefficients keeps the motion off its limit.
 CHANGE_AT_TOUCHED_LIMIT = 1e-7
 
@@ -127,8 +123,8 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     @property
     def meshes_to_settle(self) -> int:
-        """The number of meshes in a row on which the objective must keep still."""
-        return MESHES_WITHOUT_CHANGE if self.at.found.fixed is None and not self.target.enclosed else 1
+        """The number of meshes in a row on which the objective must keep still: on one it can do so by chance."""
+        return 2 if self.at.found.fixed is None and not self.target.enclosed else 1
 
     @property
     def finished(self) -> bool:
@@ -191,7 +187,8 @@ def observed(
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
     first = state.rounds <= 1  # the error on the first mesh is too coarse to compare with
-    new = replace(state, at=at, falls=first or error_of(at) <= FALLING_ERROR * error_of(state.at))
+    # An error that a finer mesh leaves at more than half does not fall: each mesh has another motion.
+    new = replace(state, at=at, falls=first or error_of(at) <= 0.5 * error_of(state.at))
     if not at.passed:
         return new
     solution = at.found.solution

@@ -30,13 +30,12 @@ from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved
 
-# A relative change of the objective on a finer mesh above this share is reported.
+# A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
+# halving it for the smoothing.
 REPORTED_CHANGE = 1e-4
-# The share of the smoothing at the end, the factor of each step, and the largest number of steps.
-_FINAL_SHARE, _STEP_FACTOR, _MAX_SMOOTHING_STEPS = 1e-3, 0.1, 8
-# The smoothing is small enough if a step gains less than the first share of the objective. The mesh is fine enough if a
-# finer one gains less than the second share, or at the last number of intervals.
-_MIN_GAIN_OF_STEP, _MIN_GAIN_OF_MESH, _MAX_INTERVALS = 1e-5, 1e-4, 160
+# The smoothing is small enough if a step gains less than this share of the objective. Its mesh is halved up to so many
+# intervals.
+_MIN_GAIN_OF_STEP, _MAX_INTERVALS = 1e-5, 160
 # An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
 _EXACT_TRACKING_SHARE = 1e-10
 
@@ -262,9 +261,7 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
     begin = _Smoothed(case=case, refined=refined, objective=first)
     if first <= _EXACT_TRACKING_SHARE * unit:
         return refined, 0.0
-    steps = Steps(
-        begin=case.smoothing, end=_FINAL_SHARE * SMOOTHING_WEIGHT, factor=_STEP_FACTOR, halvings=0, most=_MAX_SMOOTHING_STEPS
-    )
+    steps = Steps(begin=case.smoothing, end=1e-3 * SMOOTHING_WEIGHT, factor=0.1, halvings=0)
     at, change = followed(begin, steps, solved, enough=settled).stages[-1], 0.0
     while (
         2 * at.refined.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS
@@ -274,6 +271,6 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
         if finer is None:
             break
         change, at = (at.objective - finer.objective) / finer.objective, finer
-        if change <= _MIN_GAIN_OF_MESH:
+        if change <= REPORTED_CHANGE:
             break
     return at.refined, change

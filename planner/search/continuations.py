@@ -28,23 +28,17 @@ from linkplan.planner.search.starts import least_time_motion, no_time, shortest_
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
-# A motion nears a singular pose if its least distance is below this share of that at its ends, at so many instants.
-NEAR_SHARE, N_SAMPLES = 0.5, 1001
-# The factor between successive durations, and the largest number of steps. The smallest step, after lost ones, is a quarter
-# in the logarithm.
-DURATION_FACTOR, _MAX_STEPS = 1.15, 40
+# The factor between successive durations. The smallest step, after lost ones, is a quarter in the logarithm.
+DURATION_FACTOR = 1.15
 # A free duration is long enough if the last step saved less than this share of the objective, or if the motion ends before
 # its limit by more than the second share.
 MIN_SAVING, _MIN_UNUSED_SHARE = 1e-3, 1e-3
-# Continuation in the effort limits begins at most at this factor. Its first step is the whole way; the smallest one is a
-# quarter of it in the logarithm.
-_MAX_FIRST_FACTOR, _MAX_LIMIT_STEPS = 0.999, 6
 
 
 def nears_singular(problem: Problem, guess: Guess) -> bool:
-    """True if a motion comes much nearer to a singular pose than its ends do."""
-    nearest = _singular_margin(problem, guess, np.linspace(0.0, guess.duration_s, N_SAMPLES))
-    return nearest < NEAR_SHARE * _singular_margin(problem, guess, np.array([0.0, guess.duration_s]))
+    """True if a motion comes nearer than half the distance of its ends to a singular pose."""
+    nearest = _singular_margin(problem, guess, np.linspace(0.0, guess.duration_s, 1001))
+    return nearest < 0.5 * _singular_margin(problem, guess, np.array([0.0, guess.duration_s]))
 
 
 def _singular_margin(problem: Problem, guess: Guess, times: np.ndarray) -> float:
@@ -168,7 +162,7 @@ def continued(problem: Problem, quickest: Guess, n_intervals: int, known: KnownM
         shares = durations / durations.sum()
     begin = Continued(start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
     whole = min(DURATION_FACTOR, longest(problem) / quickest.duration_s)
-    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, halvings=2, most=_MAX_STEPS)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, halvings=2)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
     at = path.stages[-1]
     if not path.arrived:
@@ -230,8 +224,8 @@ def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
         durations = np.bincount(least.mesh.segment, np.diff(found.motion.breaks_s))
         return _Limited(start=motion_of(found.motion), durations=durations, found=found)
 
-    begin = min(least.factor, _MAX_FIRST_FACTOR)
-    steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, halvings=2, most=_MAX_LIMIT_STEPS)
+    begin = min(least.factor, 0.999)  # the first step is the whole way, the smallest a quarter of it in the logarithm
+    steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, halvings=2)
     path = followed(_Limited(start=motion_of(least.trajectory), durations=least.durations), steps, solve)
     found = path.stages[-1].found
     return certified(problem, found) if path.arrived and found is not None else None

@@ -16,9 +16,6 @@ from linkplan.planner.solvers.solve import Solution
 # A duration longer than that of the phase plane's motion by this factor is long enough: the error of its grid is a
 # thousandth, and a hundredth along speed limits.
 GRID_ERROR_FACTOR, GRID_ERROR_FACTOR_AT_SPEED_LIMIT = 1.001, 1.01
-# A motion whose duration ended at the bound of its guess is solved again so often, each time longer by this factor. The
-# duration has no end if the objective falls to the last share at once.
-_MAX_EXTENSIONS, _EXTENSION_FACTOR, _UNBOUNDED_SHARE = 2, 30.0, 1e-3
 
 
 def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
@@ -34,17 +31,15 @@ def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, st
         further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what)
         if further is None:
             return None
-        falls = (
-            further.solution.objective < _UNBOUNDED_SHARE * at.found.solution.objective
-            and problem.motion.max_duration_s is None
-        )
+        # The duration has no end if the objective falls to a thousandth at once.
+        falls = further.solution.objective < 1e-3 * at.found.solution.objective and problem.motion.max_duration_s is None
         return _BoundedByGuess(
             found=further, unbounded=at.unbounded if falls else unbounded_duration(problem, further.solution)
         )
 
     begin = _BoundedByGuess(found=found, unbounded=unbounded_duration(problem, found.solution))
     duration = found.motion.duration_s
-    steps = Steps(begin=duration, end=np.inf, factor=_EXTENSION_FACTOR, halvings=0, most=_MAX_EXTENSIONS)
+    steps = Steps(begin=duration, end=np.inf, factor=30.0, halvings=0, most=2)
     at = followed(begin, steps, solve).stages[-1]
     return at.found, at.unbounded
 

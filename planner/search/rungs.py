@@ -93,14 +93,15 @@ class Path(Generic[Stage]):
 class Steps:
     """How a parameter is changed: from `begin` towards `end`, by a `factor` at a time.
 
-    A lost step is tried again with the root of the factor, `halvings` times at most; `most` steps in all.
+    A lost step is tried again with the root of the factor, `halvings` times at most; `most` steps in all, where the end is
+    infinite or far away.
     """
 
     begin: float
     end: float
     factor: float
     halvings: int
-    most: int
+    most: int = 40
 
 
 def followed(

@@ -17,8 +17,6 @@ from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 # The smallest number of intervals for each swing of a guess, and for each segment between switch times.
 INTERVALS_PER_SWING = 40
 _MIN_INTERVALS_PER_SEGMENT = 3
-# Samples of a segment on a mesh graded by efforts; next to its ends they are this share of it apart.
-_SAMPLES_PER_SEGMENT, _END_SPACING_SHARE = 301, 1e-6
 
 
 def solve_from(
@@ -75,7 +73,7 @@ def mesh_along_power(guess: Guess, n_intervals: int) -> tuple[Mesh, np.ndarray]:
     assert guess.switch_times_s is not None  # along limits on power
     assert guess.power_arcs is not None
     ends = np.sort(np.concatenate([boundaries, guess.switch_times_s]))
-    graded = np.geomspace(_END_SPACING_SHARE, 0.5, _SAMPLES_PER_SEGMENT)
+    graded = np.geomspace(1e-6, 0.5, 301)  # samples of half a segment, a millionth of it apart next to its ends
     inside = np.concatenate([graded, 1.0 - graded[-2::-1]])
     times = np.concatenate([ends, *(begin + inside * (end - begin) for begin, end in itertools.pairwise(ends))])
     times = np.unique(times)

@@ -24,8 +24,6 @@ FEASIBLE = "Feasible_Point_Found"
 _STATE_WEIGHT = 1e-6
 # Scaled unknowns and rows within this distance of a bound are held there.
 _HELD_DISTANCE = 1e-7
-# Newton's method doubles the digits in each step; what has not converged then will not.
-_MAX_STEPS = 12
 
 
 def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
@@ -38,7 +36,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
     rows_of, f, n = program.functions["jac_g"], program.functions["grad_f"], len(x)
     x = np.clip(x, transcribed.lower, transcribed.upper)
     fixed, binding, converged, steps = np.zeros(n, dtype=bool), np.zeros(len(lower) - n, dtype=bool), False, 0
-    while not converged and steps < _MAX_STEPS:
+    while not converged and steps < 12:  # each step doubles the digits
         g, jacobian = rows_of(x, transcribed.parameters)
         here = np.concatenate([x, np.array(g).ravel()])
         violation = np.maximum(np.maximum(lower - here, here - upper), 0.0)

@@ -26,7 +26,7 @@ from linkplan.planner.transcription.system import NodeFunctions, System
 _REPLACED_OPERATIONS = (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV)
 # Constants of the equations, not of the model. A model's number that equals one of them except for rounding counts as
 # equal: an entry of a rotation may be 1 in one mechanism and 1 - 1e-16 in the next.
-_EQUATION_CONSTANTS, _RELATIVE_ROUNDING = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]), 4e-16
+_EQUATION_CONSTANTS = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
 
 
 @functools.lru_cache(maxsize=32)
@@ -85,7 +85,7 @@ def _taken(node: ca.Function) -> list[int]:
 def _rounded(constant: float) -> float:
     """Return a constant, replaced by the constant of the equations that it equals except for rounding."""
     nearest = float(_EQUATION_CONSTANTS[np.argmin(np.abs(_EQUATION_CONSTANTS - constant))])
-    return nearest if abs(nearest - constant) <= _RELATIVE_ROUNDING * abs(nearest) else constant
+    return nearest if abs(nearest - constant) <= 4e-16 * abs(nearest) else constant
 
 
 def _is_model_number(constant: float) -> bool:

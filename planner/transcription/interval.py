@@ -25,7 +25,6 @@ from linkplan.planner.transcription.system import (
     NodeFunctions,
     Pattern,
     System,
-    build_node,
     convert_lists,
     nonzeros,
     triplets,
@@ -178,12 +177,6 @@ def interval_of(
         weights=np.array(scheme.weights),
         node_kinds=system.kinds,
     )
-
-
-def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> IntervalFunctions:
-    """Return the functions of one interval of a system under a transcription."""
-    node = build_node(system, open_end_path(scheme, rows))
-    return interval_of(system, scheme, rows, node, build_chain(system, scheme, rows, node))
 
 
 def build_chain(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunctions) -> ChainFunctions:
