@@ -23,8 +23,7 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
-from linkplan.planner.motion_table import MotionTable, sample_motion
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, Step, record, recorded, recording, silent

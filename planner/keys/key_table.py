@@ -10,10 +10,9 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
-from linkplan.planner.keys.kinds import MAX_NUMBER
-from linkplan.planner.keys.limits_section import SITE_LIMITS
+from linkplan.planner.keys.kinds import MAX_NUMBER, Section
+from linkplan.planner.keys.motion_and_limits import SITE_LIMITS
 from linkplan.planner.keys.refusals import range_words, without_metadata, words
-from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import BatchFile, ProblemFile
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -10,11 +10,9 @@ from msgspec import Meta, defstruct
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
-from linkplan.planner.keys.kinds import Settings
-from linkplan.planner.keys.limits_section import LimitsSection, MotorTable, RobustSection
-from linkplan.planner.keys.motion_section import MotionSection, ReferenceSection
+from linkplan.planner.keys.kinds import ABSENT, Section, Settings, key
+from linkplan.planner.keys.motion_and_limits import LimitsSection, MotionSection, MotorTable, ReferenceSection, RobustSection
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
-from linkplan.planner.keys.section import ABSENT, Section, key
 
 # Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or
 # unprintable characters, and do not end in .json.

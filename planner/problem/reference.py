@@ -13,7 +13,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import path_beside
 from linkplan.planner.files.trajectory_file import read_trajectory
-from linkplan.planner.keys.motion_section import ReferenceSection
+from linkplan.planner.keys.motion_and_limits import ReferenceSection
 from linkplan.planner.keys.sections import GuessSection
 from linkplan.planner.problem.values import frozen, joint_values
 from linkplan.planner.trajectory import Trajectory

@@ -15,9 +15,8 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
-from linkplan.planner.keys.kinds import AtLeastZero, Number, Positive
+from linkplan.planner.keys.kinds import AtLeastZero, Number, Positive, Section
 from linkplan.planner.keys.reading import read
-from linkplan.planner.keys.section import Section
 
 # The default of a field that __post_init__ sets: readers of the field find its type, and never None.
 DERIVED: Any = None

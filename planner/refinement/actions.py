@@ -14,7 +14,7 @@ from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.pontryagin import interval_breaks, released
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
-from linkplan.planner.solvers.restoration import nearest_feasible
+from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import halved

@@ -22,10 +22,9 @@ from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.state import Refined
-from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import HURRIED, Budget, Steps, followed
-from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, solve_from
+from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, solve_from, with_longer_durations
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved

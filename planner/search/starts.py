@@ -21,15 +21,17 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
-from linkplan.planner.search.durations import (
-    GRID_ERROR_FACTOR,
-    GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
-    longest,
-    with_longer_durations,
-)
 from linkplan.planner.search.ladder import Search, climb
 from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
-from linkplan.planner.search.solving import first_mesh, mesh_along_power, solve_from
+from linkplan.planner.search.solving import (
+    GRID_ERROR_FACTOR,
+    GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
+    first_mesh,
+    longest,
+    mesh_along_power,
+    solve_from,
+    with_longer_durations,
+)
 
 # The words on the least-time plan from the phase plane's motion, among the known motions.
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"

@@ -7,7 +7,7 @@ from pathlib import Path
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.keys.motion_section import WaypointSection
+from linkplan.planner.keys.motion_and_limits import WaypointSection
 from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables

@@ -13,7 +13,7 @@ from linkplan.planner.refinement.actions import Restore
 from linkplan.planner.refinement.case import attempt, certify_iterate
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.state import RefinementState
-from linkplan.planner.solvers.restoration import FEASIBLE, nearest_feasible
+from linkplan.planner.solvers.newton import FEASIBLE, nearest_feasible
 from linkplan.planner.transcription.mesh import uniform
 
 
