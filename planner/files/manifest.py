@@ -19,6 +19,8 @@ from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import MAX_FILE_BYTES
 
 MANIFEST = ".linkplan.json"
+# A manifest of 10,000 cases lists some 40,000 files. The limit protects memory from other files.
+_MAX_LISTED_FILES = 400_000
 # The name of the record in each kind of result.
 RECORDS = (
     "plan.json",
@@ -84,7 +86,7 @@ def read_manifest(folder: Path) -> Manifest | None:
         if not stat.S_ISREG(found.st_mode) or found.st_size > MAX_FILE_BYTES:
             raise ValueError
         manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
-        if not all(map(_stays_inside, manifest.files)):
+        if len(manifest.files) > _MAX_LISTED_FILES or not all(map(_stays_inside, manifest.files)):
             raise ValueError
     except (FileNotFoundError, NotADirectoryError):
         return None

@@ -19,9 +19,6 @@ from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import halved
 
-# Answers on two meshes that are no further apart than this are the same motion, relative.
-SAME_OBJECTIVE = 1e-6
-
 
 class Action(Protocol):
     """One step of a refinement."""
@@ -186,8 +183,9 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
         return attempt(case, start, mesh, durations, what + word, position_rows=rows, fixed=fixed, warm=warm, close=close)
 
     def alike(finer: Iterate[Any]) -> bool:
+        # Objectives on two meshes that are no further apart than a millionth belong to the same motion.
         change = abs(finer.solution.objective - coarse.solution.objective)
-        return change <= SAME_OBJECTIVE * abs(coarse.solution.objective)
+        return change <= 1e-6 * abs(coarse.solution.objective)
 
     ways: list[tuple[str, dict[str, bool]]] = [("", {"warm": state.warm, "close": near})]
     if again or target.enclosed:

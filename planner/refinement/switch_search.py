@@ -28,9 +28,7 @@ from linkplan.planner.transcription.mesh import Mesh, graded, segmented
 MESH_ERROR_SHARE = 1e-4
 # A segment's duration is at its bound if its logarithm is within this share of the range.
 SHARE_AT_BOUND = 1e-3
-# Switch times next to arcs inside the limits settle in at most so many solves, until the objective gains less than this
-# share.
-MAX_SETTLINGS = 4
+# Switch times next to arcs inside the limits settle until the objective gains less than this share.
 SETTLED_GAIN = 1e-9
 # A duration within this share of where it may end is there.
 SHARE_AT_GUESS_BOUND = 0.01
@@ -61,7 +59,7 @@ def settle_switch_times(
     If that is worse than the solution without switch times, the arcs were read wrongly, and nothing is held.
     """
     no_worse = SETTLED_GAIN if position_rows else MESH_ERROR_SHARE
-    for _ in range(MAX_SETTLINGS):
+    for _ in range(4):  # next to arcs inside the limits switch times settle in so many solves
         before = found.solution.objective
         boundaries = found.motion.breaks_s[found.mesh.boundaries()]
         readings = _readings(case, found, boundaries)

@@ -20,9 +20,8 @@ from linkplan.planner.search.rungs import Steps, followed
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
-# The smallest number of intervals for each swing of a guess, and for each segment between switch times.
+# The smallest number of intervals for each swing of a guess.
 INTERVALS_PER_SWING = 40
-_MIN_INTERVALS_PER_SEGMENT = 3
 # A duration longer than that of the phase plane's motion by this factor is long enough: the error of its grid is a
 # thousandth, and a hundredth along speed limits.
 GRID_ERROR_FACTOR, GRID_ERROR_FACTOR_AT_SPEED_LIMIT = 1.001, 1.01
@@ -115,7 +114,7 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
     at_ends = np.interp(ends, times, progress)
     fraction, segment = [], []
     for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
-        count = max(_MIN_INTERVALS_PER_SEGMENT, int(np.round(end - begin)))
+        count = max(3, int(np.round(end - begin)))  # at least three a segment, as in `segmented`
         breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
         breaks[[0, -1]] = ends[k], ends[k + 1]
         fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))

@@ -43,8 +43,6 @@ _BOUND_SLACK = 1e-9
 _NEGLIGIBLE_STEP = 1e-11
 # The status of a solution that is feasible, as IPOPT names it; nothing is minimized.
 FEASIBLE = "Feasible_Point_Found"
-# The squared cost of a change of states and of algebraic unknowns; that of efforts and durations is 1. All are scaled.
-_STATE_WEIGHT = 1e-6
 # Scaled unknowns and rows within this distance of a bound are held there.
 _HELD_DISTANCE = 1e-7
 
@@ -215,7 +213,8 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
     begin, program = time.perf_counter(), transcribed.program
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])
-    weight = np.full(len(x), _STATE_WEIGHT)
+    # The squared cost of a change, scaled: little for states and algebraic unknowns, one for efforts and durations.
+    weight = np.full(len(x), 1e-6)
     weight[program.layout.effort().ravel()] = weight[program.layout.durations()] = 1.0
     rows_of, f, n = program.functions["jac_g"], program.functions["grad_f"], len(x)
     x = np.clip(x, transcribed.lower, transcribed.upper)
