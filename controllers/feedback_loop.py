@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from linkplan.controllers.divergence import divergence_expected
 from linkplan.controllers.imperfections.sensing import Sensing, measure
+from linkplan.controllers.rollout import divergence_expected
 from linkplan.controllers.trackers.tracker import TrackerWithMemory
 from linkplan.models.errors import LinkplanError, ProblemError, one_line
 from linkplan.models.interrupts import check

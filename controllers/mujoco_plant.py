@@ -13,13 +13,11 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from linkplan.controllers.imperfections.batch_effects import ClosureWatch, Pushing, pushing, spread
 from linkplan.controllers.imperfections.driving import Driving, act, driving, stretches, take
-from linkplan.controllers.imperfections.gaping import ClosureWatch
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import Plant, as_modelled, held_before, plant
-from linkplan.controllers.imperfections.pushing import Pushing, pushing
 from linkplan.controllers.imperfections.servos import servo_inversion
-from linkplan.controllers.imperfections.spreading import spread
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator

@@ -1,10 +1,23 @@
-"""The log of one machine's run, and the properties of its feedback loop."""
+"""The log of one machine's run, and the properties of its feedback loop.
 
+Numpy's and MuJoCo's warnings are suppressed in runs that may diverge; the logs record the divergence.
+"""
+
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.mujoco_warnings import mujoco_warnings
+
+
+@contextlib.contextmanager
+def divergence_expected() -> Iterator[None]:
+    """Silence warnings about overflow and diverging simulations. Decorates functions that run a feedback loop."""
+    with mujoco_warnings(), np.errstate(all="ignore"):
+        yield
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -6,16 +6,13 @@ from typing import Protocol
 
 import numpy as np
 
-from linkplan.controllers.divergence import divergence_expected
 from linkplan.controllers.feedback_loop import Stepper, run_loop, states_of
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.sensing import sensing
 from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands, simulation_conditions
 from linkplan.controllers.reference import SampledReference, state_at
-from linkplan.controllers.rollout import Rollout, closure_gaps
-from linkplan.controllers.trackers.linear import added
-from linkplan.controllers.trackers.stepping import steps_of
-from linkplan.controllers.trackers.tracker import AnyTracker
+from linkplan.controllers.rollout import Rollout, closure_gaps, divergence_expected
+from linkplan.controllers.trackers.tracker import AnyTracker, added, steps_of
 from linkplan.models.mechanism import Mechanism
 
 

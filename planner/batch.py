@@ -8,7 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import apply_override, read_tables
-from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
+from linkplan.planner.keys.sections import BatchFile, CaseSection
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, silent

@@ -23,8 +23,7 @@ from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
 from linkplan.planner.limits.path_limit import Margin
-from linkplan.planner.motion_table import motion_table
-from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.plan import Plan, motion_table, not_honoured
 from linkplan.planner.plan_record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
 from linkplan.planner.problem.problem import Problem

@@ -10,15 +10,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from linkplan.models.deadline import OutOfTimeError
-from linkplan.planner.closed_chain.answer import LOCALLY
-from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
+from linkplan.planner.closed_chain.answer import LOCALLY, plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
-from linkplan.planner.search import attempts, duration_continuation, effort_continuation, starts, waiting
-from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
-from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
+from linkplan.planner.search import attempts, continuations, starts, waiting
+from linkplan.planner.search.ladder import Repair, Search, climb
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
+from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
 
@@ -80,10 +80,10 @@ RUNGS: tuple[Rung, ...] = (
             not search.solved
             and all(attempts.unsound(plan) for plan in search.plans[:1])
             and not search.only_time_counts
-            and duration_continuation.may_be_lengthened(search)
+            and continuations.may_be_lengthened(search)
             and not waiting.far_beyond(search)
         ),
-        climb=duration_continuation.from_continuation,
+        climb=continuations.from_continuation,
         budget=PATIENT,
     ),
     Rung(
@@ -94,8 +94,8 @@ RUNGS: tuple[Rung, ...] = (
     ),
     Rung(
         name="continuation in the effort limits",
-        tried=lambda search: _nothing_found(search) and effort_continuation.efforts_suffice(search),
-        climb=effort_continuation.from_least_peak_effort,
+        tried=lambda search: _nothing_found(search) and continuations.efforts_suffice(search),
+        climb=continuations.from_least_peak_effort,
         budget=HURRIED,
     ),
 )

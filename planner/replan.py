@@ -7,12 +7,14 @@
 Payload, boundary states, waypoints, limits, durations, references and weights are numbers of a program and need no new one.
 A problem is planned from the beginning if its structure differs (mechanism, kind, objective terms, mesh, which limits are
 finite), or if the warm solve gives no optimal plan by the usual checks (certificate, contacts, tolerance).
+
+At the rate of control, a motion follows from the last plan by a few Newton steps, with error bounds.
 """
 
 import contextlib
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,22 +22,86 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered
-from linkplan.planner.motion_step import NextMotion, motion_step
-from linkplan.planner.plan import Plan
+from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
+from linkplan.planner.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.free_duration import bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step, record, recorded, recording, silent
+from linkplan.planner.refinement.switch_search import bounded_by_guess
 from linkplan.planner.search.presolve import plain_contradiction
-from linkplan.planner.solvers.newton import Conditions, Optimum, conditions_of, newton_step
-from linkplan.planner.solvers.outcome import Solver
-from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
+from linkplan.planner.solvers.newton import Conditions, NewtonStep, Optimum, conditions_of, newton_step
+from linkplan.planner.solvers.solve import Solution, Solver, build_solver, run_solver
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
 
-# The largest number of times that limits are tightened after a warm motion overran them between its nodes.
-_MAX_TIGHTENINGS = 2
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class NextMotion:
+    """A nearly optimal motion, a few Newton steps from the last one: not certified, but with bounds on its error.
+
+    `position_bound` (n_s,) [rad or m], `velocity_bound` (n_s,) and `effort_bound` (n_u,) [N.m or N] bound the differences
+    from the optimal motion on the same mesh: of positions and velocities at the mesh's nodes, and of the efforts' Bernstein
+    coefficients, hence of efforts everywhere. They are infinite if no bound is known. `newton_s` is the processing time [s]
+    of the steps.
+    """
+
+    problem: Problem
+    trajectory: Trajectory
+    position_bound: np.ndarray
+    velocity_bound: np.ndarray
+    effort_bound: np.ndarray
+    duration_error_s: float
+    violation: float
+    """The largest violation of a row of the program (dynamics, loops, limits), scaled to order one."""
+    newton_s: float
+    settled: bool
+    """Whether the Newton steps converge, so that the bounds hold; if not, call `plan`."""
+
+    @property
+    def duration_s(self) -> float:
+        """The duration of the motion [s]."""
+        return self.trajectory.duration_s
+
+    @property
+    def position_error(self) -> dict[str, float]:
+        """A bound, by independent joint, on the error [deg or m] of positions at nodes from the optimum on this mesh."""
+        joints = self.problem.mechanism.independent_joints
+        return {j.name: float(j.shown(x)) for j, x in zip(joints, self.position_bound, strict=True)}
+
+    @property
+    def effort_error(self) -> dict[str, float]:
+        """A bound, by actuator, on the error [N.m or N] of the effort at any instant from the optimum on this mesh."""
+        actuators = self.problem.mechanism.actuators
+        return {a.name: float(x) for a, x in zip(actuators, self.effort_bound, strict=True)}
+
+    def sample(self, time_s: float | np.ndarray | None = None) -> MotionTable:
+        """Return the motion at times (n,) or a time [s], like `Plan.sample`; by default at ten instants of every interval.
+
+        Raises:
+            LinkplanError: if the loops do not close along the motion, or a time is not finite.
+        """
+        return sample_motion(self.problem, self.trajectory, time_s)
+
+    def __repr__(self) -> str:
+        joint, error = next(iter(self.position_error.items()))
+        return f"NextMotion({self.problem.name!r}, {self.duration_s:.6g} s, {joint} within {error:.2g})"
+
+
+def motion_step(problem: Problem, numbered: Transcribed, found: NewtonStep, newton_s: float) -> NextMotion:
+    """Return a Newton step of a problem's program as a motion, with error bounds in SI units."""
+    units, n_s, error = numbered.units, numbered.formulation.n_s, found.error_bound
+    return NextMotion(
+        problem=problem,
+        trajectory=trajectory_of(numbered, found.optimum.x, problem.limits.effort),
+        position_bound=error * units.state[:n_s],
+        velocity_bound=error * units.state[n_s : 2 * n_s],
+        effort_bound=error * units.effort,
+        duration_error_s=error * units.time_s * numbered.program.layout.n_segments,
+        violation=found.violation,
+        newton_s=newton_s,
+        settled=bool(error < 0.1),  # scaled unknowns are of order one
+    )
 
 
 class Replanner:
@@ -155,8 +221,8 @@ class Replanner:
             if trajectory is None or certificate is None:
                 return None
             record(_step(solution, certificate, "constraints tightened" if recorded() else "solved again"))
-            if not case.error_report(certificate).overruns or case.n_tightenings == _MAX_TIGHTENINGS:
-                break
+            if not case.error_report(certificate).overruns or case.n_tightenings == 2:
+                break  # a motion that overruns its limits still is planned anew
             # Tightening starts anew, because the kept program's own tightening belongs to another motion.
             case = case.tightened(certificate, trajectory)
             assert self._solver is not None  # of the first solution

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.controllers.imperfections.imperfections import Drives
-from linkplan.controllers.imperfections.stacking import stacked
+from linkplan.controllers.imperfections.imperfections import Drives, stacked
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

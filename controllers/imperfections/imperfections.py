@@ -1,9 +1,11 @@
 """The imperfections of one machine: small frozen values in SI units, each neutral by default.
 
 All of them belong to the plant and to the feedback loop. The tracker does not use them.
+
+Settings of many machines are one array, because broadcasting each one takes longer than a control period.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -108,3 +110,10 @@ class Imperfections:
     machine: Machine = Machine()
     start: Start = Start()
     pushes: tuple[Push, ...] = ()
+
+
+def stacked(values: Sequence, width: int) -> np.ndarray:
+    """Return numbers or rows (width,) of n machines as an array (n, width)."""
+    if all(isinstance(value, int | float) for value in values):
+        return np.repeat(np.array(values, dtype=float)[:, None], width, axis=1)
+    return np.array([np.broadcast_to(value, (width,)) for value in values], dtype=float)

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.controllers.imperfections.imperfections import Sensors
-from linkplan.controllers.imperfections.stacking import stacked
+from linkplan.controllers.imperfections.imperfections import Sensors, stacked
 
 # Control instants for which noise is drawn at a time.
 _NOISE_BLOCK_INSTANTS = 256

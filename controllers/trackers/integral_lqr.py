@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.linear import times
 from linkplan.controllers.trackers.lqr import Errors, Regulator, linearise, regulate, regulator
+from linkplan.controllers.trackers.tracker import times
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.linear import times
+from linkplan.controllers.trackers.tracker import times
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 

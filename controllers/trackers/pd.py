@@ -1,4 +1,7 @@
-"""PD in the independent joints."""
+"""PD in the independent joints, and gain-scheduled PD.
+
+Gains proportional to the reduced inertia give the same bandwidth and damping ratio at every pose.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -6,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.linear import times
+from linkplan.controllers.trackers.tracker import times
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 
@@ -37,3 +40,23 @@ def pd(mechanism: Mechanism, reference: SampledReference, kp: float | np.ndarray
     """Return the PD tracker of a reference."""
     maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose))
     return PD(reference=reference, kp=kp, kd=kd, map=maps)
+
+
+def scheduled_pd(mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float) -> PD:
+    """Return PD with gains M_r w^2 and 2 zeta w M_r along a reference, M_r the reduced inertia of its pose.
+
+    Args:
+        mechanism: the mechanism.
+        reference: the sampled motion.
+        natural_frequency: w [rad/s].
+        damping_ratio: zeta.
+    """
+    maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose))
+    inertia = sampled(mechanism.dynamics.reduced_inertia, reference.pose)
+    return PD(
+        reference=reference,
+        kp=natural_frequency**2,
+        kd=2 * damping_ratio * natural_frequency,
+        map=maps @ inertia,
+        name="gs-pd",
+    )

@@ -12,8 +12,6 @@ from linkplan.controllers.trackers.closing import closed_near
 from linkplan.models.compiled.functions import compiled_as_asked, tools_hash
 from linkplan.models.mechanism import Mechanism
 
-# Evaluations of the dynamics in one Runge-Kutta step.
-RUNGE_KUTTA_STAGES = 4
 # The exponential over a block is that over this power of one half of it, squared as often: near a singular pose the
 # derivatives are up to 2^5 per block.
 _EXPONENTIAL_DOUBLINGS = 5

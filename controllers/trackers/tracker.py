@@ -1,19 +1,43 @@
 """Trackers: pure laws from a control instant and the measured state to efforts.
 
-The feedback loop calls every tracker through `steps_of` (stepping.py). There are two kinds:
+The feedback loop calls every tracker through `steps_of`. There are two kinds:
 
 * `Tracker`: `effort(k, position, velocity)` for one state. With the class attribute `batched = True`, `effort` also accepts
   leading batch axes: position and velocity (..., n_s) -> efforts (..., n_u). Otherwise states are passed one by one.
 * `TrackerWithMemory`: `start(n)` and `step(k, position, velocity, memory)`, always for a batch of n states. The feedback
   loop stores the memory. The law receives it, returns the next memory and stores nothing itself.
 
-The efforts of one state must not depend on the other states of its batch, to the last bit. `times` (linear.py) ensures
-this for products.
+The efforts of one state must not depend on the other states of its batch, to the last bit. `times` ensures this for
+products.
+
+Feedforward adds the efforts of the reference motion to another tracker's efforts.
 """
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Protocol, cast
 
 import numpy as np
+
+from linkplan.controllers.reference import SampledReference
+
+
+def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return M x (..., p) of M (..., p, m) and x (..., m), summed over m from the first column to the last.
+
+    BLAS chooses its kernels, and so the order of summation, by the size of the batch, which changes the last bit.
+    """
+    total = matrix[..., 0] * vector[..., :1]
+    for j in range(1, vector.shape[-1]):
+        total = total + matrix[..., j] * vector[..., j : j + 1]
+    return total
+
+
+def added(terms: np.ndarray) -> np.ndarray:
+    """Return the sums (...,) of terms (..., m) in order from the first to the last."""
+    total = terms[..., 0]
+    for j in range(1, terms.shape[-1]):
+        total = total + terms[..., j]
+    return total
 
 
 class Tracker(Protocol):
@@ -61,3 +85,58 @@ class TrackerWithMemory(Protocol):
 
 
 AnyTracker = Tracker | TrackerWithMemory
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Feedforward:
+    """u = u_ref + u_feedback, u_ref from the reduced inverse dynamics of the reference."""
+
+    reference: SampledReference
+    feedback: Tracker
+
+    @property
+    def name(self) -> str:
+        """The feedback's name with "+ff"."""
+        return f"{self.feedback.name}+ff"
+
+    @property
+    def batched(self) -> bool:
+        """True if the feedback accepts leading batch axes."""
+        return bool(getattr(self.feedback, "batched", False))
+
+    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return efforts (..., n_u) [N.m or N], with leading batch axes if the feedback accepts them."""
+        return self.reference.effort[k] + self.feedback.effort(k, position, velocity)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Memoryless:
+    """A `Tracker` as a `TrackerWithMemory` with an empty memory (n, 0)."""
+
+    law: Tracker
+    batched: bool
+
+    @property
+    def name(self) -> str:
+        """The law's name."""
+        return self.law.name
+
+    def start(self, n: int) -> np.ndarray:
+        """Return the empty memory (n, 0)."""
+        return np.empty((n, 0))
+
+    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return efforts (n, n_u) [N.m or N], for all states at once or, if the law is not batched, one by one."""
+        if len(position) == 1:  # a small law takes half the time without the batch axis
+            return np.asarray(self.law.effort(k, position[0], velocity[0]), dtype=float)[None], memory
+        if self.batched:
+            return self.law.effort(k, position, velocity), memory
+        each = [self.law.effort(k, s, v) for s, v in zip(position, velocity, strict=True)]
+        return np.array(each, dtype=float), memory
+
+
+def steps_of(tracker: AnyTracker) -> TrackerWithMemory:
+    """Return a tracker as a `TrackerWithMemory`."""
+    if callable(getattr(tracker, "step", None)) and callable(getattr(tracker, "start", None)):
+        return cast(TrackerWithMemory, tracker)
+    return Memoryless(law=cast(Tracker, tracker), batched=bool(getattr(tracker, "batched", False)))

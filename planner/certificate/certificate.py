@@ -14,9 +14,15 @@ from linkplan.models.poses.along import demanded, joint_rates, least_effort, sam
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.turning import whole_turns
-from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
+from linkplan.planner.certificate.boundary import (
+    BOUNDARY_SHARE,
+    ends_off_m,
+    exact_bounds,
+    relative_violation,
+    waypoint_off_m,
+    waypoint_times,
+)
 from linkplan.planner.certificate.integration import integrate
-from linkplan.planner.certificate.site_ends import ends_off_m, waypoint_off_m, waypoint_times
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.path_limit import Margin

@@ -19,14 +19,11 @@ from linkplan.models.interrupts import check
 from linkplan.models.poses.along import evaluated
 from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
-# Error tolerances of the integration: two digits below the 1e-10 that certificates show.
-INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-12, 1e-13
+# Relative error tolerance of the integration: two digits below the 1e-10 of certificates. The absolute one is a tenth.
+INTEGRATION_RTOL = 1e-12
 # Largest number of evaluations of the dynamics on one interval: sixteen hundred explicit or three thousand implicit steps.
 # Feasible motions need about ten steps. At a fold, where the reduced dynamics end, steps become ever smaller.
 _MAX_EVALUATIONS = 20_000
-
-# Even steps on an interval; half of them end at its middle. Adaptive methods take one or two on a four-bar's meshes.
-_STEPS_PER_INTERVAL = 2
 # Numbers of intervals in one call, few at first: if a step is too long, all that follow in the call are lost.
 _STRETCHES = (1, 4, 16, 64)
 
@@ -67,7 +64,7 @@ def stiff_flow(
 def _flown(counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, *, method, jac=None) -> np.ndarray | None:
     import scipy
 
-    atol = _INTEGRATION_ATOL * np.maximum(1.0, np.abs(state))
+    atol = 0.1 * INTEGRATION_RTOL * np.maximum(1.0, np.abs(state))
     own = {} if jac is None else {"jac": jac}
     # An infeasible motion may diverge; the result shows it without warnings.
     with np.errstate(all="ignore"):
@@ -144,8 +141,8 @@ def strides(
         length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
         some = slice(begin, begin + length)
         ends, middles, errors = evaluated(_stretch(rate, length), state, inputs[some].T, widths_s[some])
-        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, _STEPS_PER_INTERVAL)
-        good = length if np.all(short) else int(np.argmin(short)) // _STEPS_PER_INTERVAL
+        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, 2)
+        good = length if np.all(short) else int(np.argmin(short)) // 2
         found.append(np.stack([middles, ends]).transpose(2, 0, 1)[:good])
         if good < length:
             break
@@ -212,7 +209,7 @@ def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
 
 def _short(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, steps: int) -> np.ndarray:
     """Return a mask (steps * m,) of short enough steps from states (n, m) to (n, m), by their errors (2 n, steps * m)."""
-    scale = _INTEGRATION_ATOL * np.maximum(1.0, np.abs(before)) + INTEGRATION_RTOL * np.maximum(np.abs(before), np.abs(ends))
+    scale = INTEGRATION_RTOL * (0.1 * np.maximum(1.0, np.abs(before)) + np.maximum(np.abs(before), np.abs(ends)))
     fifth, third = (np.square(e / np.repeat(scale, steps, axis=1)).sum(axis=0) for e in np.split(errors, 2))
     return fifth <= np.sqrt((fifth + 0.01 * third) * len(before))
 
@@ -226,16 +223,18 @@ def _stretch(rate: ca.Function, length: int) -> ca.Function:
 
 @functools.lru_cache(maxsize=16)
 def _over_interval(rate: ca.Function) -> ca.Function:
-    """Return (state, inputs, width) -> states at an interval's end and middle, errors of its steps."""
+    """Return (state, inputs, width) -> states at an interval's end and middle, errors of its two steps.
+
+    Adaptive methods take one or two on a four-bar's meshes.
+    """
     begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
     one, x, slope, states, errors = _step(rate), begin, rate(begin, given, 0.0), [], []
-    for step in range(_STEPS_PER_INTERVAL):
-        share = 1 / _STEPS_PER_INTERVAL
-        x, slope, *of_step = one(x, slope, given, width / _STEPS_PER_INTERVAL, step / _STEPS_PER_INTERVAL, share)
+    for at in (0.0, 0.5):
+        x, slope, *of_step = one(x, slope, given, 0.5 * width, at, 0.5)
         states.append(x)
         errors.append(of_step)
     both = ca.vertcat(*(ca.horzcat(*of) for of in zip(*errors, strict=True)))
-    return ca.Function("stride", [begin, given, width], [x, states[_STEPS_PER_INTERVAL // 2 - 1], both])
+    return ca.Function("stride", [begin, given, width], [x, states[0], both])
 
 
 def _step(rate: ca.Function) -> ca.Function:

@@ -11,11 +11,10 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
-from linkplan.planner.limits.effort_rate import effort_rates
-from linkplan.planner.problem.instant import free_instant
+from linkplan.planner.limits.actuators import effort_rates
+from linkplan.planner.problem.instant import Scales, free_instant
+from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.scales import Scales
-from linkplan.planner.problem.terms import motor_losses
 from linkplan.planner.trajectory import Trajectory
 
 # Gauss-Legendre points per interval.

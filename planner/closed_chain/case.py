@@ -22,9 +22,6 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
-# Tolerance of the integrated state if the problem gives none [deg].
-_DEFAULT_TOLERANCE_DEG = 1e-6
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MechanismCase:
@@ -145,8 +142,8 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
 
 
 def _strictness(problem: Problem) -> float:
-    """Return the ratio of the certificate's integration tolerance to the problem's."""
-    return INTEGRATION_DEG / (problem.mesh.tolerance_deg or _DEFAULT_TOLERANCE_DEG)
+    """Return the ratio of the certificate's integration tolerance to the problem's, which is 1e-6 deg if it gives none."""
+    return INTEGRATION_DEG / (problem.mesh.tolerance_deg or 1e-6)
 
 
 def is_exact(problem: Problem, certificate: Certificate) -> bool:

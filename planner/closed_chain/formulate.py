@@ -1,26 +1,64 @@
-"""A mechanism's planning problem as a formulation: its functions and the numbers of its limits and objective."""
+"""A mechanism's planning problem as a formulation: its functions and the numbers of its limits and objective.
+
+Where waypoints and goals leave the pose free, sites are prescribed at the phase boundaries of the program.
+"""
 
 from collections.abc import Callable
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from linkplan.planner.closed_chain.lifted import n_lifted
-from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system, n_algebraic, node_numbers
-from linkplan.planner.closed_chain.site_end import coordinate_row, site_endpoint
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system, n_algebraic, n_lifted, node_numbers
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.path_limit import PathLimit
+from linkplan.planner.limits.site import site_at_home
+from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
 from linkplan.planner.transcription.interval import COSTS, IntervalRows
+from linkplan.planner.transcription.system import Endpoint
 
 # Weight of the squared effort rate for objectives that leave efforts non-smooth (tracking, work), in scaled units. Without
 # it the nearest motion chatters at the ends of its bang arcs where limits bind (Fuller's phenomenon). With it, a swing over
 # the whole limit in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's span.
 SMOOTHING_WEIGHT = 2.5e-9
+
+
+def coordinate_row(mechanism: Mechanism, site: int, axis: int, value: float) -> float:
+    """Return the value of a site coordinate's row at the coordinate `value` [m]."""
+    return float(value - site_at_home(mechanism, site)[axis]) / mechanism.extent_m
+
+
+def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
+    """Return the endpoint rows of a motion with a free goal pose, and their parameters: the sites' coordinates [m].
+
+    If the goal pose is prescribed, there is no endpoint and no parameter.
+
+    Args:
+        problem: the problem.
+        unit: units of the independent positions (n_s,) [rad or m].
+        n_z: the number of algebraic unknowns; the dependent joints come first.
+    """
+    mechanism, motion = problem.mechanism, problem.motion
+    if not motion.goal_is_free:
+        return None, np.zeros(0)
+    n_s, n_dependent = mechanism.dof, len(mechanism.dependent)
+    first, last, duration = (ca.SX.sym(*of) for of in (("first", 2 * n_s), ("last", 2 * n_s), ("duration", 1)))
+    asked = ca.SX.sym("asked", len(motion.goal_rows))
+    z = ca.SX.sym("z", n_z)
+    order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
+    q = ca.vertcat(last[:n_s] * ca.DM(unit), z[:n_dependent])[[int(i) for i in order]]
+    places = mechanism.dynamics.site_places(q)
+    at = ca.vertcat(*[places[:, point.index] for point in motion.goal_at])[list(motion.goal_rows)]
+    column = ca.vertcat((at - asked) / mechanism.extent_m, 0.0)
+    inputs = [first, last, duration, asked, *([z] if n_dependent else [])]
+    points = np.concatenate([point.point for point in motion.goal_at])[list(motion.goal_rows)]
+    function = ca.Function("site_end", inputs, [column])
+    return Endpoint(function=function, n_rows=len(motion.goal_rows), algebraic=bool(n_dependent)), points
 
 
 def formulate(

@@ -12,8 +12,8 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.guess import GuessedPath
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.reference import GuessedPath
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial

@@ -78,9 +78,9 @@ def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     )
 
 
-def rounded_down(value: float, digits: int = 4) -> float:
-    """Return a positive number rounded down to some digits, so that a printed bound is still valid."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
+def rounded_down(value: float) -> float:
+    """Return a positive number rounded down to four digits, so that a printed bound is still valid."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 3)
     return float(np.floor(value / unit) * unit)
 
 

@@ -9,10 +9,10 @@ from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
-from linkplan.planner.closed_chain.lifted import is_lifted, lifted_start
+from linkplan.planner.closed_chain.mechanics import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import Tightening
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value

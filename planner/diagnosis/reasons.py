@@ -7,26 +7,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.diagnosis.far_too_short import far_too_short, path_effort
-from linkplan.planner.diagnosis.infeasibility import effort_sentence, share_sentence
-from linkplan.planner.diagnosis.relaxation import least_of
-from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
-from linkplan.planner.limits.control import ControlLimit
+from linkplan.models.errors import AssemblyError
+from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
+from linkplan.planner.diagnosis.needed_efforts import effort_sentence, far_too_short, path_effort, share_sentence
+from linkplan.planner.limits.actuators import ControlLimit
 from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.history import progress, recorded
-from linkplan.planner.search.durations import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, longest, may_swing
-from linkplan.planner.search.first_mesh import first_mesh
-from linkplan.planner.search.ladder import HURRIED, Search
+from linkplan.planner.refinement.history import progress, record, recorded, step_of
+from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
-from linkplan.planner.search.solving import solve_from
-from linkplan.planner.search.starts import enough_time
-from linkplan.planner.solvers.outcome import why_stopped
+from linkplan.planner.search.rungs import HURRIED
+from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
+from linkplan.planner.search.starts import enough_time, shortest_motion
+from linkplan.planner.solvers.solve import build_solver, run_solver, solve, why_stopped
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.mesh import Mesh
 
 
 def contradicted(search: Search) -> Plan | None:
@@ -167,3 +168,59 @@ def _infeasible(search: Search, sentence: str, details: dict[str, float], *, sho
 def _failed(search: Search, reason: str, details: dict[str, float] | None = None) -> Plan:
     message = f"failed: {reason}"
     return Plan(problem=search.problem, status="failed", message=message, history=recorded(), details=details or {})
+
+
+def shortest_sentence(search: Search, details: dict[str, float]) -> str:
+    """Return a phrase on the shortest feasible duration, if it can be found, and add its value to the details."""
+    problem, motion = search.problem, search.problem.motion
+    if motion.kind != "reach" or motion.stays or not np.isfinite(longest(problem)):
+        return ""
+    if any(w.time_s is not None for w in motion.waypoints) or not np.all(np.isfinite(problem.limits.effort)):
+        return ""
+    quickest = shortest_motion(search)
+    if quickest is None:
+        return ""
+    details["shortest_duration_s"] = quickest.trajectory.duration_s
+    return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"
+
+
+def least_of(
+    problem: Problem,
+    kind: type[PathLimit],
+    motion: Trajectory,
+    mesh: Mesh,
+    durations: np.ndarray,
+) -> Trajectory:
+    """Return the motion with the least relaxation of a limit, by bisection of a common factor with warm solves.
+
+    Args:
+        problem: a problem without a motion.
+        kind: the kind of limit.
+        motion: a motion planned without the limit; returned if no motion is closer to the limit.
+        mesh: of the solves.
+        durations: of the mesh's segments in the motion [s].
+    """
+    factor = kind.factor(problem, motion)
+    if factor is None:
+        return motion
+    near, far = 1.0, factor
+    transcribed = transcribe(kind.scaled(problem, far), motion_of(motion), mesh, durations)
+    best = solve(transcribed, problem.solver)
+    record(step_of(f"least {kind.key}", transcribed, best))
+    if not best.converged:
+        return motion
+    solver = build_solver(transcribed.program, problem.solver, warm=True)
+    for _ in range(13):  # resolves the factor to four digits of its range
+        if problem.solver.deadline.passed:
+            break
+        middle = 0.5 * (near + far)
+        trial = run_solver(solver, renumbered(best.transcribed, kind.scaled(problem, middle), best.x))
+        if trial.converged:
+            best, far = trial, middle
+        else:
+            near = middle
+    record(step_of(f"least {kind.key}", best.transcribed, best))
+    try:
+        return trajectory_of(best.transcribed, best.x, problem.limits.effort)
+    except AssemblyError:
+        return motion

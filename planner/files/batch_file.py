@@ -17,10 +17,9 @@ from linkplan.models.catalogue import is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import read_toml
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.files.tables import path_beside, refuse_saved_plan
-from linkplan.planner.files.toml_text import inline
-from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
+from linkplan.planner.files.tables import inline, path_beside, refuse_saved_plan
 from linkplan.planner.keys.reading import read
+from linkplan.planner.keys.sections import BatchFile, CaseSection
 
 # More cases are probably a typing error: at a fifth of a second each they take half an hour.
 MAX_CASES = 10_000

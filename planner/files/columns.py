@@ -1,12 +1,21 @@
-"""Columns of samples as files: CSV for people, Parquet for programs; headers and schema contain units."""
+"""Columns of samples as files: CSV for people, Parquet for programs; headers and schema contain units.
+
+Run-length and dictionary encodings of Parquet can expand 3 MB to 30 million rows. The metadata of a file that is read back
+(schema, rows, bytes, encodings) are therefore checked before a column is decoded, and texts stay dictionary-encoded until
+rows are read.
+"""
 
 import csv
 import io
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
+from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.extras import load_extra
+from linkplan.models.reading import read_file
 
 # Column headers end in a unit; the first ending that fits counts.
 _UNITS = {
@@ -14,6 +23,9 @@ _UNITS = {
     "_m_s2": "m/s2", "_m_s": "m/s", "_m": "m",
     "_Nm": "N.m", "_N": "N", "time_s": "s",
 }  # fmt: skip
+Kind = Literal["number", "count", "flag", "word"]
+# The encodings of pyarrow's defaults. Others can expand to sizes that the metadata do not state.
+_ENCODINGS, _COMPRESSIONS = {"PLAIN", "RLE", "RLE_DICTIONARY", "PLAIN_DICTIONARY"}, {"SNAPPY", "UNCOMPRESSED"}
 
 
 def unit_of(head: str) -> str:
@@ -46,3 +58,86 @@ def parquet_bytes(columns: Mapping[str, np.ndarray], about: Mapping[str, str]) -
     sink = pyarrow.BufferOutputStream()
     parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), sink)
     return sink.getvalue().to_pybytes()
+
+
+def schema_of(kinds: Mapping[str, Kind]) -> Any:
+    """Return the Arrow schema of columns by name and kind."""
+    import pyarrow as pa
+
+    types = {"number": pa.float64(), "count": pa.int64(), "flag": pa.bool_(), "word": pa.string()}
+    return pa.schema([(name, types[kind]) for name, kind in kinds.items()])
+
+
+def read_table(path: Path, kinds: Mapping[str, Kind], rows: int) -> dict[str, np.ndarray]:
+    """Return the columns of a Parquet file by name, as arrays (n,); texts are objects, and missing texts None.
+
+    Args:
+        path: the file.
+        kinds: kinds of its columns by name, in order.
+        rows: the expected number of rows.
+
+    Raises:
+        PlanFileError: when the file is missing, truncated, too large, or has other columns, types or rows.
+    """
+    import pyarrow.parquet as parquet
+    from pyarrow import BufferReader
+
+    # A number takes eight bytes, the texts of a row some hundred, the metadata of a block of rows some kilobytes.
+    max_bytes = rows * (16 * len(kinds) + 1000) + 4_000_000
+    content = read_file(path, f"'{path}'", max_bytes, PlanFileError)
+    words = [name for name, kind in kinds.items() if kind == "word"]
+    try:
+        _refuse_other(parquet.ParquetFile(BufferReader(content)), path, kinds, rows, max_bytes)
+        table = parquet.ParquetFile(BufferReader(content), read_dictionary=words).read()
+        table.validate(full=True)
+        return {name: _values(table[name], name, kind) for name, kind in kinds.items()}
+    except PlanFileError:
+        raise
+    except Exception as error:  # Arrow's parsers raise a dozen kinds on damaged bytes
+        why = one_line(error) or type(error).__name__
+        raise PlanFileError(f"'{path}' is truncated or not a Parquet table: {why[:200]}") from error
+
+
+def _refuse_other(file: Any, path: Path, kinds: Mapping[str, Kind], rows: int, max_bytes: int) -> None:
+    """Refuse a file whose metadata differ from the expected table, before a column is decoded."""
+    found, wanted = file.metadata, schema_of(kinds)
+    if found.num_columns != len(kinds) or file.schema_arrow.names != wanted.names:
+        other = sorted(set(wanted.names) ^ set(file.schema_arrow.names))[:3]
+        raise PlanFileError(
+            f"'{path}' has other columns than the {len(kinds)} of this table: {', '.join(other) or 'their order'}"
+        )
+    for field, have in zip(wanted, file.schema_arrow, strict=True):
+        if have.type != field.type:
+            raise PlanFileError(f"'{path}' has a column {field.name} of type {have.type}; it is of type {field.type}")
+    _refuse_content(found, path, len(kinds), rows, max_bytes)
+
+
+def _refuse_content(found: Any, path: Path, n_columns: int, rows: int, max_bytes: int) -> None:
+    """Refuse metadata with another number of rows, too many bytes, or other encodings than linkplan writes."""
+    groups = [found.row_group(k) for k in range(found.num_row_groups)]
+    if found.num_rows != rows or sum(group.num_rows for group in groups) != rows:
+        raise PlanFileError(f"'{path}' has {found.num_rows} rows; {rows} were asked for")
+    chunks = [group.column(k) for group in groups for k in range(n_columns)]
+    size = sum(chunk.total_uncompressed_size for chunk in chunks)
+    if size > max_bytes:
+        raise PlanFileError(f"'{path}' would take {size} bytes; at most {max_bytes} are read")
+    used = {one for chunk in chunks for one in (chunk.compression, *chunk.encodings)} - _ENCODINGS - _COMPRESSIONS
+    if used:
+        raise PlanFileError(f"'{path}' is encoded by {', '.join(sorted(used))}, which linkplan does not write")
+
+
+def _values(column: Any, name: str, kind: Kind) -> np.ndarray:
+    """Return a column's values.
+
+    Raises:
+        ValueError: when values other than texts are missing.
+    """
+    if kind == "word":
+        parts = []
+        for chunk in column.chunks:
+            texts = np.array([*chunk.dictionary.to_pylist(), None], dtype=object)
+            parts.append(texts[chunk.indices.fill_null(len(texts) - 1).to_numpy(zero_copy_only=False)])
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=object)
+    if column.null_count:
+        raise ValueError(f"column {name} lacks {column.null_count} values")
+    return column.to_numpy()

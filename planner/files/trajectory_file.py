@@ -1,4 +1,7 @@
-"""A trajectory's file: `trajectory.npz` in a plan's folder."""
+"""A trajectory's file: `trajectory.npz` in a plan's folder.
+
+Members of zip archives are read only up to their declared size, because 8 MB can hold 8 GB of zeros.
+"""
 
 import io
 import math
@@ -9,13 +12,28 @@ import numpy as np
 
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.reading import MAX_FILE_BYTES, read_file
-from linkplan.planner.files.archive import read_member
 from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 # Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.
 _MAX_COEFFICIENTS = 24
+
+
+def read_member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
+    """Return the bytes of an archive's member.
+
+    Raises:
+        ValueError: when it declares more bytes than `max_bytes`, or holds another number of bytes than it declares.
+    """
+    declared = archive.getinfo(name).file_size
+    if declared > max_bytes:
+        raise ValueError(f"{name} would take {declared} bytes; at most {max_bytes} are read")
+    with archive.open(name) as file:
+        content = file.read(declared)
+    if len(content) != declared:
+        raise ValueError(f"{name} holds {len(content)} bytes and declares {declared}")
+    return content
 
 
 def read_trajectory(path: Path) -> Trajectory:

@@ -1,4 +1,7 @@
-"""All keys of a problem file as one table, for reference pages and commented problem files."""
+"""All keys of a problem file as one table, and of problem and batch files as a JSON Schema (draft 2020-12).
+
+Reference pages and commented problem files show the table. Editors complete and check files with the schema.
+"""
 
 import types
 from collections.abc import Iterator
@@ -7,10 +10,13 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
-from linkplan.planner.keys.kinds import MAX_NUMBER
+from linkplan.planner.keys.kinds import MAX_NUMBER, Section
+from linkplan.planner.keys.motion_and_limits import SITE_LIMITS
 from linkplan.planner.keys.refusals import range_words, without_metadata, words
-from linkplan.planner.keys.section import Section
-from linkplan.planner.keys.sections import ProblemFile
+from linkplan.planner.keys.sections import BatchFile, ProblemFile
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+FILES: dict[str, type[Section]] = {"problem": ProblemFile, "batch": BatchFile}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -106,3 +112,40 @@ def _range(kind: Any) -> str:
     if get_origin(bare) in (Union, types.UnionType):
         return next(filter(None, map(_range, get_args(bare))), "")
     return range_words(about) if bare is float and about.get("le", about.get("lt", MAX_NUMBER)) < MAX_NUMBER else ""
+
+
+def json_schema(file: str = "problem") -> dict[str, Any]:
+    """Return the JSON Schema of a problem file, or of a batch file ("batch").
+
+    A schema cannot express everything. The reader alone checks names of joints, actuators, closures and sites, low < high,
+    and which keys go together.
+    """
+    (whole, *_), parts = msgspec.json.schema_components((FILES[file], *SITE_LIMITS), ref_template="#/$defs/{name}")
+    name = whole["$ref"].rpartition("/")[2]
+    for part in parts.values():
+        part["title"] = part["title"].removesuffix("Section").removesuffix("File").lower()
+        for key, entry in part["properties"].items():
+            entry["title"] = f"{key} [{entry['x-unit']}]" if "x-unit" in entry else key
+    found = {"$schema": DIALECT, "$defs": {}, **parts.pop(name), "title": f"linkplan {file} file"}
+    found["$defs"] = _reached(found, parts)
+    return _without_empty_defaults(found)
+
+
+def _reached(found: dict, parts: dict) -> dict:
+    """Return the parts that a schema refers to, directly or through other parts."""
+    text, reached = str(found), {}
+    while new := {name: part for name, part in parts.items() if f"#/$defs/{name}'" in text and name not in reached}:
+        reached |= new
+        text += str(new)
+    return reached
+
+
+def _without_empty_defaults(node: Any) -> Any:
+    """Return a schema without defaults that are None or empty."""
+    if isinstance(node, list):
+        return [_without_empty_defaults(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    return {
+        key: _without_empty_defaults(item) for key, item in node.items() if key != "default" or item not in (None, {}, [])
+    }

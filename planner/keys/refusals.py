@@ -2,21 +2,56 @@
 
 msgspec gives a path but not the part that is wrong ("Expected `float | array`, got `str` - at `$.a[...]`"). So this module
 walks through the value by its type, down to the part that msgspec refuses.
+
+Names from other programs and plain speech are answered with the keys that they stand for.
 """
 
 import math
 import types
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
+from linkplan.models.names import closest
 from linkplan.planner.keys.kinds import MAX_NUMBER, Known, Place
-from linkplan.planner.keys.synonyms import suggestion
 
+# If a synonym stands for several keys, the one that the table has is suggested.
+SYNONYMS: Mapping[str, tuple[str, ...]] = {
+    "torque": ("effort",),
+    "force": ("effort", "closure_force"),
+    "torque_rate": ("effort_rate",),
+    "position_deg": ("range_deg", "start_deg"),
+    "velocity_deg_s": ("speed_deg_s",),
+    "time": ("duration_s", "time_s"),
+    "duration": ("duration_s",),
+    "cost": ("minimize", "objective"),
+    "type": ("kind",),
+    "from_deg": ("start_deg",),
+    "to_deg": ("goal_deg",),
+    "end_deg": ("goal_deg",),
+    "via": ("waypoints",),
+    "file": ("model",),
+    "robot": ("mechanism",),
+    "mass": ("mass_kg",),
+    "method": ("scheme",),
+    "nodes": ("intervals",),
+    "timeout_s": ("max_time_s",),
+    "dt": ("period_s",),
+    "delay": ("delay_periods",),
+}
 # Keys of earlier versions, and instructions.
 REMOVED_KEYS = {"solver.name": "linkplan solves with IPOPT, and this key is gone: delete it"}
 # Attributes of msgspec's `Meta` that bound a number or the length of a list.
 _BOUNDS = ("ge", "gt", "le", "lt", "max_length")
+
+
+def suggestion(asked: str, legal: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" for the legal name that a synonym stands for or that is closest; "" if none is close."""
+    legal = list(legal)
+    synonyms = (name for name in SYNONYMS.get(str(asked).casefold(), ()) if name in legal)
+    match = next(synonyms, None) or closest(asked, legal)
+    return "" if match is None else f" (did you mean '{match}'?)"
 
 
 def fault(kind: Any, value: object, where: str, known: Known | None = None) -> str | None:

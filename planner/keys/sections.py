@@ -1,4 +1,4 @@
-"""The sections of a problem file, one struct each, with the type, default and meaning of every key in order.
+"""The sections of problem and batch files, one struct each, with the type, default and meaning of every key in order.
 
 The reader, the JSON Schema and the table of keys are derived from them. Angles are in degrees with `_deg` in the key, slides
 in metres with `_m`; all else is SI.
@@ -10,10 +10,20 @@ from msgspec import Meta, defstruct
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
-from linkplan.planner.keys.limits_section import LimitsSection, MotorTable, RobustSection
-from linkplan.planner.keys.motion_section import MotionSection, ReferenceSection
+from linkplan.planner.keys.kinds import ABSENT, Section, Settings, key
+from linkplan.planner.keys.motion_and_limits import LimitsSection, MotionSection, MotorTable, ReferenceSection, RobustSection
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
-from linkplan.planner.keys.section import ABSENT, Section, key
+
+# Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or
+# unprintable characters, and do not end in .json.
+_FOLDER_NAME = Meta(
+    pattern=r"""^(?!.*\.[jJ][sS][oO][nN]$)[^./\\:*?"<>|\x00-\x1f\x7f][^/\\:*?"<>|\x00-\x1f\x7f]*$""",
+    max_length=99,
+    extra={"said": "a word that can name a folder, without .json at its end"},
+)
+_PROBLEM = Meta(min_length=1, extra={"said": "a built-in name or a TOML file"})
+_CASES = Meta(min_length=1, extra={"said": "a list of tables ([[case]])"})
+_SWEEP = Meta(min_length=1, extra={"said": "a table of key = list of values", "of": "key = list of values"})
 
 
 class PayloadSection(Section, frozen=True):
@@ -298,3 +308,19 @@ class ProblemFile(Section, frozen=True, kw_only=True):
         ImperfectionsSection,
         key("imperfections of the machines that an experiment simulates", default="those of a careful build"),
     ] = ImperfectionsSection()
+
+
+class CaseSection(Section, frozen=True):
+    """One problem of a batch."""
+
+    name: Annotated[str, _FOLDER_NAME, key("names its folder", default="its number")] = ""
+    set: Annotated[Settings, key('settings on the problem, "section.key=value"', default="none")] = []
+
+
+class BatchFile(Section, frozen=True):
+    """Many variations of one problem: a list of cases, or every combination of a sweep."""
+
+    problem: Annotated[str, _PROBLEM, key("the problem that is varied: a built-in name or a TOML file")]
+    set: Annotated[Settings, key("settings for all cases", default="none")] = []
+    case: Annotated[list[CaseSection], _CASES, key("the cases", default="those of the sweep")] = []
+    sweep: Annotated[dict[str, Any], _SWEEP, key("lists of values by key; every combination is a case", default="none")] = {}

@@ -1,10 +1,12 @@
-"""Limits on joints' positions and speeds, whose margins the certificate lists by joint.
+"""Limits on joints' positions and speeds, and ranges of ball joints and tendons.
 
-Positions and speeds of independent joints are polynomials of the program, with bounded coefficients at every instant.
-Dependent positions are unknowns at nodes, and dependent speeds are rows at nodes.
+The certificate lists the margins of positions and speeds by joint. Positions and speeds of independent joints are
+polynomials of the program, with bounded coefficients at every instant. Dependent positions are unknowns at nodes, and
+dependent speeds are rows at nodes. A ball joint's row is sin^2(alpha / 2) of its angle alpha, relative to that of the
+largest angle, and a tendon's its length in units of the range's width.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import casadi as ca
@@ -16,13 +18,18 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.path_limit import (
     BETWEEN_NODES_FACTOR,
+    RELAXED_FACTOR,
     Bounds,
     Instant,
+    Margin,
     PathLimit,
     Problem,
+    Samples,
     Scales,
+    Tightened,
     Trajectory,
     limited_rows,
+    margin_of,
 )
 
 
@@ -128,3 +135,80 @@ def _violation(problem: Problem, motion: Trajectory, bounds: np.ndarray, *, spee
         f" at t = {time[at]:.3g} s, {abs(joint.shown(value - bound)):.4g} {unit} beyond its limit of"
         f" {joint.shown(bound):.4g}"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class BallLimit(PathLimit):
+    """The angle of one ball joint."""
+
+    key: ClassVar[str] = "ball"
+    words: ClassVar[str] = "the angle of ball joint {}"
+    of_position: ClassVar[bool] = True
+    tightened: ClassVar[Tightened] = Tightened.SQUARED
+    item: int
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        return [cls(item) for item in range(len(problem.mechanism.balls))]
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        return at.of_pose("ball_turns")[self.item] / np.sin(at.mechanism.balls[self.item].largest / 2) ** 2
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return -np.inf, 1.0
+
+    def margin(self, samples: Samples) -> Margin:
+        ball, turns = samples.problem.mechanism.balls[self.item], samples.of_pose("ball_turns")[:, self.item]
+        angles = np.degrees(2 * np.arcsin(np.sqrt(np.clip(turns, 0.0, 1.0))))
+        return margin_of(self, ball.name, angles, (-np.inf, np.degrees(ball.largest)), "deg", samples)
+
+    @classmethod
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
+        wider = [replace(one, largest=min(np.pi, one.largest * factor)) for one in problem.mechanism.balls]
+        return replace(problem, mechanism=replace(problem.mechanism, balls=tuple(wider)))
+
+    @classmethod
+    def without(cls, problem: Problem) -> Problem:
+        return replace(problem, mechanism=replace(problem.mechanism, balls=()))
+
+
+@dataclass(frozen=True, slots=True)
+class TendonLimit(PathLimit):
+    """The length of one tendon."""
+
+    key: ClassVar[str] = "tendon"
+    words: ClassVar[str] = "the length of tendon {}"
+    of_position: ClassVar[bool] = True
+    tightened: ClassVar[Tightened] = Tightened.IN_UNITS
+    item: int
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        return [cls(item) for item in range(len(problem.mechanism.tendons))]
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        return at.of_pose("tendon_length")[self.item] / at.mechanism.tendons[self.item].span
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        tendon = problem.mechanism.tendons[self.item]
+        return tendon.low / tendon.span, tendon.high / tendon.span
+
+    def margin(self, samples: Samples) -> Margin:
+        tendon, lengths = samples.problem.mechanism.tendons[self.item], samples.of_pose("tendon_length")[:, self.item]
+        return margin_of(self, tendon.name, lengths, (tendon.low, tendon.high), tendon.unit, samples, tendon.span)
+
+    @classmethod
+    def scaled(cls, problem: Problem, factor: float) -> Problem:
+        longer = tuple(
+            replace(one, low=one.low - (factor - 1) * one.span, high=one.high + (factor - 1) * one.span)
+            for one in problem.mechanism.tendons
+        )
+        return replace(problem, mechanism=replace(problem.mechanism, tendons=longer))
+
+    @classmethod
+    def without(cls, problem: Problem) -> Problem:
+        return cls.scaled(problem, 1.0 + RELAXED_FACTOR)
+
+    @classmethod
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
+        return 1 + BETWEEN_NODES_FACTOR * max(-m.left / problem.mechanism.tendons[m.item].span for m in over)

@@ -1,18 +1,11 @@
 """The kinds of limits, and the limits of a problem. A new kind is one entry in each of these two tables."""
 
-from linkplan.planner.limits.ball import BallLimit
-from linkplan.planner.limits.closure_force import ClosureForceLimit
-from linkplan.planner.limits.control import ControlLimit
-from linkplan.planner.limits.effort_rate import EffortRateLimit
+from linkplan.planner.limits.actuators import ControlLimit, EffortRateLimit, MotorLimit, PowerLimit, RobustLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
-from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
-from linkplan.planner.limits.motor import MotorLimit
+from linkplan.planner.limits.joints import BallLimit, RangeLimit, SpeedLimit, TendonLimit
+from linkplan.planner.limits.loops import ClosureForceLimit, SingularMarginLimit
 from linkplan.planner.limits.path_limit import Margin, PathLimit, Problem, Samples
-from linkplan.planner.limits.power import PowerLimit
-from linkplan.planner.limits.robust import RobustLimit
-from linkplan.planner.limits.singular_margin import SingularMarginLimit
 from linkplan.planner.limits.site import SitePathLimit
-from linkplan.planner.limits.tendon import TendonLimit
 
 # In the order of their rows in a program.
 KINDS: tuple[type[PathLimit], ...] = (

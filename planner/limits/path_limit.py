@@ -17,10 +17,9 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.samples import Samples, least_between, samples_of
-from linkplan.planner.problem.instant import Instant
+from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.scales import Scales
 from linkplan.planner.trajectory import Trajectory
 
 __all__ = ["Bounds", "Instant", "Margin", "PathLimit", "Problem", "Samples", "Scales", "Tightened", "Trajectory"]

@@ -7,12 +7,9 @@ import numpy as np
 
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.corner_efforts import corner_efforts_along
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.robust import corner_efforts_along
 from linkplan.planner.trajectory import Trajectory
-
-# Samples of an interval at which limits are checked: at least, and per node.
-_SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE = 12, 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,7 +79,7 @@ def sample_points(n_nodes: int) -> np.ndarray:
 
     The nodes of high degrees are dense there too.
     """
-    n = max(_SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE * n_nodes)
+    n = max(12, 3 * n_nodes)  # three for each node, and as many as parabolas through them need
     points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
     points[-1] = 1.0 - 1e-12  # still on this interval
     return points

@@ -24,9 +24,6 @@ from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
 
-# The largest relative change of the objective from mesh to mesh where the user gives none and that is cheap.
-DEFAULT_OBJECTIVE_TOLERANCE = 1e-6
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdeCase:
@@ -43,8 +40,9 @@ class OdeCase:
 
     def __post_init__(self) -> None:
         asked = self.asked
-        # Cut at its switches a bang-bang motion is exact as soon as its integration is.
-        default = None if self.has_switch_times else DEFAULT_OBJECTIVE_TOLERANCE
+        # Cut at its switches a bang-bang motion is exact as soon as its integration is. Others settle to 1e-6 where the user
+        # gives no tolerance and that is cheap.
+        default = None if self.has_switch_times else 1e-6
         target = RefinementTarget(
             effort_limit=asked.effort_limit,
             # Wherever an effort has two limits to jump between.

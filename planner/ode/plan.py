@@ -9,8 +9,8 @@ from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.history import Step, recorded
-from linkplan.planner.refinement.refined import Refined
-from linkplan.planner.solvers.outcome import OF_TIME, SOLVER_TOLERANCE
+from linkplan.planner.refinement.state import Refined
+from linkplan.planner.solvers.solve import OF_TIME, SOLVER_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

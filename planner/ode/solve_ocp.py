@@ -12,12 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.ode.case import FirstSolution, OdeCase
-from linkplan.planner.ode.costates import is_affine
 from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem
-from linkplan.planner.ode.search import OdeSearch, best_plan, first_mesh, first_solutions
-from linkplan.planner.ode.starts import (
+from linkplan.planner.ode.search import (
+    OdeSearch,
+    best_plan,
+    first_mesh,
+    first_solutions,
     integrated,
     is_open,
     of_least_time,
@@ -27,13 +29,12 @@ from linkplan.planner.ode.starts import (
     stretched,
     with_smallest_efforts,
 )
+from linkplan.planner.ode.switches import is_affine
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, progress, record, recorded, recording, silent, step_of
-from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, try_in_turn
-from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
-from linkplan.planner.solvers.solve import solve
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, Steps, followed, try_in_turn
+from linkplan.planner.solvers.solve import OUT_OF_TIME, solve, why_stopped
 from linkplan.planner.transcription.mesh import broken
 
 __all__ = ["RUNGS", "OdePlan", "plan_ode"]
@@ -148,7 +149,7 @@ def _continued(
 
     # It begins with the whole way, from at most this share of the end. The smallest step is a quarter in the logarithm.
     way = end / min(begin, 0.999 * end)
-    steps = Steps(begin=end / way, end=end, factor=way, halvings=2, most=6)
+    steps = Steps(begin=end / way, end=end, factor=way, halvings=2)
     path = followed(None, steps, solve_at)
     last = path.stages[-1]
     return best_plan(problem_at(end), [last]) if path.arrived and last is not None else None

@@ -26,8 +26,6 @@ _GRID_CELLS, TURNING_PLACES = 1600, 60
 _MIN_SPEED = 1e-9
 # Shares of the effort limits tried for a motion that may take longer than the least time.
 _EFFORT_SHARES = (0.7, 0.4)
-# The largest factor on the effort limits with which a motion is searched, and the halvings of its logarithm.
-_MAX_EFFORT_FACTOR, _FACTOR_HALVINGS = 1024.0, 8
 # Energies at which a turn is tried, as multiples of the energy at which dampers take full effort on average.
 _TURN_ENERGIES = np.geomspace(1e-3, 1e3, 25)
 # Energies that differ by less than this share are the same.
@@ -109,9 +107,9 @@ def least_share(problem: Problem, start_pose: np.ndarray, duration: float) -> tu
     low, high, best = 1.0, 2.0, None
     while (best := known(high)) is None:
         low, high = high, 2.0 * high
-        if high > _MAX_EFFORT_FACTOR:
+        if high > 1024.0:
             return None
-    for _ in range(_FACTOR_HALVINGS):
+    for _ in range(8):  # a message names the factor to some thousandths
         middle = float(np.sqrt(low * high))
         guess = known(middle)
         low, high, best = (low, middle, guess) if guess is not None else (middle, high, best)

@@ -14,8 +14,6 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.problem import Problem
 
-# The share of a grid's cells that is even in s; the other cells lie where joints or the inertia change most.
-_EVEN_SHARE = 0.5
 # How far a crank that turns fully may go beyond start and goal [rad].
 _FULL_TURN = 2.0 * np.pi
 
@@ -164,11 +162,11 @@ def _followed(problem: Problem, s: np.ndarray, places: np.ndarray, start_pose: n
 
 
 def _graded(problem: Problem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return positions (n,) between the same ends, closer together where joints move or the inertia changes quickly."""
+    """Return positions (n,) between the same ends: half the cells are even, half where joints or the inertia change most."""
     inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
     steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
     share = (steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)).mean(axis=1)
-    share = (1 - _EVEN_SHARE) * share / share.sum() + _EVEN_SHARE * np.diff(s) / (s[-1] - s[0])
+    share = 0.5 * share / share.sum() + 0.5 * np.diff(s) / (s[-1] - s[0])
     progress = np.concatenate([[0.0], np.cumsum(share)])
     return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
 

@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.phase_plane.leg_field import AT_FORCE
-from linkplan.planner.phase_plane.power_legs import Leg, power_legs
+from linkplan.planner.phase_plane.power_legs import AT_FORCE, Leg, power_legs
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
@@ -22,13 +21,8 @@ from linkplan.planner.transcription.schemes import scheme
 # may differ from the effort and from its acceleration.
 _LIMIT_RESERVE, _POLYNOMIAL_TOLERANCE = 1e-8, 3e-9
 _SCHEME = "radau-7"
-# Shares of an interval at which it is checked, and Newton steps on it.
-_CHECKED_AT, _NEWTON_STEPS = np.linspace(0.0, 1.0, 12), 12
-# The relative difference for slopes, and the relative size of a Newton step that is rounding.
-_SLOPE_DIFFERENCE, _STEP_ROUNDING = 1e-7, 1e-13
-# The shortest interval as a share of its arc, and the longest as a share of its leg: over it an unstable motion can be
-# integrated.
-_MIN_INTERVAL_SHARE, _MAX_INTERVAL_SHARE = 1e-12, 0.01
+# Shares of an interval at which it is checked.
+_CHECKED_AT = np.linspace(0.0, 1.0, 12)
 
 
 def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
@@ -82,7 +76,7 @@ def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list,
     at, found = leg.state(ends[0]), []
     for begin, end in itertools.pairwise(ends):
         held = np.array(arcs[int(np.searchsorted(until[:-1], 0.5 * (begin + end)))][1])
-        longest = _MAX_INTERVAL_SHARE * (leg.end - leg.begin)
+        longest = 0.01 * (leg.end - leg.begin)  # over a hundredth of a leg an unstable motion can be integrated
         t, h = begin, 0.25 * (end - begin)
         while t != end:
             deadline.require_time()
@@ -91,7 +85,7 @@ def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list,
             piece = _collocated(leg, held, t, h, at)
             if piece is None:
                 h *= 0.5
-                if abs(h) < _MIN_INTERVAL_SHARE * abs(end - begin):
+                if abs(h) < 1e-12 * abs(end - begin):  # of its arc: rounding
                     return None
                 continue
             *coefficients, at = piece
@@ -127,16 +121,16 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
     a = law(*guessed)[1]
     size = np.abs(guessed).max(axis=1)
     with np.errstate(all="ignore"):  # over an interval that is too long Newton's steps may lead anywhere
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(12):  # Newton steps; an interval that needs more is halved
             s, v = states(a)
             asked = law(s, v)[1]
-            nudge = _SLOPE_DIFFERENCE * np.maximum(np.abs(v), size[1])
+            nudge = 1e-7 * np.maximum(np.abs(v), size[1])  # for slopes by differences
             by_speed = (law(s, v + nudge)[1] - asked) / nudge
             # The law's slope by place is left out of Newton's steps: over a hundredth of a leg it hardly changes them.
             slope = np.eye(len(nodes)) - h * by_speed[:, None] * known.velocity
             step = np.linalg.solve(slope, asked - a)
             a = a + step
-            if np.abs(h * step).max() <= _STEP_ROUNDING * size[1]:
+            if np.abs(h * step).max() <= 1e-13 * size[1]:  # rounding
                 break
         else:
             return None

@@ -1,10 +1,13 @@
 """Least-time motions of one degree of freedom along limits on power and pin force: the phase plane's legs, over time.
 
-A leg with all that effort, power and pin forces allow from where a motion begins, another back from where it ends, and where
-they cross the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Along a power limit P the effort is
-P / w: it falls off from a bang at rest that may last a hundred-thousandth of the motion, which neither a grid over the way
-nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is held along it; the instants
-themselves are left to the solver.
+For one degree of freedom each of these limits bounds the effort at a place and a speed: a power P bounds it by P / w, and a
+pin force is affine in the effort, so that its rating R bounds it by the roots of |F(s, v, u)|^2 = R^2. A leg with all that
+effort, power and pin forces allow from where a motion begins, another back from where it ends, and where they cross the
+switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985).
+
+Along a power limit the effort falls off from a bang at rest that may last a hundred-thousandth of the motion, which
+neither a grid over the way nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is
+held along it; the instants themselves are left to the solver.
 """
 
 from collections.abc import Callable
@@ -18,21 +21,111 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.phase_plane.bang_bang_motions import Guess, Part, parts_of
-from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, LegField, PinForces
 from linkplan.planner.problem.problem import Problem
 
+# What an actuator is held at: the limit of its effort (1 upper, -1 lower), of its power, or, from this number on, of the
+# force of a closure, at the larger effort that reaches it (positive) or the smaller one (negative).
+AT_POWER, AT_FORCE = 2, 3
+# Efforts, powers and forces may exceed their limits by this share: rounding.
+_LIMIT_TOLERANCE = 1e-6
 # Poses along a part of the way.
 _POSES_PER_PART = 2001
 # Integrations: the method, its relative tolerance, and its absolute tolerance as a share of the way and of the largest
 # speed. The exact one serves where a bang arc ends at rest, which happens at a 30,000th of the largest speed.
 _ROUGH_INTEGRATION, _EXACT_INTEGRATION = ("Radau", 1e-7, 1e-7), ("LSODA", 1e-10, 1e-14)
-# The longest integration, in the time that full effort takes, and the share of the duration within which a boundary is at a
-# switch.
-_MAX_TIME_FACTOR, _AT_SWITCH_SHARE = 1e6, 1e-7
-# The legs are not distinct within this share of the way from its ends.
-_BESIDE_END_SHARE = 1e-7
-# Instants in each step of the integration at which arcs are examined, and halvings to find the ends of an arc.
-_INSTANTS_PER_STEP, _ARC_END_HALVINGS = 4, 60
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PinForces:
+    """Forces of closures that are limited, along a part of the way: F = still + square v^2 + linear v + by_effort u.
+
+    `curves` gives (4, n_rows) [N, ...] over the coordinate, divided by the closures' ratings; `rows` are those of each.
+    """
+
+    curves: Callable[[Any], np.ndarray]
+    rows: tuple[slice, ...]
+
+    def efforts(self, s: Any, v: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the least and largest efforts (..., n_closures) that each closure bears, and whether it bears any.
+
+        If the closure bears no load, both are the effort of least force.
+        """
+        values, v = self.curves(s), np.asarray(v, dtype=float)[..., None]
+        force = values[..., 0, :] + values[..., 1, :] * v**2 + values[..., 2, :] * v
+        least, most, bears = [], [], []
+        for rows in self.rows:
+            given, by = force[..., rows], values[..., 3, rows]
+            a, b, c = (by * by).sum(axis=-1), (by * given).sum(axis=-1), (given * given).sum(axis=-1) - 1.0
+            a = np.maximum(a, np.finfo(float).tiny)
+            within = b * b - a * c
+            root = np.sqrt(np.maximum(within, 0.0))
+            least.append((-b - root) / a)
+            most.append((-b + root) / a)
+            bears.append(within >= 0)
+        return np.stack(least, axis=-1), np.stack(most, axis=-1), np.stack(bears, axis=-1)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LegField:
+    """All that effort, power and pin forces allow along a part of the way.
+
+    M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
+    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1; `pins` is None where no pin force is limited.
+    """
+
+    curves: Callable[[Any], np.ndarray]
+    effort: np.ndarray
+    power: np.ndarray
+    way: float
+    pins: PinForces | None = None
+
+    def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the limits (..., n_u) that hold, the efforts (..., n_u) and the acceleration at places and speeds.
+
+        The efforts are those that push towards the end, or brake.
+        """
+        maps = self.curves(s)[..., 4:]
+        upper = (maps * self.way > 0) == towards
+        held, effort = np.where(upper, 1, -1), np.where(upper, self.effort[:, 1], self.effort[:, 0])
+        spent = effort * maps * np.asarray(v)[..., None]
+        held = np.where(spent > self.power[:, 1], AT_POWER, np.where(spent < self.power[:, 0], -AT_POWER, held))
+        effort, a = self.along(s, v, held)
+        if self.pins is None:
+            return held, effort, a
+        least, most, _ = self.pins.efforts(s, v)
+        beyond = effort > most.min(axis=-1, keepdims=True)
+        short = ~beyond & (effort < least.max(axis=-1, keepdims=True))
+        held = np.where(beyond, AT_FORCE + np.argmin(most, axis=-1)[..., None], held)
+        held = np.where(short, -AT_FORCE - np.argmax(least, axis=-1)[..., None], held)
+        return held, *self.along(s, v, held)
+
+    def along(self, s: Any, v: Any, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
+        values, v = self.curves(s), np.asarray(v, dtype=float)
+        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == AT_POWER
+        upper = np.asarray(held) > 0
+        power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
+        effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
+        if self.pins is not None and np.any(np.abs(held) >= AT_FORCE):
+            least, most, _ = self.pins.efforts(s, v)
+            for k in range(least.shape[-1]):
+                effort = np.where(held == AT_FORCE + k, most[..., k, None], effort)
+                effort = np.where(held == -AT_FORCE - k, least[..., k, None], effort)
+        force = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v + (values[..., 4:] * effort).sum(axis=-1)
+        return effort, force / values[..., 0]
+
+    def keeps(self, s: np.ndarray, v: np.ndarray, *, towards: bool) -> bool:
+        """True (n,) if an effort keeps all limits at a place and speed; without one no motion is that fast there."""
+        if self.pins is None:
+            return True
+        _, effort, _ = self.at(s, v, towards=towards)
+        least, most, bears = self.pins.efforts(s, v)
+        room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
+        low, high = np.maximum(self.effort[:, 0], least.max(axis=-1)[:, None]), self.effort[:, 1]
+        high = np.minimum(high, most.min(axis=-1)[:, None])
+        spent = effort * self.curves(s)[:, 4:] * v[:, None]
+        powers = (spent <= (1 + _LIMIT_TOLERANCE) * self.power[:, 1]) & (spent >= (1 + _LIMIT_TOLERANCE) * self.power[:, 0])
+        return bool(np.all(bears) and np.all((effort >= low - room) & (effort <= high + room)) and np.all(powers))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -66,11 +159,9 @@ class Leg:
         return self.field.keeps(*self.state(self._looks()), towards=self.towards)
 
     def _looks(self) -> np.ndarray:
-        """Return the instants (n,), in its own time, at which it is examined: some in each step of the integration."""
+        """Return the instants (n,), in its own time, at which it is examined: four in each step of the integration."""
         knots = np.unique(np.clip(self.steps, self.begin, self.end))
-        looks = np.interp(
-            np.arange(_INSTANTS_PER_STEP * (len(knots) - 1) + 1) / _INSTANTS_PER_STEP, np.arange(len(knots)), knots
-        )
+        looks = np.interp(np.arange(4 * (len(knots) - 1) + 1) / 4, np.arange(len(knots)), knots)
         return 0.5 * (looks[1:] + looks[:-1])
 
     def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
@@ -80,7 +171,7 @@ class Leg:
         for k in range(1, len(looks)):
             if held[k] != held[k - 1]:
                 before, after = looks[k - 1], looks[k]
-                for _ in range(_ARC_END_HALVINGS):
+                for _ in range(60):  # to rounding
                     middle = 0.5 * (before + after)
                     before, after = (middle, after) if self.held_at(middle) == held[k - 1] else (before, middle)
                 found.append((self.later + after, held[k - 1]))
@@ -211,7 +302,7 @@ def _legs(
 
         there.terminal = stalled.terminal = True
         stalled.direction = -1.0
-        until = _MAX_TIME_FACTOR * span / fastest
+        until = 1e6 * span / fastest  # a million times what full effort takes
         found = scipy.integrate.solve_ivp(
             rates, (0.0, until if towards else -until), [begin, v], method=method, events=(there, stalled),
             dense_output=True, rtol=share, atol=small * np.array([span, fastest]),
@@ -220,8 +311,9 @@ def _legs(
         return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
 
     ahead, back = leg(start, part.speeds[0], goal, towards=True), leg(goal, part.speeds[1], start, towards=False)
-    low = max(way * start, way * back.state(back.begin)[0]) + _BESIDE_END_SHARE * span
-    high = min(way * goal, way * ahead.state(ahead.end)[0]) - _BESIDE_END_SHARE * span
+    beside = 1e-7 * span  # so near to the ends the legs are not distinct
+    low = max(way * start, way * back.state(back.begin)[0]) + beside
+    high = min(way * goal, way * ahead.state(ahead.end)[0]) - beside
 
     def apart(at: float) -> float:
         return way * (ahead.speed_at(way * at) - back.speed_at(way * at))
@@ -261,7 +353,7 @@ def _guess(problem: Problem, start_pose: np.ndarray, legs: list[Leg], arcs: list
 
     known = boundaries[1:-1]
     instants = np.array([end for end, _ in arcs[:-1]])
-    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _AT_SWITCH_SHARE * duration
+    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > 1e-7 * duration  # not at a boundary
     switch_times = instants[apart]
     inner = np.sort(np.concatenate([[0.0], switch_times, known, [duration]]))
     at = np.searchsorted([end for end, _ in arcs[:-1]], 0.5 * (inner[1:] + inner[:-1]))

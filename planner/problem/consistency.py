@@ -7,13 +7,11 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.kinds import MAX_INTERVALS
-from linkplan.planner.problem.corner_efforts import corner_out_of_reach
-from linkplan.planner.problem.guess import GuessedPath
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective
-from linkplan.planner.problem.reference import Sine
-from linkplan.planner.problem.robust import Robust
+from linkplan.planner.problem.reference import GuessedPath, Sine
+from linkplan.planner.problem.robust import Robust, corner_out_of_reach
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.trajectory import Trajectory
 

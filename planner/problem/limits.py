@@ -7,11 +7,10 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
-from linkplan.planner.keys.limits_section import LimitsSection, MotorSection, RobustSection
-from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.keys.motion_and_limits import LimitsSection, MotorSection, RobustSection
 from linkplan.planner.problem.robust import Range, Robust
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
-from linkplan.planner.problem.values import DERIVED, frozen, interval
+from linkplan.planner.problem.values import DERIVED, frozen, interval, joint_values
 
 
 def free_bounds(n: int) -> np.ndarray:

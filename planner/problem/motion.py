@@ -1,8 +1,7 @@
 """Motions: prescribed states at both ends and at waypoints, and bounds on the duration."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,12 +9,11 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
-from linkplan.planner.keys.motion_section import MotionSection, WaypointSection
-from linkplan.planner.problem.joint_values import joint_values
+from linkplan.planner.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
 from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
-from linkplan.planner.problem.values import DERIVED, frozen
+from linkplan.planner.problem.values import DERIVED, frozen, joint_values
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -118,10 +116,6 @@ class Motion:
             return False
         begin, end = (np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed))
         return np.array_equal(self.start, self.goal) and np.array_equal(begin, end)
-
-    def resting_at(self, places: Iterable[np.ndarray]) -> "Motion":
-        """Return the motion whose waypoints are the given places (n_s,) [rad or m], each passed at rest."""
-        return replace(self, waypoints=tuple(Waypoint(position=place, speed=np.zeros(np.shape(place))) for place in places))
 
     def _check_turns(self) -> None:
         if self.turns is None:

@@ -1,12 +1,144 @@
-"""Objectives: a weighted sum of terms, each an integral over the motion in SI units."""
+"""Objectives: a weighted sum of terms, each an integral over the motion in SI units.
 
-from collections.abc import Mapping, Sequence
+A term has its integrand, its unit in a program, its requirements, and the resulting shape of efforts.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import get_args
+
+import casadi as ca
+import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
-from linkplan.planner.problem.extra import ExtraCost, checked_extras
-from linkplan.planner.problem.terms import TERMS, Term, term_of_cost
+from linkplan.planner.keys.kinds import Term as TermName
+from linkplan.planner.problem.extra import ExtraCost, checked_extras, expressed
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.limits import Motor
+
+Motors = Sequence[Motor | None]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Term:
+    """One term: an integral over the motion.
+
+    Args:
+        words: description.
+        unit: of the integral, SI.
+        integrand: at an instant, in SI.
+        size: from a program's units and the motors: the integral in SI for a scaled integrand of one; for an `exact` term
+            one
+            value per actuator.
+        order: 2 for squares, 1 for terms linear in the motion's quantities; 0 for terms without a negligible size.
+        exact: the cost of an interval (`COSTS`) that integrates it exactly; None for quadrature at nodes.
+        needs: keys of `lacking_parts` (consistency.py).
+        efforts: the optimal efforts "jump" between limits, "bend" where they reach a limit, or are "smooth".
+        chatters: whether its optimal motion may chatter.
+        positive_power: whether it needs the actuators' positive powers, which have kinks and are unknowns of a program.
+    """
+
+    words: str
+    unit: str
+    integrand: Callable[[Instant], ca.SX]
+    size: Callable[[Scales, Motors], np.ndarray | float]
+    order: int = 0
+    exact: str | None = None
+    needs: tuple[str, ...] = ()
+    efforts: str = ""
+    chatters: bool = False
+    positive_power: bool = False
+
+    def scale(self, scales: Scales, motors: Motors) -> float:
+        """Return its unit in SI."""
+        return float(np.max(self.size(scales, motors), initial=0.0))
+
+
+def motor_losses(motors: Motors) -> np.ndarray:
+    """Return the copper loss per squared effort (n_u,) of each motor; 0 if unknown."""
+    return np.array([0.0 if motor is None else motor.loss for motor in motors])
+
+
+TERMS: Mapping[str, Term] = {
+    "effort": Term(
+        words="integral of the squared efforts",
+        unit="N2 m2 s",
+        integrand=lambda at: ca.sumsqr(at.u),
+        size=lambda scales, _: scales.time_s * scales.effort**2,
+        order=2,
+        exact="effort",
+        efforts="bend",
+    ),
+    "time": Term(
+        words="duration",
+        unit="s",
+        integrand=lambda _: ca.SX(1),
+        size=lambda scales, _: np.array([scales.time_s]),
+        exact="time",
+        needs=("free duration",),
+        efforts="jump",
+    ),
+    "tracking": Term(
+        words="integral of the squared distance from the reference",
+        unit="rad2 s",
+        integrand=lambda at: ca.sumsqr(at.q[at.mechanism.independent.tolist()] - at.reference),
+        size=lambda scales, _: scales.time_s * float(scales.position.max()) ** 2,
+        order=2,
+        needs=("reference", "fixed duration"),
+        chatters=True,
+    ),
+    "work": Term(
+        words="positive mechanical work of the actuators",
+        unit="J",
+        integrand=lambda at: ca.sum1(at.positive_powers),
+        size=lambda scales, _: scales.time_s * scales.power,
+        order=1,
+        efforts="jump",
+        chatters=True,
+        positive_power=True,
+    ),
+    "copper_loss": Term(
+        words="integral of the motors' resistance times squared current",
+        unit="J",
+        integrand=lambda at: ca.dot(ca.DM(at.losses), at.u**2),
+        size=lambda scales, motors: scales.time_s * scales.effort**2 * motor_losses(motors),
+        order=2,
+        exact="effort",
+        needs=("motors",),
+        efforts="bend",
+    ),
+    "effort_rate": Term(
+        words="integral of the squared effort rates",
+        unit="N2 m2 / s",
+        integrand=lambda at: ca.sumsqr(at.effort_rate),
+        size=lambda scales, _: scales.effort**2 / scales.time_s,
+        order=2,
+        exact="effort_rate",
+        needs=("changing efforts",),
+        efforts="smooth",
+    ),
+    "closure_force": Term(
+        words="integral of the squared closure forces",
+        unit="N2 s",
+        integrand=lambda at: ca.sumsqr(at.closure_force),
+        size=lambda scales, _: scales.time_s * scales.force**2,
+        order=2,
+        needs=("closures",),
+    ),
+}
+assert set(TERMS) == set(get_args(TermName)), "keys.kinds.Term names the terms in problem files"
+
+
+def term_of_cost(cost: ExtraCost) -> Term:
+    """Return an extra cost as a term."""
+    return Term(
+        words=f"integral of the extra cost '{cost.name}'",
+        unit=cost.unit,
+        integrand=lambda at: expressed(cost, at),
+        size=lambda scales, _: scales.time_s,
+        chatters=True,
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

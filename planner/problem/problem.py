@@ -13,16 +13,13 @@ import numpy as np
 from linkplan.models.audit import audit
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.tables import Tables, apply_override, read_tables
-from linkplan.planner.files.toml_text import toml_text
-from linkplan.planner.problem import arguments, consistency
-from linkplan.planner.problem.build import problem_arguments
+from linkplan.planner.files.tables import Tables, apply_override, read_tables, toml_text
+from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, extras_text, uses
-from linkplan.planner.problem.guess import GuessedPath
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective, objective_from
-from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.reference import GuessedPath, Sine
 from linkplan.planner.problem.robust import Robust
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.start_pose import start_pose
@@ -210,7 +207,7 @@ class Problem:
         """
         name, tables, folder = read_tables(path_or_name)
         if settings is not None:
-            arguments.apply_settings(tables, settings)
+            build.apply_settings(tables, settings)
         return cls.from_tables(name, tables, folder)._in_reach()
 
     @classmethod
@@ -238,13 +235,13 @@ class Problem:
             ProblemError: for anything in the tables that cannot be used.
             ModelError: when their mechanism cannot be built.
         """
-        return cls(name=name, extra_limits=extra_limits, **problem_arguments(tables, folder, mechanism, extra_costs))
+        return cls(name=name, extra_limits=extra_limits, **build.problem_arguments(tables, folder, mechanism, extra_costs))
 
     @classmethod
     def _built(cls, kind: str, said: Mapping[str, object]) -> Problem:
         """Return the problem of a builder's arguments, which are among the builder's local variables `said`."""
         given = {key: value for key, value in said.items() if value is not None}
-        mechanism, tables = arguments.asked_mechanism(given), {"mechanism": {}, "motion": {"kind": kind}}
+        mechanism, tables = build.asked_mechanism(given), {"mechanism": {}, "motion": {"kind": kind}}
         name = given.get("name", f"{mechanism.name}-{kind}")
         return cls._varied(name, tables, mechanism, given, {})
 
@@ -253,9 +250,9 @@ class Problem:
         cls, name: object, tables: Tables, mechanism: Mechanism, said: Mapping[str, object], extras: dict
     ) -> Problem:
         """Return the problem of tables and extra costs and limits, with a builder's arguments in place of their values."""
-        arguments.fill(tables, said)
-        every = extras | arguments.given_extras(said)
-        return cls.from_tables(arguments.checked_name(name), tables, None, mechanism, **every)._in_reach()
+        build.fill(tables, said)
+        every = extras | build.given_extras(said)
+        return cls.from_tables(build.checked_name(name), tables, None, mechanism, **every)._in_reach()
 
     def start_pose(self) -> np.ndarray:
         """Return the closed pose (n_q,) at the start.
@@ -320,8 +317,8 @@ class Problem:
         Raises:
             LinkplanError: for an unknown argument, or as for the builders.
         """
-        arguments.refuse_unknown_arguments(changes)
-        mechanism = arguments.asked_mechanism(changes, self.mechanism)
+        build.refuse_unknown_arguments(changes)
+        mechanism = build.asked_mechanism(changes, self.mechanism)
         name = self.name if changes.get("name") is None else changes["name"]
         return self._varied(name, self.to_dict(), mechanism, changes, self._extras())
 
@@ -332,7 +329,7 @@ class Problem:
             LinkplanError: for an invalid key or value.
         """
         tables = self.to_dict()
-        arguments.apply_settings(tables, settings)
+        build.apply_settings(tables, settings)
         mechanism = self.mechanism if tables["mechanism"] == self.source["mechanism"] else None
         return self.from_tables(self.name, tables, None, mechanism, **self._extras())._in_reach()
 

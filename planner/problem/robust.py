@@ -10,13 +10,18 @@ of freedom the same holds for the plan's efforts plus the least compensating one
 B u). With fewer actuators it holds for ranges that actuators can compensate: torque constants, friction at driven joints.
 """
 
+import functools
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import casadi as ca
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import close_at
 
 # More corners would give too many rows at every node.
 MAX_CORNERS = 64
@@ -84,3 +89,108 @@ class Robust:
 
 def _rubs(corner: Corner) -> bool:
     return any(d or c for _, d, c in corner.friction)
+
+
+def corner_efforts(
+    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
+) -> list[ca.SX]:
+    """Return the efforts (n_u,) that a motion (q, v, a) needs at each corner.
+
+    With more actuators than degrees of freedom, many efforts give one motion. A corner then needs the plan's efforts plus
+    the least efforts that compensate the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). With fewer
+    actuators, the corner must differ only by what actuators can compensate: friction at driven joints and the torque
+    constant (`corner_out_of_reach`). The same expression gives these efforts, since (Gamma^T B)^+ Gamma^T B = 1.
+
+    Args:
+        mechanism: its actuators move every degree of freedom, or are independent of one another.
+        corners: of the ranges.
+        call: calls a function of the nominal reduced dynamics by name.
+        payload: its numbers (7,); empty without a payload.
+        motion: q (n_q,), v and a (n_s,), and the plan's efforts u (n_u,).
+    """
+    q, v, a, u = motion
+    effort_map = call("effort_map", q)
+    found = []
+    for corner, tau in zip(corners, _needed(mechanism, corners, call, payload, (q, v, a)), strict=True):
+        if mechanism.n_u == mechanism.dof:
+            found.append(ca.solve(effort_map, tau) / corner.torque_factor)
+        else:
+            found.append(u + ca.pinv(effort_map) @ (tau / corner.torque_factor - effort_map @ u))
+    return found
+
+
+def _needed(
+    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
+) -> list[ca.SX]:
+    """Return the generalised efforts (n_s,) of a motion (q, v, a) at each corner, before division by the torque factor."""
+    q, v, a = motion
+    gamma = call("velocity_map", q)
+    rates = gamma @ v
+    modelled: dict[float, ca.SX] = {}
+    found = []
+    for corner in corners:
+        factor = corner.payload_factor
+        if factor not in modelled:
+            if factor == 1:
+                modelled[factor] = call("inverse_dynamics", q, v, a)
+            else:
+                scaled = ca.vertcat(factor * payload[0], payload[1:4], factor * payload[4:7])
+                modelled[factor] = mechanism.parametric_dynamics().inverse_dynamics(q, v, a, scaled)
+        tau = modelled[factor]
+        for joint, viscous, coulomb in corner.friction:
+            tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
+        found.append(tau)
+    return found
+
+
+def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corner | None:
+    """Return the first corner whose difference actuators cannot compensate; None if they can compensate all.
+
+    The criterion is (1 - P P^+) (tau_c - tau) = 0 with P = Gamma^T B, for random motions at home and at a pose close to it.
+    """
+    function = _needed_function(mechanism, (Corner(), *corners))
+    rng = np.random.default_rng(0)
+    beside = mechanism.home[mechanism.independent] + 0.05 * rng.normal(size=mechanism.dof)
+    try:
+        poses = [mechanism.home, close_at(mechanism, beside, mechanism.home)]
+    except AssemblyError:
+        poses = [mechanism.home]
+    for q in poses:
+        P = np.array(mechanism.dynamics.effort_map(q))
+        needed = np.array(function(q, *rng.normal(size=(2, mechanism.dof))))
+        added = needed[:, 1:] - needed[:, :1]
+        left = added - P @ (np.linalg.pinv(P) @ added)
+        for column, corner in enumerate(corners):
+            if np.abs(left[:, column]).max() > 1e-9 * np.abs(needed).max():
+                return corner
+    return None
+
+
+def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, u) -> np.ndarray:
+    """Return each corner's efforts (n, n_corners, n_u) [N.m or N] along samples q (n, n_q), v, a (n, n_s), u (n, n_u)."""
+    found = sampled(_function(mechanism, corners), q, v, a, u)
+    return found.reshape(len(q), len(corners), mechanism.n_u)
+
+
+@functools.lru_cache(maxsize=16)
+def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
+    motion, payload = _symbols(mechanism)
+    efforts = corner_efforts(mechanism, corners, _calls(mechanism), payload, motion)
+    return ca.Function("corners", list(motion), [ca.densify(ca.vertcat(*efforts))])
+
+
+def _needed_function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
+    motion, payload = _symbols(mechanism)
+    needed = _needed(mechanism, corners, _calls(mechanism), payload, motion[:3])
+    return ca.Function("needed", list(motion[:3]), [ca.densify(ca.horzcat(*needed))])
+
+
+def _symbols(mechanism: Mechanism) -> tuple[tuple[ca.SX, ...], ca.SX]:
+    """Return q, v, a, u as symbols, and the payload's numbers."""
+    sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
+    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
+    return tuple(ca.SX.sym(name, size) for name, size in sizes.items()), payload
+
+
+def _calls(mechanism: Mechanism) -> Callable[..., ca.SX]:
+    return lambda name, *x: getattr(mechanism.dynamics, name)(*x)

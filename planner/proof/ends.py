@@ -3,10 +3,9 @@
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
-from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
+from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, ends_off_m
 from linkplan.planner.certificate.certificate import VELOCITY_SHARE, end_state_error
 from linkplan.planner.certificate.saved import disagreements
-from linkplan.planner.certificate.site_ends import ends_off_m
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, finding_of

@@ -5,18 +5,19 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Iterate, attempt
-from linkplan.planner.refinement.certified_iterate import certify_iterate
+from linkplan.models.deadline import OutOfTimeError
+from linkplan.models.errors import AssemblyError
+from linkplan.planner.refinement.case import Iterate, attempt, certify_iterate
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
+from linkplan.planner.refinement.history import progress, record, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.pontryagin import interval_breaks, released
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
-from linkplan.planner.solvers.outcome import SUCCEEDED
+from linkplan.planner.solvers.newton import nearest_feasible
+from linkplan.planner.solvers.solve import SUCCEEDED
+from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import halved
-
-# Answers on two meshes that are no further apart than this are the same motion, relative.
-SAME_OBJECTIVE = 1e-6
 
 
 class Action(Protocol):
@@ -182,8 +183,9 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
         return attempt(case, start, mesh, durations, what + word, position_rows=rows, fixed=fixed, warm=warm, close=close)
 
     def alike(finer: Iterate[Any]) -> bool:
+        # Objectives on two meshes that are no further apart than a millionth belong to the same motion.
         change = abs(finer.solution.objective - coarse.solution.objective)
-        return change <= SAME_OBJECTIVE * abs(coarse.solution.objective)
+        return change <= 1e-6 * abs(coarse.solution.objective)
 
     ways: list[tuple[str, dict[str, bool]]] = [("", {"warm": state.warm, "close": near})]
     if again or target.enclosed:
@@ -202,3 +204,52 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
         if loose is not None:
             return loose
     return min(found, key=lambda finer: (finer.solution.status != SUCCEEDED, finer.solution.objective), default=None)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Restore:
+    """Halve the marked intervals (n,) of the best motion, and change it as little as the finer mesh asks for."""
+
+    marked: np.ndarray
+
+    def apply(self, state: RefinementState) -> RefinementState:
+        """Return the state with the motion as its best one, if it passes and needs less beyond its effort limits."""
+        best, what = state.best, "the same motion on a finer mesh"
+        coarse, counted = best.found, replace(state, restored=state.restored + 1, ended=True)
+        if state.asked.problem.solver.deadline.passed:
+            return counted
+        case = state.case.with_scheme(coarse.solution.transcribed.scheme.name)
+        mesh = halved(coarse.mesh, self.marked)
+        durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, self.marked))
+        progress(f"{what}: {mesh.n_intervals} intervals")
+        before = coarse.solution.transcribed
+        try:
+            transcribed = case.transcribe(
+                case.start_from(coarse.motion),
+                mesh,
+                durations,
+                position_rows=state.position_rows,
+                bang_efforts=before.bang_efforts,
+                constrained_paths=before.constrained_paths,
+            )
+        except (AssemblyError, OutOfTimeError):
+            return counted
+        solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse))
+        record(step_of(what, transcribed, solution))
+        motion = case.motion(solution) if solution.converged else None
+        if motion is None:
+            return counted
+        at = certify_iterate(state.asked, Iterate(motion=motion, solution=solution, fixed=coarse.fixed))
+        better = at.passed and at.certificate.effort_overrun.max() < best.certificate.effort_overrun.max()
+        return replace(counted, at=at, best=at, ended=False) if better else counted
+
+
+def _with_efforts(transcribed: Transcribed, coarse: Iterate) -> np.ndarray:
+    """Return the program's start with the efforts (n_intervals, n_coefficients, n_u) of a motion, up to their limits."""
+    x, layout, scheme = np.array(transcribed.start), transcribed.program.layout, transcribed.scheme
+    breaks = transcribed.program.mesh.breaks(x[layout.durations()] * transcribed.units.time_s)
+    nodes = np.clip(scheme.nodes, 1e-9, 1.0 - 1e-9)
+    effort = coarse.motion.effort_at((breaks[:-1, None] + np.diff(breaks)[:, None] * nodes).ravel())
+    effort = effort.reshape(layout.n_intervals, len(nodes), -1)
+    x[layout.effort()] = np.einsum("ij,kju->kiu", np.linalg.pinv(scheme.effort_at), effort) / transcribed.units.effort
+    return x

@@ -1,4 +1,4 @@
-"""The interface of a refined problem, `Case`, and one solve of it.
+"""The interface of a refined problem, `Case`, one solve of it, and its iterates with their certificates.
 
 A mechanism's problem and a user's differential equation implement `Case`, so that the same code refines both.
 """
@@ -14,10 +14,9 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.history import progress, record, recorded, step_of
+from linkplan.planner.refinement.history import amend_last_step, progress, record, recorded, step_of
 from linkplan.planner.refinement.switches import PiecewiseMotion
-from linkplan.planner.solvers.outcome import OUT_OF_TIME
-from linkplan.planner.solvers.solve import Solution, solve
+from linkplan.planner.solvers.solve import OUT_OF_TIME, Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.system import Endpoint, System
@@ -271,3 +270,47 @@ def _attempted(what: str, scheme: str, mesh: Mesh) -> str:
     last = steps[-1] if steps else None
     came = "" if last is None else f"; last objective {last.objective:.6g}" if last.converged else "; last one not solved"
     return f"{what}: {scheme}, {mesh.n_intervals} intervals, {segments}{came}"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class CertifiedIterate(Generic[MotionT, CertificateT]):
+    """An iterate, its certificate, and the errors that this shows; None without a certificate."""
+
+    found: Iterate[MotionT]
+    certificate: CertificateT | None
+    report: ErrorReport | None
+
+    @property
+    def passed(self) -> bool:
+        """True if its certificate passes."""
+        return self.certificate is not None and self.certificate.passed
+
+    @property
+    def overruns(self) -> bool:
+        """True if a limit is overrun between the nodes."""
+        return self.report is not None and self.report.overruns
+
+    @property
+    def n_intervals(self) -> int:
+        """The number of intervals of its mesh."""
+        return self.found.mesh.n_intervals
+
+
+CertifiedIterateT = TypeVar("CertifiedIterateT", bound=CertifiedIterate)
+
+
+def certify_iterate(case: Case[MotionT, CertificateT], found: Iterate[MotionT]) -> CertifiedIterate[MotionT, CertificateT]:
+    """Certify an iterate and note its integration error in the history."""
+    certificate = case.certify(found.motion)
+    report = None if certificate is None else case.error_report(certificate)
+    if report is not None:
+        amend_last_step(
+            integration_error_deg=report.integration_error_deg,
+            integration_error=report.integration_error,
+        )
+    return CertifiedIterate(found=found, certificate=certificate, report=report)
+
+
+def error_of(at: CertifiedIterate[Any, Any]) -> float:
+    """Return the integration error in its client's unit; infinite without a certificate."""
+    return np.inf if at.report is None else at.report.integration_error_deg or at.report.integration_error or 0.0

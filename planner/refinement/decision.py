@@ -23,6 +23,7 @@ from linkplan.planner.refinement.actions import (
     RaiseDegree,
     ReadSwitches,
     ReleaseArcs,
+    Restore,
     Tighten,
 )
 from linkplan.planner.refinement.marking import (
@@ -41,7 +42,6 @@ from linkplan.planner.refinement.marking import (
     uneven_of,
 )
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
-from linkplan.planner.refinement.restore import Restore
 from linkplan.planner.refinement.state import RefinementState
 from linkplan.planner.refinement.switch_search import is_bang_bang
 

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import Case, CertificateT, MotionT
-from linkplan.planner.refinement.certified_iterate import CertifiedIterate
+from linkplan.planner.refinement.case import Case, CertificateT, CertifiedIterate, MotionT
 from linkplan.planner.refinement.switches import PiecewiseMotion
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE

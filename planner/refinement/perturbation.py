@@ -4,11 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# A perturbation is a sum of so many half waves, of this share of the motion's size. Every fourth perturbation is larger.
-N_HALF_WAVES = 3
-PERTURBATION_SHARE = 0.5
-LARGE_EVERY_NTH = 4
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Perturbation:
@@ -19,16 +14,15 @@ class Perturbation:
 
 
 def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> Perturbation:
-    """Return a perturbation: half waves of random size, nothing at the motion's ends.
+    """Return a perturbation: three half waves of random size, of half the motion's size together, nothing at its ends.
+
+    Every fourth perturbation is larger.
 
     Args:
         number: which of the perturbations; the seed.
         along: shares (n,) of the motion, from 0 to 1.
         span: the motion's size (k,) in each coordinate.
     """
-    rng, wave = np.random.default_rng(number), 1 + np.arange(N_HALF_WAVES)
-    shape = np.sin(np.pi * np.outer(along, wave)) @ (rng.uniform(-1.0, 1.0, (N_HALF_WAVES, len(span))) / wave[:, None])
-    return Perturbation(
-        offset=PERTURBATION_SHARE * (1 + number // LARGE_EVERY_NTH) * shape * span,
-        stretch=float(2.0 ** rng.uniform(-1.0, 1.0)),
-    )
+    rng, wave = np.random.default_rng(number), np.arange(1, 4)
+    shape = np.sin(np.pi * np.outer(along, wave)) @ (rng.uniform(-1.0, 1.0, (len(wave), len(span))) / wave[:, None])
+    return Perturbation(offset=0.5 * (1 + number // 4) * shape * span, stretch=float(2.0 ** rng.uniform(-1.0, 1.0)))

@@ -3,11 +3,9 @@
 from dataclasses import replace
 
 from linkplan.models.interrupts import check
-from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT
-from linkplan.planner.refinement.certified_iterate import certify_iterate
+from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, certify_iterate
 from linkplan.planner.refinement.decision import next_action
-from linkplan.planner.refinement.refined import Refined
-from linkplan.planner.refinement.state import RefinementState, observed
+from linkplan.planner.refinement.state import Refined, RefinementState, observed
 from linkplan.planner.refinement.switch_search import at_bounds, settle_switch_times
 
 

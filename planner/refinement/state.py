@@ -1,24 +1,69 @@
-"""The state of a refinement: what was found so far, and what the decision on the next action needs of it."""
+"""The state of a refinement: what was found so far, the better of two iterates, and the result."""
 
 from dataclasses import dataclass, replace
 from typing import Generic
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, CertificateT, MotionT, RefinementTarget
-from linkplan.planner.refinement.certified_iterate import CertifiedIterate, error_of
+from linkplan.planner.refinement.case import (
+    Case,
+    CertificateT,
+    CertifiedIterate,
+    CertifiedIterateT,
+    MotionT,
+    RefinementTarget,
+    error_of,
+)
 from linkplan.planner.refinement.constrained_arcs import standing_off
-from linkplan.planner.refinement.pontryagin import limits_bind
-from linkplan.planner.refinement.refined import Refined, better_of
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, limits_bind
 from linkplan.planner.refinement.switch_search import at_bounds
-from linkplan.planner.solvers.outcome import SUCCEEDED
+from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED, Solution
 
-# The objective must keep still on this many meshes in a row; on one mesh it can do so by chance.
-MESHES_WITHOUT_CHANGE = 2
-# An error that a finer mesh leaves at more than this share does not fall: each mesh has another motion.
-FALLING_ERROR = 0.5
+# The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the
+# error of the mesh. The second share holds if the coarser motion is less exact.
+LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
 # The relative change of the objective that counts as none where an enclosure by coefficients keeps the motion off its limit.
 CHANGE_AT_TOUCHED_LIMIT = 1e-7
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Refined(Generic[MotionT, CertificateT]):
+    """A motion with its solution and certificate, which may not pass.
+
+    `settled` is True if the objective keeps still from mesh to mesh, where that is required. `moved` is its relative change
+    between the last two meshes on which the motion passed, 0 if there is only one. `objective_error` is the objective's
+    relative error as those meshes show it, infinite if there is only one.
+    """
+
+    motion: MotionT
+    solution: Solution
+    certificate: CertificateT
+    settled: bool
+    moved: float = 0.0
+    objective_error: float = np.inf
+
+    @property
+    def against(self) -> np.ndarray:
+        """The instants (n,) [s] at which the optimum would leave a held limit; a local optimum has none."""
+        return arcs_against_their_limits(self.solution)
+
+
+def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: RefinementTarget) -> CertifiedIterateT:
+    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had.
+
+    The solver leaves its tolerance at every limit that binds, which are more on a finer mesh. An objective that nobody asked
+    to settle is not given up for that on a mesh that is no more exact.
+    """
+    if before is None or (target.tolerance_given and now.report.exact and not before.report.exact):
+        return now
+    then, objective = before.found.solution.objective, now.found.solution.objective
+    left = SOLVER_TOLERANCE * now.n_intervals * abs(objective)
+    no_more_exact = before.report.exact and error_of(before) <= error_of(now)
+    if not target.objective_tolerance_given and no_more_exact and 0 <= objective - then <= left:
+        return before
+    truer = not before.report.exact and (now.report.exact or error_of(now) < error_of(before))
+    share = LOST_GAIN_INEXACT if truer else LOST_GAIN
+    return before if then < objective - share * abs(objective) else now
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -78,8 +123,8 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     @property
     def meshes_to_settle(self) -> int:
-        """The number of meshes in a row on which the objective must keep still."""
-        return MESHES_WITHOUT_CHANGE if self.at.found.fixed is None and not self.target.enclosed else 1
+        """The number of meshes in a row on which the objective must keep still: on one it can do so by chance."""
+        return 2 if self.at.found.fixed is None and not self.target.enclosed else 1
 
     @property
     def finished(self) -> bool:
@@ -142,7 +187,8 @@ def observed(
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
     first = state.rounds <= 1  # the error on the first mesh is too coarse to compare with
-    new = replace(state, at=at, falls=first or error_of(at) <= FALLING_ERROR * error_of(state.at))
+    # An error that a finer mesh leaves at more than half does not fall: each mesh has another motion.
+    new = replace(state, at=at, falls=first or error_of(at) <= 0.5 * error_of(state.at))
     if not at.passed:
         return new
     solution = at.found.solution

@@ -1,4 +1,7 @@
-"""Switch times of a motion: read off a solution, then unknowns of further solves until they no longer move."""
+"""Switch times of a motion: read off a solution, then unknowns of further solves until they no longer move.
+
+A duration that ends at a bound of its guess has not converged: the objective still falls there.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -10,10 +13,10 @@ from linkplan.planner.refinement.constrained_arcs import (
     arc_ends,
     find_constrained_paths,
     free_ends,
+    held_throughout,
     own_arcs,
     path_arcs,
 )
-from linkplan.planner.refinement.held_arcs import held_throughout
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.solvers.solve import Solution
@@ -25,10 +28,12 @@ from linkplan.planner.transcription.mesh import Mesh, graded, segmented
 MESH_ERROR_SHARE = 1e-4
 # A segment's duration is at its bound if its logarithm is within this share of the range.
 SHARE_AT_BOUND = 1e-3
-# Switch times next to arcs inside the limits settle in at most so many solves, until the objective gains less than this
-# share.
-MAX_SETTLINGS = 4
+# Switch times next to arcs inside the limits settle until the objective gains less than this share.
 SETTLED_GAIN = 1e-9
+# A duration within this share of where it may end is there.
+SHARE_AT_GUESS_BOUND = 0.01
+
+LONGER, SHORTER = "longer", "shorter"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -54,7 +59,7 @@ def settle_switch_times(
     If that is worse than the solution without switch times, the arcs were read wrongly, and nothing is held.
     """
     no_worse = SETTLED_GAIN if position_rows else MESH_ERROR_SHARE
-    for _ in range(MAX_SETTLINGS):
+    for _ in range(4):  # next to arcs inside the limits switch times settle in so many solves
         before = found.solution.objective
         boundaries = found.motion.breaks_s[found.mesh.boundaries()]
         readings = _readings(case, found, boundaries)
@@ -176,3 +181,27 @@ def mesh_with_switches(boundaries_s: np.ndarray, switch_times_s: np.ndarray, n_i
     phase = np.searchsorted(boundaries_s, ends[:-1], side="right") - 1
     durations = np.diff(ends)
     return segmented(durations, n_intervals, phase=phase), durations
+
+
+def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) -> str | None:
+    """Return `LONGER` or `SHORTER`, as the motion would be, where a bound is in its way that is not the user's; else None.
+
+    A free duration is searched between a fiftieth and a hundred times its guess. A motion with switch times has settled near
+    them, and None is returned.
+
+    Args:
+        solution: of a program.
+        shortest_s: the user's bounds on the duration [s], equal where it is fixed.
+        longest_s: infinite where there is none.
+    """
+    transcribed = solution.transcribed
+    place, mesh = transcribed.program.layout.durations(), transcribed.program.mesh
+    if shortest_s == longest_s or np.any(np.bincount(mesh.phase) > 1):
+        return None
+    at, lower, upper = solution.x[place], transcribed.lower[place], transcribed.upper[place]
+    free, duration = lower < upper, float(at.sum()) * transcribed.units.time_s  # phases to given instants are not free
+    if duration < (1 - SHARE_AT_GUESS_BOUND) * longest_s and np.any(free & (at >= (1 - SHARE_AT_GUESS_BOUND) * upper)):
+        return LONGER
+    if duration > (1 + SHARE_AT_GUESS_BOUND) * shortest_s and np.any(free & (at <= (1 + SHARE_AT_GUESS_BOUND) * lower)):
+        return SHORTER
+    return None

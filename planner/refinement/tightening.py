@@ -14,8 +14,6 @@ _MIN_TIGHTENING = 1e-7
 # Up to this share a limit is tightened evenly along the motion. A limit that is tighter on one interval than on its
 # neighbours increases the error of the polynomial at the ends of that interval.
 _EVEN_TIGHTENING = 2e-5
-# The largest tightening, as a share of the distance between the two bounds.
-_MAX_TIGHTENING_SHARE = 0.45
 
 
 class TightenedRow(NamedTuple):
@@ -92,7 +90,8 @@ def tightening_over(
     size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
     factor = [2.0 if row.tightened is Tightened.SQUARED else 1.0 for row in rows]
     columns = {(row.what, row.item): column for column, row in enumerate(rows)}
-    most = np.where(np.all(np.isfinite(path), axis=1), _MAX_TIGHTENING_SHARE * (path[:, 1] - path[:, 0]), np.inf)
+    # Both bounds together leave a tenth of the distance between them.
+    most = np.where(np.all(np.isfinite(path), axis=1), 0.45 * (path[:, 1] - path[:, 0]), np.inf)
 
     def tightening(breaks_s: np.ndarray) -> np.ndarray:
         middle = (0.5 * (breaks_s[1:] + breaks_s[:-1]) - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])

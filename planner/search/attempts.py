@@ -1,29 +1,42 @@
-"""From one start to a plan: solved, refined until its certificate passes, mended where it does not."""
+"""From one start to a plan: solved, refined until its certificate passes, mended where it does not.
 
-from dataclasses import replace
+A tracking motion is solved with a small weight on the squared effort rate first: the motion nearest in position alone
+chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it. Then the weight is removed in steps, down
+to a thousandth of it, on finer meshes.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.collisions import unavoidable
 from linkplan.planner.closed_chain.answer import finished, optimality
-from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.case import MechanismCase, case_of
+from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.refine import refine
-from linkplan.planner.search.durations import with_longer_durations
-from linkplan.planner.search.first_mesh import INTERVALS_PER_SWING, first_mesh, graded_mesh
-from linkplan.planner.search.ladder import HURRIED, Budget, Search
-from linkplan.planner.search.smoothing_continuation import unsmoothed
-from linkplan.planner.search.solving import Iterate, solve_from
-from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
+from linkplan.planner.refinement.state import Refined
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.rungs import HURRIED, Budget, Steps, followed
+from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, solve_from, with_longer_durations
+from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.mesh import halved
 
-# A relative change of the objective on a finer mesh above this share is reported.
+# A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
+# halving it for the smoothing.
 REPORTED_CHANGE = 1e-4
+# The smoothing is small enough if a step gains less than this share of the objective. Its mesh is halved up to so many
+# intervals.
+_MIN_GAIN_OF_STEP, _MAX_INTERVALS = 1e-5, 160
+# An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
+_EXACT_TRACKING_SHARE = 1e-10
 
 
 def plan_from(
@@ -203,3 +216,60 @@ def with_constant_efforts(problem: Problem, found: Iterate) -> Plan | None:
         return plan
     why = f"; efforts constant over intervals may cost {cost:.1%} of the objective: a better motion is not excluded"
     return only_feasible(plan, why)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Smoothed:
+    """A motion refined with a weight on the effort rate, and its objective without that."""
+
+    case: MechanismCase
+    refined: Refined
+    objective: float
+
+
+def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
+    """Return a tracking motion whose smoothing was taken out, and by what share a finer mesh changed its objective.
+
+    A motion without smoothing in its objective, or one that does not pass, is returned unchanged.
+    """
+    problem: Problem = case.problem
+    if not (problem.objective.is_smoothed and problem.objective.has("tracking") and refined.certificate.passed):
+        return refined, 0.0
+    unit = refined.solution.transcribed.units.objective
+
+    def solved(at: _Smoothed, smoothing: float, *, finer: bool = False) -> _Smoothed | None:
+        mesh, motion = at.refined.solution.transcribed.program.mesh, at.refined.motion
+        scheme = at.refined.solution.transcribed.scheme.name
+        durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
+        if finer:
+            mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
+        now = replace(at.case.with_scheme(scheme), smoothing=smoothing)
+        what = f"smoothing of efforts {smoothing / SMOOTHING_WEIGHT:.3g} of the first" + (", finer mesh" if finer else "")
+        found = attempt(now, now.start_from(motion), mesh, durations, what, warm=True)
+        better = None if found is None else refine(now, found, warm=True)
+        if better is None or not better.certificate.passed:
+            return None
+        objective = own_objective(better.solution.transcribed, better.solution.objective, better.motion)
+        return _Smoothed(case=now, refined=better, objective=objective) if objective <= at.objective else None
+
+    def settled(before: _Smoothed, after: _Smoothed, whole: bool) -> bool:
+        del whole
+        return before.objective - after.objective <= _MIN_GAIN_OF_STEP * after.objective
+
+    first = own_objective(refined.solution.transcribed, refined.solution.objective, refined.motion)
+    begin = _Smoothed(case=case, refined=refined, objective=first)
+    if first <= _EXACT_TRACKING_SHARE * unit:
+        return refined, 0.0
+    steps = Steps(begin=case.smoothing, end=1e-3 * SMOOTHING_WEIGHT, factor=0.1, halvings=0)
+    at, change = followed(begin, steps, solved, enough=settled).stages[-1], 0.0
+    while (
+        2 * at.refined.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS
+        and at.objective > _EXACT_TRACKING_SHARE * unit
+    ):
+        finer = solved(at, at.case.smoothing, finer=True)
+        if finer is None:
+            break
+        change, at = (at.objective - finer.objective) / finer.objective, finer
+        if change <= REPORTED_CHANGE:
+            break
+    return at.refined, change

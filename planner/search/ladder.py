@@ -1,4 +1,4 @@
-"""The search for a mechanism's motion: the state that its rungs share, its repairs, and the answer of its rungs.
+"""The search for a mechanism's motion: the state that its rungs share, its known motions, its repairs, and its answer.
 
 `planner.planning` lists the rungs and the repairs.
 """
@@ -14,14 +14,38 @@ from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.case import Iterate
 from linkplan.planner.refinement.history import recorded
-from linkplan.planner.search.known_motions import KnownMotions
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, try_in_turn
-from linkplan.planner.search.solving import Iterate
-from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
+from linkplan.planner.search.rungs import HURRIED, Budget, Rung, try_in_turn
+from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME
+from linkplan.planner.trajectory import Trajectory
 
-__all__ = ["HURRIED", "PATIENT", "Budget", "Repair", "Rung", "Search", "climb"]
+
+@dataclass(frozen=True, eq=False, slots=True)
+class KnownMotions:
+    """Certified motions, in the order in which they were found, and the plans that were looked for once."""
+
+    motions: list[Trajectory] = field(default_factory=list)
+    sought: dict[str, Plan | None] = field(default_factory=dict)
+
+    def add(self, motion: Trajectory) -> None:
+        """Add a motion whose certificate passed."""
+        self.motions.append(motion)
+
+    def once(self, what: str, look: Callable[[], Plan | None]) -> Plan | None:
+        """Return the plan that `look` finds, which is called once for each `what`; a motion that passes is added."""
+        if what not in self.sought:
+            plan = look()
+            self.sought[what] = plan
+            if plan is not None and plan.passed:
+                self.add(plan.require_motion("know"))
+        return self.sought[what]
+
+    def shorter_than(self, duration_s: float) -> list[Trajectory]:
+        """Return the motions that take less than a duration [s], the longest first."""
+        shorter = [motion for motion in self.motions if motion.duration_s < duration_s]
+        return sorted(shorter, key=lambda motion: -motion.duration_s)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,15 +11,10 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import record, step_of
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
-from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, halved
-
-# The number of starts, because one may lead to a local optimum, and of perturbed guesses tried to find them.
-_MAX_STARTS, _MAX_GUESSES = 3, 20
-# Finer meshes for a factor that a message names, and the relative change between two of them that ends the refinement.
-_MAX_FINER_MESHES, _SETTLED_CHANGE = 3, 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -36,13 +31,14 @@ class LeastLimit:
 def least_limit_of_starts(problem: Problem, guess: Guess) -> LeastLimit | None:
     """Return the least factor on the effort limits from several starts; None if no start led to a motion.
 
-    Further starts are tried while the factor is above 1.
+    Further starts are tried while the factor is above 1, three in all: one may lead to a local optimum. Twenty perturbed
+    guesses are tried at most to find them.
     """
-    perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), _MAX_GUESSES)
+    perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), 20)
     every = itertools.chain([guess], (start for _, start in perturbed))
     closed = (start for start in every if closes(problem, start))
     best = None
-    for start in problem.solver.deadline.take(itertools.islice(closed, _MAX_STARTS)):
+    for start in problem.solver.deadline.take(itertools.islice(closed, 3)):
         known = None if best is None else best.first
         found = least_limit(problem, start, *first_mesh(problem, start), known=known)
         if found is not None and (best is None or found.factor < best.factor):
@@ -57,13 +53,13 @@ def settled_limit(problem: Problem, found: LeastLimit) -> LeastLimit:
 
     A motion can exploit the error of a coarse mesh, and then needs more effort than the factor says.
     """
-    for _ in range(_MAX_FINER_MESHES):
+    for _ in range(3):  # a message names the factor to four digits
         mesh = halved(found.mesh, np.ones(found.mesh.n_intervals, dtype=bool))
         finer = least_limit(problem, motion_of(found.trajectory), mesh, found.durations)
         if finer is None:
             return found
         before, found = found, finer
-        if abs(found.factor - before.factor) <= _SETTLED_CHANGE * found.factor:
+        if abs(found.factor - before.factor) <= 1e-4 * found.factor:
             break
     return found
 

@@ -11,18 +11,16 @@ from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
-from linkplan.planner.certificate.site_ends import SITE_SLACK
+from linkplan.planner.certificate.boundary import SITE_SLACK
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.limits.site import site_title
-from linkplan.planner.phase_plane.stopping import no_way_to_stop
+from linkplan.planner.phase_plane.energy_bounds import no_way_to_stop
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
 
-# Poses examined between start and goal of one degree of freedom; singular poses are examined at every fourth of them.
-_POSES_BETWEEN, _SINGULAR_STRIDE = 401, 4
-# The words on such poses, and the tolerance of ranges [rad or m] and of the margin to singular poses [share] on the way:
-# smaller overruns are left to the solver and the certificate.
+# The words on poses between start and goal of one degree of freedom, and the tolerance of ranges [rad or m] and of the
+# margin to singular poses [share] on the way: smaller overruns are left to the solver and the certificate.
 _PASSES, _POSE_TOLERANCE = "between start and goal, where every motion of one degree of freedom passes", 1e-6
 
 
@@ -99,7 +97,7 @@ def _branches_on_the_way(problem: Problem) -> str | None:
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
         return None
     way = _only_way(problem)
-    if way is not None and all_regular(mechanism, way[::_SINGULAR_STRIDE]):
+    if way is not None and all_regular(mechanism, way[::4]):
         return None
     low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
     (joint,) = mechanism.independent_joints
@@ -182,7 +180,7 @@ def _only_way(problem: Problem) -> np.ndarray | None:
     if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
         return None
     try:
-        between = np.linspace(motion.start, motion.goal, _POSES_BETWEEN)
+        between = np.linspace(motion.start, motion.goal, 401)
         return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
     except AssemblyError:  # the way is not open: said elsewhere
         return None

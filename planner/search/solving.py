@@ -1,16 +1,30 @@
-"""One solve of a mechanism's problem from a guess: what every rung begins with."""
+"""One solve of a mechanism's problem from a guess, which every rung begins with: its mesh, and free durations.
 
+The first mesh is as fine as the problem asks for, and fine enough for the swings of a start. Motions whose free duration is
+bounded by their guess are solved again with longer ones, unbounded ones are reported.
+"""
+
+import itertools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of, held_arcs_of
-from linkplan.planner.closed_chain.guess import closes
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
+from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
-from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
+from linkplan.planner.search.rungs import Steps, followed
+from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
-__all__ = ["Iterate", "solve_from"]
+# The smallest number of intervals for each swing of a guess.
+INTERVALS_PER_SWING = 40
+# A duration longer than that of the phase plane's motion by this factor is long enough: the error of its grid is a
+# thousandth, and a hundredth along speed limits.
+GRID_ERROR_FACTOR, GRID_ERROR_FACTOR_AT_SPEED_LIMIT = 1.001, 1.01
 
 
 def solve_from(
@@ -31,3 +45,140 @@ def solve_from(
         return None
     fixed = None if guess.power_arcs is None else held_arcs_of(problem, guess)
     return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts, fixed=fixed)
+
+
+def first_mesh(problem: Problem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
+    """Return the first mesh of a problem and its segments' durations [s] in a guess."""
+    n = n_intervals or max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings if guess.swings > 1 else 0)
+    if guess.boundaries_s is not None:
+        durations = np.diff(guess.boundaries_s)
+        return segmented(durations, n, phase=np.arange(len(durations))), durations
+    if problem.mesh.breaks is not None and n_intervals is None:
+        return broken(problem.mesh.breaks), np.array([guess.duration_s])
+    return uniform(n), np.array([guess.duration_s])
+
+
+def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with switch times (n_switches,) [s] within a guess's phases, and its segments' durations [s].
+
+    The mesh is finer where the guess is fast: near a singular pose a motion covers in a hundredth of its time what takes
+    half of it elsewhere. Every interval has an equal share of time, way and change of speed together.
+    """
+    boundaries = _boundaries(guess)
+    ends = np.sort(np.concatenate([boundaries, switch_times_s]))
+    # Samples of a guess at which its speed is measured.
+    times = np.linspace(0.0, guess.duration_s, 4001)
+    progress = np.concatenate([[0.0], np.cumsum(_pace(guess, times))])
+    return _spread(times, n_intervals * progress / progress[-1], ends, boundaries)
+
+
+def mesh_along_power(guess: Guess, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a graded mesh for a guess along limits on power, and its segments' durations [s].
+
+    Along a limit the effort P / w falls off from a bang however short: an interval more for each time that it halves.
+    """
+    boundaries = _boundaries(guess)
+    assert guess.switch_times_s is not None  # along limits on power
+    assert guess.power_arcs is not None
+    ends = np.sort(np.concatenate([boundaries, guess.switch_times_s]))
+    graded = np.geomspace(1e-6, 0.5, 301)  # samples of half a segment, a millionth of it apart next to its ends
+    inside = np.concatenate([graded, 1.0 - graded[-2::-1]])
+    times = np.concatenate([ends, *(begin + inside * (end - begin) for begin, end in itertools.pairwise(ends))])
+    times = np.unique(times)
+    halvings = np.zeros(len(times) - 1)
+    middle = 0.5 * (times[1:] + times[:-1])
+    assert guess.effort is not None  # that of legs along limits on power
+    along = guess.power_arcs[np.searchsorted(ends, middle) - 1] != 0
+    size = np.log2(np.maximum(np.abs(guess.effort(middle)), np.finfo(float).tiny))
+    halvings[1:] = np.where(along[1:] & along[:-1], np.abs(np.diff(size, axis=0)), 0.0).max(axis=1)
+    progress = np.concatenate([[0.0], np.cumsum(n_intervals * _pace(guess, times) + halvings)])
+    return _spread(times, progress, ends, boundaries)
+
+
+def _boundaries(guess: Guess) -> np.ndarray:
+    return np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
+
+
+def _pace(guess: Guess, times: np.ndarray) -> np.ndarray:
+    """Return the shares (n - 1,) of a guess between its samples: of time, way and change of speed together."""
+    position, velocity = guess.position(times), guess.velocity(times)
+    pace = np.diff(times)[:, None] / guess.duration_s
+    for values in (position, velocity):
+        steps = np.abs(np.diff(values, axis=0))
+        pace = np.hstack([pace, steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)])
+    return pace.mean(axis=1)
+
+
+def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundaries: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """Return the mesh of segments between `ends` [s] with an interval for each unit of progress (n,) at times (n,) [s]."""
+    at_ends = np.interp(ends, times, progress)
+    fraction, segment = [], []
+    for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
+        count = max(3, int(np.round(end - begin)))  # at least three a segment, as in `segmented`
+        breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
+        breaks[[0, -1]] = ends[k], ends[k + 1]
+        fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))
+        segment += [k] * count
+    phase = np.searchsorted(boundaries, ends[:-1], side="right") - 1
+    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment), phase=phase), np.diff(ends)
+
+
+def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
+    """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
+
+    def solve(at: _BoundedByGuess, longer: float) -> _BoundedByGuess | None:
+        if at.unbounded is None:
+            return None
+        duration = min(longer, problem.motion.max_duration_s or np.inf)
+        start = stretched(motion_of(at.found.motion), duration)
+        shares = at.found.solution.x[at.found.solution.transcribed.program.layout.durations()]
+        what = "from a longer motion"
+        further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what)
+        if further is None:
+            return None
+        # The duration has no end if the objective falls to a thousandth at once.
+        falls = further.solution.objective < 1e-3 * at.found.solution.objective and problem.motion.max_duration_s is None
+        return _BoundedByGuess(
+            found=further, unbounded=at.unbounded if falls else unbounded_duration(problem, further.solution)
+        )
+
+    begin = _BoundedByGuess(found=found, unbounded=unbounded_duration(problem, found.solution))
+    duration = found.motion.duration_s
+    steps = Steps(begin=duration, end=np.inf, factor=30.0, halvings=0, most=2)
+    at = followed(begin, steps, solve).stages[-1]
+    return at.found, at.unbounded
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _BoundedByGuess:
+    """A solution, and the sentence on its free duration where that grew to the end of what its guess allows."""
+
+    found: Iterate
+    unbounded: str | None
+
+
+def unbounded_duration(problem: Problem, solution: Solution) -> str | None:
+    """Return the sentence on a free duration that grew to the end of what its guess allows; None elsewhere.
+
+    That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
+    """
+    motion, transcribed = problem.motion, solution.transcribed
+    if motion.duration_s is not None or bounded_by_guess(solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
+        return None
+    duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
+    what = problem.objective.name.replace("_", " ")
+    without = f"failed: the objective is unbounded in the duration, the longer the motion the less its {what}"
+    return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
+
+
+def longest(problem: Problem) -> float:
+    """Return the longest that a motion may take [s]."""
+    return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
+
+
+def may_swing(problem: Problem) -> bool:
+    """True if a motion may build up energy by swings that no start has tried.
+
+    For one degree of freedom the phase plane has tried all swings.
+    """
+    return problem.mechanism.dof > 1 and not np.isfinite(longest(problem))

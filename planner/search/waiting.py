@@ -20,18 +20,14 @@ from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import certified, refined, without_solving
-from linkplan.planner.search.duration_continuation import DURATION_FACTOR
-from linkplan.planner.search.ladder import Budget, Search
-from linkplan.planner.search.least_time import shortest_motion
+from linkplan.planner.search.continuations import DURATION_FACTOR
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.rungs import Budget
 from linkplan.planner.search.solving import solve_from
+from linkplan.planner.search.starts import shortest_motion
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
-# Intervals of the rest.
-_REST_INTERVALS = 10
-# With several driven degrees of freedom: the share of the time left for a solve that begins at a rest and a motion beside
-# it (a five-bar's swing-up is lost there), and the factor from the least time to the duration of the motion beside the rest.
-_SHARE_OF_TIME_LEFT, _FACTOR_BESIDE_REST = 0.1, 1.05
 # Terms of an objective that a rest adds to by its effort and its length alone.
 _STILL_TERMS = {"time", "effort", "copper_loss"}
 
@@ -63,8 +59,9 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     quick = shortest_motion(search)
     if quick is None or quick.solved is None or quick.solved.program.mesh.n_phases > 1:
         return None
-    several = search.problem.mechanism.dof > 1
-    problem = _on_its_scheme(search.within(replace(budget, share_of_time=_SHARE_OF_TIME_LEFT) if several else budget), quick)
+    # With several driven freedoms (a five-bar's swing-up) such a solve may be lost, and takes a tenth of the time left.
+    share = 0.1 if search.problem.mechanism.dof > 1 else budget.share_of_time
+    problem = _on_its_scheme(search.within(replace(budget, share_of_time=share)), quick)
     wait = problem.motion.duration_s - quick.trajectory.duration_s
     if wait <= MIN_INTERVAL_SHARE * problem.motion.duration_s:
         return None
@@ -112,9 +109,9 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
 
 
 def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None:
-    """Return the plan of the best motion in little more than the least time; None where it does not pass."""
+    """Return the plan of the best motion in a twentieth more than the least time; None where it does not pass."""
     motion, asked = quick.require_motion("lengthen"), search.problem.motion.duration_s
-    duration = min(_FACTOR_BESIDE_REST * motion.duration_s, asked or np.inf)
+    duration = min(1.05 * motion.duration_s, asked or np.inf)
     problem = _on_its_scheme(search.within(budget), quick)
     mesh = replace(problem.mesh, refine="intervals")
     problem = replace(problem, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
@@ -143,15 +140,15 @@ def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool)
 def _waits(problem: Problem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:
     trajectory, mesh = quick.require_motion("wait beside"), quick.solved.program.mesh
     motion, lengths = motion_of(trajectory), np.bincount(mesh.segment, weights=np.diff(trajectory.breaks_s))
-    rest = np.full(_REST_INTERVALS, 1.0 / _REST_INTERVALS)
+    rest = np.full(10, 0.1)  # shares of its intervals
     for end in ("start", "goal"):
         effort = _held(problem, end)
         if effort is None:
             continue
         first = end == "start"
-        segment = [np.zeros(_REST_INTERVALS, dtype=int), mesh.segment + 1]
+        segment = [np.zeros(len(rest), dtype=int), mesh.segment + 1]
         if not first:
-            segment = [mesh.segment, np.full(_REST_INTERVALS, mesh.n_segments)]
+            segment = [mesh.segment, np.full(len(rest), mesh.n_segments)]
         parts = (rest, mesh.fraction) if first else (mesh.fraction, rest)
         longer = Mesh(fraction=np.concatenate(parts), segment=np.concatenate(segment))
         durations = np.concatenate([[wait], lengths] if first else [lengths, [wait]])

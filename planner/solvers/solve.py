@@ -1,11 +1,11 @@
-"""Solution of a program by IPOPT."""
+"""Solution of a program by IPOPT, and the names of IPOPT's statuses."""
 
 import contextlib
 import io
 import threading
 import time
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -15,23 +15,45 @@ from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.interrupts import asked, solving
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.solvers.outcome import (
-    INVALID,
-    MAX_ITERATIONS,
-    OUT_OF_ITERATIONS,
-    OUT_OF_TIME,
-    SOLVER_TOLERANCE,
-    Solver,
-)
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
 from linkplan.planner.transcription.program import Program
 
-__all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "solve"]
+# Feasibility and optimality of the scaled program; the certificate checks the motion itself.
+SOLVER_TOLERANCE = 1e-10
+MAX_ITERATIONS = 500
+# IPOPT's statuses.
+SUCCEEDED = "Solve_Succeeded"
+OUT_OF_TIME = "Maximum_CpuTime_Exceeded"
+OUT_OF_ITERATIONS = "Maximum_Iterations_Exceeded"
+INVALID = "Invalid_Number_Detected"
 
+
+# The hint at the end of messages on time limits.
+OF_TIME = "(solver.max_time_s)"
 # Interpreting this many nodes times iterations takes as long as compiling; measured on four-bars: 0.06 ms each and 0.5 s.
 _COMPILING_COST = 8000
 # The fewest iterations before a solve is restarted with compiled functions.
 _MIN_PATIENCE_ITERATIONS = 20
+
+
+def why_stopped(status: str, max_time_s: float) -> str | None:
+    """Return a phrase on a solver that stopped without a result on the problem; None for other statuses."""
+    return {
+        OUT_OF_TIME: f"the solver ran out of its {max_time_s:g} s {OF_TIME}",
+        INVALID: "the dynamics gave a number that is not finite (NaN) along the motion, or the solver could not begin",
+    }.get(status)
+
+
+class Solver(Protocol):
+    """A solver built for one program, as `casadi.nlpsol` makes them."""
+
+    def __call__(self, **numbers: Any) -> Any:
+        """Return the result, "x" and "f", for x0, p, lbx, ubx, lbg and ubg."""
+        ...
+
+    def stats(self) -> dict[str, Any]:
+        """Return statistics of the last call: success, return_status, iter_count."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -1,16 +1,75 @@
-"""Bounds and linear rows of a program, from a formulation's limits and phase boundaries."""
+"""Bounds and linear rows of a program, from a formulation's limits and phase boundaries, and its junctions.
 
-from collections.abc import Sequence
+Junctions are switch times at which an effort's limit and a limit on a quantity that contains the effort bind together. A
+power u w or a torque-speed line continues an arc at the effort's limit without a jump. Rows at the nodes would impose this
+twice, once from either side. With the mesh's error such a program is infeasible, or its junction is misplaced. So one
+equation is imposed at the node of the switch (Bryson & Ho 1975, section 3.11: entry points), and the effort's own limit is
+relaxed next to it; the violation vanishes as the mesh is refined.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from linkplan.planner.transcription.formulation import Formulation
+from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.interval import IntervalFunctions
-from linkplan.planner.transcription.junctions import junction_places
-from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.layout import Layout, Triplets, no_rows
 from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.triplets import Triplets, no_rows
+from linkplan.planner.transcription.schemes import Scheme
+
+
+def find_junctions(
+    formulation: Formulation,
+    mesh: Mesh,
+    durations: np.ndarray,
+    start: Start,
+    bang_efforts: np.ndarray | None,
+    constrained_paths: np.ndarray | None,
+) -> np.ndarray | None:
+    """Return the junctions (n_segments - 1, n_path) of path quantities between segments; None if there are none.
+
+    1: the effort is held before and the quantity after. -1: the reverse. 0: the effort jumps, or neither is held.
+
+    Args:
+        formulation: the continuous problem.
+        mesh: intervals.
+        durations: (n_segments,) [s] of its segments in the start.
+        start: the motion that gives the efforts.
+        bang_efforts: (n_segments, n_u), NaN where they are free.
+        constrained_paths: (n_segments, n_path).
+    """
+    if bang_efforts is None or constrained_paths is None or mesh.n_segments < 2:
+        return None
+    ends = np.concatenate([[0.0], np.cumsum(durations)])
+    found = np.zeros((mesh.n_segments - 1, constrained_paths.shape[1]), dtype=int)
+    for k, way, i in _candidates(formulation, bang_efforts, constrained_paths):
+        arc, bang = (k + 1, k) if way > 0 else (k, k + 1)
+        inside = ends[k + 1] + way * 0.05 * durations[arc]  # close to the switch, but clearly within the arc
+        effort = start.nodes(np.array([inside]))[3].reshape(-1)
+        changes = np.isnan(bang_efforts[arc]) & ~np.isnan(bang_efforts[bang])
+        if np.any(changes) and np.all(effort[changes] * bang_efforts[bang, changes] > 0):
+            found[k, i] = way
+    return found if found.any() else None
+
+
+def _candidates(
+    formulation: Formulation, bang_efforts: np.ndarray, constrained_paths: np.ndarray
+) -> Iterator[tuple[int, int, int]]:
+    """Yield the ends of segments where a quantity that jumps with efforts begins (1) or ends (-1) to be held."""
+    for k in range(len(bang_efforts) - 1):
+        for i in formulation.rows.open_end_path:
+            before, after = (bool(constrained_paths[at, i]) for at in (k, k + 1))
+            if before != after:
+                yield k, 1 if after else -1, i
+
+
+def junction_places(junctions: np.ndarray | None, mesh: Mesh) -> Iterator[tuple[int, int, int, int]]:
+    """Yield per junction the last interval before it, its segment, its path quantity and its direction."""
+    if junctions is None:
+        return
+    for k, i in zip(*np.nonzero(junctions), strict=True):
+        yield int(np.flatnonzero(mesh.segment == k)[-1]), int(k), int(i), int(junctions[k, i])
 
 
 def bang_coefficients(bang_efforts: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.ndarray | None:
@@ -163,7 +222,7 @@ def bounds(
     return lower, upper
 
 
-def given_nodes(formulation: Formulation, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
+def _given_nodes(formulation: Formulation, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
     """Return a mask (n, n_nodes) of the nodes at phase boundaries that prescribe all positions.
 
     Args:
@@ -194,26 +253,23 @@ def _with_junctions(lower, upper, formulation: Formulation, layout: Layout, mesh
 
 def row_bounds(
     formulation: Formulation,
+    chosen: Scheme,
     interval: IntervalFunctions,
+    mesh: Mesh,
     breaks_s: np.ndarray,
-    constrained_paths: np.ndarray | None = None,
-    *,
-    meetings: Sequence[tuple[int, int, int, int]] = (),
-    node_at_end: bool = False,
-    given: np.ndarray | None = None,
-    boundaries: Sequence[int] = (),
+    constrained_paths: np.ndarray | None,
+    junctions: np.ndarray | None,
 ):
     """Return the lower and upper bounds of each interval's rows: its own rows, its nodes' rows, its open ends' rows.
 
     Args:
-        formulation: its limits.
+        formulation: its limits; at nodes with prescribed positions `position_path` needs no bound.
+        chosen: the transcription.
         interval: the rows.
+        mesh: the intervals; a node ends the interval before each phase boundary where `passed` has a value.
         breaks_s: (n + 1,) of the mesh [s].
-        constrained_paths: (n, n_path) path quantities held at their upper limit (1) or lower limit (-1) at the nodes.
-        meetings: places of junctions from `junction_places`.
-        node_at_end: whether an interval ends at a node.
-        given: mask (n, n_nodes) of nodes with prescribed positions, where `position_path` needs no bound.
-        boundaries: the intervals at which phases begin; a node ends the interval before each where `passed` has a value.
+        constrained_paths: (n_segments, n_path) path quantities held at nodes at their upper limit (1) or lower limit (-1).
+        junctions: the result of `find_junctions`.
     """
     n, m = len(breaks_s) - 1, interval.n_nodes
     own = np.zeros((interval.n_own, 2))
@@ -225,13 +281,15 @@ def row_bounds(
         path = path + formulation.tightening(breaks_s)[:, :, None] * np.array([1.0, -1.0])
     at_open_ends, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
     if constrained_paths is not None:
-        continuous = set(range(interval.n_path)) - set(formulation.rows.open_end_path) if node_at_end else set()
-        _hold_paths(path, at_nodes, at_open_ends, constrained_paths, meetings, continuous)
-    if given is not None and formulation.position_path:
+        continuous = set() if 1 in chosen.open_ends else set(range(interval.n_path)) - set(formulation.rows.open_end_path)
+        held, meetings = constrained_paths[mesh.segment], tuple(junction_places(junctions, mesh))
+        _hold_paths(path, at_nodes, at_open_ends, held, meetings, continuous)
+    if formulation.position_path:
+        given = _given_nodes(formulation, mesh, np.asarray(chosen.nodes, dtype=float))
         out_of_the_way = np.array([-10.0, 10.0])  # scaled quantities are of order one, so this never binds
         at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
     for boundary, i, value in formulation.passed:
-        at_nodes[boundaries[boundary] - 1, -1, i] = value
+        at_nodes[mesh.boundaries()[boundary] - 1, -1, i] = value
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
     at_open_ends = np.concatenate([equations[:, 0], at_open_ends], axis=1)[:, list(interval.open_end_rows)]

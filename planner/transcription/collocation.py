@@ -10,8 +10,14 @@ import numpy as np
 
 from linkplan.models.compiled.functions import CodeT, compiled_as_asked
 from linkplan.models.deadline import NO_DEADLINE, Deadline
-from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import chain_key, node_key
+from linkplan.planner.transcription.bounds import (
+    bang_coefficients,
+    bounds,
+    find_junctions,
+    linear_rows,
+    row_bounds,
+)
+from linkplan.planner.transcription.compiled import chain_key, node_key, without_numbers
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, stretched_durations
 from linkplan.planner.transcription.interval import (
     ChainFunctions,
@@ -20,14 +26,11 @@ from linkplan.planner.transcription.interval import (
     interval_of,
     open_end_path,
 )
-from linkplan.planner.transcription.junctions import find_junctions, junction_places
-from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.layout import Layout, Triplets
 from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.node import NodeFunctions, build_node
-from linkplan.planner.transcription.numbers import without_numbers
 from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.schemes import Scheme
-from linkplan.planner.transcription.triplets import Triplets
+from linkplan.planner.transcription.system import NodeFunctions, build_node
 
 # Efforts stay this share inside their limits, so that rounding in evaluating the polynomial cannot exceed a limit.
 _LIMIT_ROUNDING_SHARE = 4e-15
@@ -142,7 +145,7 @@ def collocate(
         formulation, layout, mesh, durations, None if least_limit else bang_efforts, interval.open_end_z, junctions
     )
     breaks, (_, numbers) = mesh.breaks(durations), without_numbers(formulation.build_system())
-    row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
+    row_lower, row_upper = row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
     return Transcribed(
         program=_program(layout, mesh, interval, linear, formulation.endpoint),
         scheme=chosen,
@@ -181,7 +184,7 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     )
     _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
     breaks, open_ends, numbers = mesh.breaks(durations), program.interval.n_open_ends, transcribed.numbers
-    row_lower, row_upper = _row_bounds(
+    row_lower, row_upper = row_bounds(
         formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.constrained_paths, transcribed.junctions
     )
     return replace(
@@ -253,24 +256,6 @@ def _program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linear: Tr
 @functools.lru_cache(maxsize=4)
 def _built_program(request: _BuildRequest) -> Program:
     return request.by()
-
-
-def _row_bounds(
-    formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, constrained_paths, junctions
-):
-    of_intervals = None if constrained_paths is None else constrained_paths[mesh.segment]
-    given = given_nodes(formulation, mesh, np.asarray(chosen.nodes, dtype=float))
-    meetings, node_at_end = tuple(junction_places(junctions, mesh)), 1 not in chosen.open_ends
-    return row_bounds(
-        formulation,
-        interval,
-        breaks,
-        of_intervals,
-        meetings=meetings,
-        node_at_end=node_at_end,
-        given=given,
-        boundaries=mesh.boundaries().tolist(),
-    )
 
 
 def _parameters(

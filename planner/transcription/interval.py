@@ -20,9 +20,15 @@ import numpy as np
 
 from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram, bernstein_matrix, bernstein_product
 from linkplan.planner.transcription.layout import Layout
-from linkplan.planner.transcription.node import NodeFunctions, Pattern, build_node, convert_lists, nonzeros, triplets
 from linkplan.planner.transcription.schemes import Scheme
-from linkplan.planner.transcription.system import System
+from linkplan.planner.transcription.system import (
+    NodeFunctions,
+    Pattern,
+    System,
+    convert_lists,
+    nonzeros,
+    triplets,
+)
 
 # Costs of an interval, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.
 COSTS = ("time", "effort", "effort_rate")
@@ -171,12 +177,6 @@ def interval_of(
         weights=np.array(scheme.weights),
         node_kinds=system.kinds,
     )
-
-
-def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> IntervalFunctions:
-    """Return the functions of one interval of a system under a transcription."""
-    node = build_node(system, open_end_path(scheme, rows))
-    return interval_of(system, scheme, rows, node, build_chain(system, scheme, rows, node))
 
 
 def build_chain(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunctions) -> ChainFunctions:

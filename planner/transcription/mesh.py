@@ -72,10 +72,10 @@ def broken(breaks: np.ndarray) -> Mesh:
     return Mesh(fraction=widths / widths.sum(), segment=np.zeros(len(widths), dtype=int))
 
 
-def segmented(durations: np.ndarray, n_intervals: int, at_least: int = 3, phase: np.ndarray = _ONE_PHASE) -> Mesh:
-    """Return about `n_intervals` intervals, distributed over segments in proportion to their durations."""
+def segmented(durations: np.ndarray, n_intervals: int, phase: np.ndarray = _ONE_PHASE) -> Mesh:
+    """Return about `n_intervals` intervals, at least three a segment, distributed in proportion to the durations."""
     durations = np.asarray(durations, dtype=float)
-    share = np.maximum(at_least, np.round(n_intervals * durations / durations.sum())).astype(int)
+    share = np.maximum(3, np.round(n_intervals * durations / durations.sum())).astype(int)
     fraction = np.concatenate([np.full(n, 1.0 / n) for n in share])
     return Mesh(fraction=fraction, segment=np.repeat(np.arange(len(share)), share), phase=phase)
 

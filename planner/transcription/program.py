@@ -13,10 +13,9 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.transcription.interval import IntervalFunctions
-from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.layout import Layout, Triplets, pattern, scatter
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.system import Endpoint
-from linkplan.planner.transcription.triplets import Triplets, pattern, scatter
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

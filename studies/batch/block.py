@@ -18,9 +18,8 @@ from msgspec import Struct
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.batch import plan_cases
-from linkplan.planner.files.archive import read_member
-from linkplan.planner.files.trajectory_file import read_trajectory
-from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
+from linkplan.planner.files.trajectory_file import read_member, read_trajectory
+from linkplan.planner.keys.sections import BatchFile, CaseSection
 from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.refinement.history import Say

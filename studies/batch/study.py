@@ -9,7 +9,7 @@ from pathlib import Path
 from linkplan.planner.batch import check_batch
 from linkplan.planner.files.folders import check_target, write_json
 from linkplan.planner.files.work_folders import replace_file
-from linkplan.planner.keys.batch_sections import BatchFile
+from linkplan.planner.keys.sections import BatchFile
 from linkplan.planner.plan_folder import versions
 from linkplan.planner.refinement.history import silent
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked

@@ -13,7 +13,7 @@ from linkplan.studies.cli.printing import show
 
 def run_schema(arguments: argparse.Namespace) -> int:
     """Print the JSON Schema of problem files or of batch files, or write it into a file."""
-    from linkplan.planner.keys.json_schema import FILES, json_schema
+    from linkplan.planner.keys.key_table import FILES, json_schema
 
     said = json_schema(choose("kind of file", arguments.file, FILES, ProblemError))
     text = json.dumps(said, indent=2)
@@ -35,7 +35,7 @@ def _is_a_schema(place: Path) -> bool:
     """Tell if a file is empty or a schema that linkplan wrote, which may be replaced."""
     from linkplan.models.errors import LinkplanError
     from linkplan.models.reading import MOST_TOML_BYTES, read_file
-    from linkplan.planner.keys.json_schema import DIALECT, FILES
+    from linkplan.planner.keys.key_table import DIALECT, FILES
 
     try:
         text = read_file(place, f"'{place}'", MOST_TOML_BYTES).decode("utf-8")  # refuses devices, whose content never ends

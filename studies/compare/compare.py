@@ -11,14 +11,12 @@ from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.controllers.simulate import simulate_one
 from linkplan.controllers.trackers.computed_torque import computed_torque
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.integral_lqr import integral_lqr
 from linkplan.controllers.trackers.lqr import Errors, lqr
 from linkplan.controllers.trackers.mpc import mpc
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS
-from linkplan.controllers.trackers.pd import pd
-from linkplan.controllers.trackers.scheduled_pd import scheduled_pd
-from linkplan.controllers.trackers.tracker import AnyTracker, Tracker
+from linkplan.controllers.trackers.pd import pd, scheduled_pd
+from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, Tracker
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.models.poses.contacts import exclusion

@@ -8,14 +8,12 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.closing import CLOSING_CALLS
 from linkplan.controllers.trackers.computed_torque import ComputedTorque
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.integral_lqr import IntegralLQR
 from linkplan.controllers.trackers.lqr import LQR
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
 from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.prediction import RUNGE_KUTTA_STAGES, condensing
-from linkplan.controllers.trackers.stepping import steps_of
-from linkplan.controllers.trackers.tracker import AnyTracker
+from linkplan.controllers.trackers.prediction import condensing
+from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, steps_of
 from linkplan.models.mechanism import Mechanism
 
 
@@ -80,7 +78,8 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
     if isinstance(tracker, MPC):
         m, n, many = len(tracker.kept), HORIZON_BLOCKS, HORIZON_BLOCKS * n_u
         free = state + 2 * n_u * m + many * (2 * m + 1)
-        predicted = closing + n * (RUNGE_KUTTA_STAGES * _size(dynamics.flow) + _size(dynamics.linearisation))
+        # Runge and Kutta's method evaluates the dynamics four times.
+        predicted = closing + n * (4 * _size(dynamics.flow) + _size(dynamics.linearisation))
         stored = state + n_s + 2 * n_q + 2 * n_u + m * m + n_u * m * (1 + n)
         return stored, free, free + predicted + _size(condensing(n, m, n_u))
     return None, None, None

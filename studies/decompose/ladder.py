@@ -18,8 +18,7 @@ from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample, state_at
 from linkplan.controllers.rigid_plant import RigidPlant
 from linkplan.controllers.simulate import Plant, simulate
-from linkplan.controllers.trackers.stepping import steps_of
-from linkplan.controllers.trackers.tracker import AnyTracker, TrackerWithMemory
+from linkplan.controllers.trackers.tracker import AnyTracker, TrackerWithMemory, steps_of
 from linkplan.models.errors import ProblemError
 from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.compare.user_tracker import TrackerLike

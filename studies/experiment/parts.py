@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.errors import PlanFileError
+from linkplan.planner.files.columns import Kind, read_table, schema_of
 from linkplan.planner.files.folders import write_whole
-from linkplan.planner.files.parquet_table import Kind, read_table, schema_of
 from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import write_plan

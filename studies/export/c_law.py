@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import LQR
 from linkplan.controllers.trackers.pd import PD
+from linkplan.controllers.trackers.tracker import Feedforward
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose

@@ -7,8 +7,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.controls import needed_controls
-from linkplan.planner.motion_table import MotionTable, motion_table
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan import MotionTable, Plan, motion_table
 
 # So many keyframes have about a gigabyte.
 _MAX_SAMPLES = 1_000_000

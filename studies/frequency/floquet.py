@@ -15,10 +15,9 @@ import numpy as np
 
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import LQR
 from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.tracker import AnyTracker
+from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow

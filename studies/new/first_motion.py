@@ -26,9 +26,9 @@ from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.ladder import PATIENT, Rung
+from linkplan.planner.search.rungs import PATIENT, Rung
 from linkplan.planner.search.starts import from_first_starts
-from linkplan.planner.solvers.outcome import OF_TIME
+from linkplan.planner.solvers.solve import OF_TIME
 from linkplan.studies.new.changes import changed_mechanism, raised_limits, raised_notes
 from linkplan.studies.new.hanging import (
     GRAVITY_M_S2,

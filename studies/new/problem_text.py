@@ -11,7 +11,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.sites import site_names
-from linkplan.planner.files.toml_text import inline, key_text
+from linkplan.planner.files.tables import inline, key_text
 from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES
 

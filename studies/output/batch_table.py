@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from linkplan.planner.keys.batch_sections import CaseSection
+from linkplan.planner.keys.sections import CaseSection
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import record
 from linkplan.studies.output.digits import figure, known_digits

@@ -16,14 +16,13 @@ from linkplan.planner import plan as planned
 from linkplan.planner import plan_folder
 from linkplan.planner.files.columns import csv_bytes
 from linkplan.planner.files.folders import plain_record, write_json, write_whole
-from linkplan.planner.motion_step import NextMotion
 from linkplan.planner.ode import plan as ode_planned
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.replan import Replanner
+from linkplan.planner.replan import NextMotion, Replanner
 from linkplan.reporting import LOG, Progress, listener
 
 if TYPE_CHECKING:

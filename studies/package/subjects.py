@@ -7,14 +7,13 @@ from pathlib import Path
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.keys.motion_section import WaypointSection
+from linkplan.planner.keys.motion_and_limits import WaypointSection
 from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.imperfections import imperfections_of
-from linkplan.planner.problem.joint_values import joint_values
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.values import plain
+from linkplan.planner.problem.values import joint_values, plain
 
 Subject = Mechanism | Problem | str | Path
 

@@ -94,8 +94,7 @@ def _example(rng: random.Random, section: str, key: str) -> str:
 
 def mutated_toml(rng: random.Random) -> bytes:
     """Return a problem file with values of keys replaced, keys added, or bytes damaged."""
-    from linkplan.planner.files.tables import built_in_text
-    from linkplan.planner.files.toml_text import inline
+    from linkplan.planner.files.tables import built_in_text, inline
     from linkplan.planner.keys.reading import KEYS
 
     text = built_in_text(rng.choice(PROBLEMS))

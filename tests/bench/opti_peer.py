@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from linkplan.planner.solvers.outcome import SOLVER_TOLERANCE
+from linkplan.planner.solvers.solve import SOLVER_TOLERANCE
 
 L1, L2, L3, L4 = 0.057, 0.0741, 0.0855, 0.057
 GRAVITY = 9.81

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
-from linkplan.controllers.imperfections.gaping import ClosureWatch
+from linkplan.controllers.imperfections.batch_effects import ClosureWatch
 from linkplan.models.mechanism import load_mechanism
 from tests.support.machines import reach
 

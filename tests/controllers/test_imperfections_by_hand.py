@@ -19,7 +19,7 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.controllers.trackers.tracker import steps_of
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import BODY_NAME, SHANK
 from linkplan.planner.trajectory import Trajectory

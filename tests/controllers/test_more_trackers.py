@@ -16,7 +16,7 @@ from linkplan.controllers.trackers.lqr import discretise, linearise
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.prediction import predictor
-from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.controllers.trackers.tracker import steps_of
 from linkplan.models.compiled.functions import compiler
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from linkplan.controllers.imperfections.pushing import Pushing
+from linkplan.controllers.imperfections.batch_effects import Pushing
 
 FORCE, EFFORT = 8.0, -3.0
 

@@ -14,10 +14,9 @@ from linkplan.controllers.imperfections.plant import scale_masses
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
-from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.controllers.trackers.tracker import Feedforward, Tracker
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import BODY_NAME
 from tests.support.bodies import HINGE, HINGE_INERTIA

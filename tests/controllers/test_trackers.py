@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import LQR, discretise, linearise, lqr
 from linkplan.controllers.trackers.pd import PD, pd
+from linkplan.controllers.trackers.tracker import Feedforward
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan

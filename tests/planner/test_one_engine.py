@@ -14,13 +14,13 @@ from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import straight_guess
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.starts import perturbed
+from linkplan.planner.ode.search import perturbed
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import Case
-from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
 from linkplan.planner.refinement.perturbation import perturbation
-from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
+from linkplan.planner.refinement.switch_search import LONGER, SHORTER, bounded_by_guess
+from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
 from linkplan.planner.transcription.bernstein import bernstein_matrix, bernstein_value
 from linkplan.planner.transcription.mesh import Mesh, uniform
 from tests.support.tolerances_planner import UNIT

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.files.toml_text import inline, toml_text
+from linkplan.planner.files.tables import inline, toml_text
 
 WORDS = st.text(st.characters(exclude_categories=("Cs",)), max_size=12)
 NUMBERS = st.one_of(st.booleans(), st.integers(-(2**62), 2**62), st.floats(allow_nan=False))

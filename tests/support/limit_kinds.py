@@ -11,7 +11,7 @@ import numpy as np
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.limits.effort_rate import effort_rates
+from linkplan.planner.limits.actuators import effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.limits import Motor
 from linkplan.planner.problem.problem import Problem

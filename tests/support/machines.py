@@ -18,9 +18,8 @@ from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.simulate import Ensemble, simulate, simulate_one
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.pd import PD, pd
-from linkplan.controllers.trackers.tracker import AnyTracker
+from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward
 from linkplan.models.mechanism import Mechanism
 from tests.support.plans import optimal
 

@@ -14,10 +14,10 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search import duration_continuation
-from linkplan.planner.search.duration_continuation import MIN_SAVING, continued, from_continuation
-from linkplan.planner.search.known_motions import KnownMotions
-from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.search import continuations
+from linkplan.planner.search.continuations import MIN_SAVING, continued, from_continuation
+from linkplan.planner.search.ladder import KnownMotions, Search
+from linkplan.planner.search.rungs import PATIENT
 from linkplan.planner.search.starts import least_time_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case
@@ -166,12 +166,12 @@ def test_where_longer_motions_are_lost_the_last_one_on_the_way_is_returned_and_s
     quick = quick_hinge_guess()
     motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
     problem = body_problem(HINGE, motion + f"max_duration_s = {10 * quick.duration_s}\n")
-    step = duration_continuation._step
+    step = continuations._step
 
     def losing(problem, at, allowed):
         return step(problem, at, allowed) if allowed < 1.5 * quick.duration_s else None
 
-    monkeypatch.setattr(duration_continuation, "_step", losing)
+    monkeypatch.setattr(continuations, "_step", losing)
     search = Search(problem=problem, start_pose=problem.start_pose())
     plan = from_continuation(search, PATIENT)
     assert plan.certificate.passed

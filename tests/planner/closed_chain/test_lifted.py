@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.planner.closed_chain import lifted
+from linkplan.planner.closed_chain import mechanics
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.problem.scales import Scales
 from tests.support.hexapod import hexapod
 from tests.support.tolerances_planner import ROWS, SAME_FIGURE
 
@@ -24,23 +24,23 @@ def lifted_rows_along(mechanism: Mechanism, rng: np.random.Generator, *, wrong: 
     a = np.array(mechanism.dynamics.acceleration(q, v, u)).ravel() * (1 + wrong)
     ones = Scales(time_s=1.0, position=np.ones(n_s), effort=np.ones(mechanism.n_u), residual=np.ones(n_s), length_m=1.0)
     system = mechanism_system(mechanism, NodeTerms())
-    own = lifted.lifted_start(mechanism, q[None], v[None], a[None], u[None], 1.0, ones.force)[0]
+    own = mechanics.lifted_start(mechanism, q[None], v[None], a[None], u[None], 1.0, ones.force)[0]
     xi = np.concatenate([q[mechanism.independent], v, a, q[mechanism.dependent], own, u])
     return np.array(system.node(xi, ones.vector())).ravel()[: system.n_equations]
 
 
 @pytest.mark.parametrize("model", ["five-bar", "andrews-squeezer", hexapod()], ids=["five-bar", "squeezer", "hexapod"])
 def test_rows_of_a_lifted_node_are_kept_by_the_reduced_dynamics(model, monkeypatch):
-    monkeypatch.setattr(lifted, "_MAX_ELIMINATION_OPERATIONS", 0)
+    monkeypatch.setattr(mechanics, "_MAX_ELIMINATION_OPERATIONS", 0)
     mechanism, rng = load_mechanism(model), np.random.default_rng(3)
-    assert lifted.is_lifted(mechanism)
+    assert mechanics.is_lifted(mechanism)
     assert np.abs(lifted_rows_along(mechanism, rng)).max() < ROWS
     assert np.abs(lifted_rows_along(mechanism, rng, wrong=1e-3)).max() > 100 * ROWS
 
 
 def test_loops_that_close_together_are_lifted_and_those_that_follow_one_another_are_not():
-    assert lifted.is_lifted(load_mechanism(hexapod()))
-    assert not lifted.is_lifted(load_mechanism("andrews-squeezer"))
+    assert mechanics.is_lifted(load_mechanism(hexapod()))
+    assert not mechanics.is_lifted(load_mechanism("andrews-squeezer"))
 
 
 @pytest.mark.slow
@@ -52,9 +52,9 @@ def test_a_lifted_program_has_the_reduced_ones_answer(fastest, monkeypatch):
         return plan_motion(load_problem("five-bar-reach", limits))
 
     reduced = planned()
-    monkeypatch.setattr(lifted, "_MAX_ELIMINATION_OPERATIONS", 0)
+    monkeypatch.setattr(mechanics, "_MAX_ELIMINATION_OPERATIONS", 0)
     same = planned()
-    assert lifted.is_lifted(same.problem.mechanism)
+    assert mechanics.is_lifted(same.problem.mechanism)
     assert (reduced.status, same.status) == ("optimal", "optimal"), same.message
     assert same.objective == pytest.approx(reduced.objective, rel=SAME_FIGURE)
 

@@ -15,7 +15,7 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST
-from linkplan.planner.motion_table import motion_table
+from linkplan.planner.plan import motion_table
 from linkplan.planner.plan_folder import read_plan, record, write_plan
 from linkplan.planner.plan_record import PLAN_FORMAT
 from tests.support.fourbar import KNEE_PROBLEMS

@@ -14,10 +14,9 @@ import pytest
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.files.tables import BUILT_IN, apply_override, built_in_text
-from linkplan.planner.keys.json_schema import FILES, json_schema
-from linkplan.planner.keys.key_table import key_table
+from linkplan.planner.keys.key_table import FILES, json_schema, key_table
 from linkplan.planner.keys.kinds import Term
-from linkplan.planner.keys.motion_section import MotionSection
+from linkplan.planner.keys.motion_and_limits import MotionSection
 from linkplan.planner.keys.reading import KEYS, kind_of
 from linkplan.planner.keys.sections import ProblemFile
 from linkplan.planner.problem.objective import TERMS

@@ -6,7 +6,7 @@ import pytest
 
 import linkplan
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.limits.ball import BallLimit
+from linkplan.planner.limits.joints import BallLimit
 from linkplan.planner.problem.problem import Problem
 from tests.support.linkages import RSSR
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.planner.limits.control import _ranged
+from linkplan.planner.limits.actuators import _ranged
 
 # A position servo of 50 N.m/rad and 1 N.m: beyond 0.32 rad every ctrl of its range gives the clamp.
 ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="O" axis="0 1 0"/>

@@ -6,7 +6,7 @@ import pytest
 
 from linkplan.planner.ode.certificate import LIMIT_SLACK
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.starts import integrated
+from linkplan.planner.ode.search import integrated
 from tests.support.ode import FREE_EFFORT, INF, NAN, solved, squared_effort
 from tests.support.tolerances_planner import ALP_RIDER_PRINTED, SIX_DIGITS
 

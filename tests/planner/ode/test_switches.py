@@ -8,11 +8,10 @@ import pytest
 from scipy.optimize import brentq
 
 from linkplan.planner.ode.case import OdeCase
-from linkplan.planner.ode.costates import Switching, is_affine, switching_of
 from linkplan.planner.ode.formulation import start_of, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
-from linkplan.planner.ode.switches import _switch_times
+from linkplan.planner.ode.switches import Switching, _switch_times, is_affine, switching_of
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.ode import FREE_EFFORT, double_integrator, duration, oscillator, solved, squared_effort

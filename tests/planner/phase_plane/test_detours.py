@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.phase_plane import detours
+from linkplan.planner.phase_plane import energy_bounds
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess, parts_of
-from linkplan.planner.phase_plane.detours import quicker_may_exist
+from linkplan.planner.phase_plane.energy_bounds import quicker_may_exist
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.fourbar_problems import kind_of, random_case
@@ -37,11 +37,11 @@ def test_bounds_of_legs_are_below_their_times_and_near_them(effort):
     places = np.linspace(0, len(plane.s) - 1, 30).round().astype(int)
     legs = np.full((30, 30), np.inf)
     for row, place in enumerate(places.tolist()):
-        legs[row, row + 1 :] = detours._legs(plane, place, places[row + 1 :], +1)
-        legs[row, :row] = detours._legs(plane, place, places[:row], -1)
+        legs[row, row + 1 :] = energy_bounds._legs(plane, place, places[row + 1 :], +1)
+        legs[row, :row] = energy_bounds._legs(plane, place, places[:row], -1)
     there = np.isfinite(legs)
     assert there.sum() > 100
-    share = detours._bounds(plane, places)[there] / legs[there]
+    share = energy_bounds._bounds(plane, places)[there] / legs[there]
     assert share.max() < 1 + 1e-12
     assert np.median(share) > 0.99
 

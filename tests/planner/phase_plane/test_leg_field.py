@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.phase_plane.leg_field import AT_POWER, LegField, PinForces
+from linkplan.planner.phase_plane.power_legs import AT_POWER, LegField, PinForces
 
 SPEED = 2.0
 

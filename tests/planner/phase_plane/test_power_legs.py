@@ -9,7 +9,7 @@ from linkplan.planner.closed_chain.case import held_arcs_of
 from linkplan.planner.phase_plane.power_legs import power_guess
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.search.first_mesh import mesh_along_power
+from linkplan.planner.search.solving import mesh_along_power
 from tests.support.least_time import least_time
 
 # The legs' integration, of the least time.

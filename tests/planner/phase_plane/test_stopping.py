@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
-from linkplan.planner.phase_plane.stopping import no_way_to_stop
+from linkplan.planner.phase_plane.energy_bounds import no_way_to_stop
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 

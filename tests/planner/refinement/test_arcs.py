@@ -18,7 +18,7 @@ from linkplan.planner.refinement.constrained_arcs import (
 )
 from linkplan.planner.refinement.switch_search import settle_switch_times
 from linkplan.planner.refinement.switches import find_switch_times
-from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import NAMES, scheme
 from tests.support.fourbar_problems import random_case

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from linkplan.planner.refinement.refined import better_of
+from linkplan.planner.refinement.state import better_of
 
 # What two meshes may differ by though neither is wrong: a tenth of what counts as lost.
 MESH = 1e-6

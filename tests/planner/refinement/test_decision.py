@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.actions import Halve, ImposeRanges, Loosen, RaiseDegree, Tighten
-from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
-from linkplan.planner.refinement.certified_iterate import CertifiedIterate
+from linkplan.planner.refinement.actions import Halve, ImposeRanges, Loosen, RaiseDegree, Restore, Tighten
+from linkplan.planner.refinement.case import CertifiedIterate, ErrorReport, RefinementTarget
 from linkplan.planner.refinement.decision import next_action
-from linkplan.planner.refinement.restore import Restore
 from linkplan.planner.refinement.state import RefinementState, observed
-from linkplan.planner.solvers.outcome import SUCCEEDED
+from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.mesh import uniform
 
 AIMS = RefinementTarget(

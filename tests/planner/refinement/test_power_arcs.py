@@ -8,8 +8,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.held_arcs import held_throughout
+from linkplan.planner.refinement.constrained_arcs import FixedArcs, held_throughout
 from linkplan.planner.search.starts import along_power
 from tests.support.least_time import Curves, curves_of, least_time, least_time_within
 from tests.support.mechanisms import FLAT_PARALLELOGRAM

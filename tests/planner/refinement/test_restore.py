@@ -9,12 +9,11 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.proof.prove import prove
-from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.certified_iterate import certify_iterate
+from linkplan.planner.refinement.actions import Restore
+from linkplan.planner.refinement.case import attempt, certify_iterate
 from linkplan.planner.refinement.decision import next_action
-from linkplan.planner.refinement.restore import Restore
 from linkplan.planner.refinement.state import RefinementState
-from linkplan.planner.solvers.restoration import FEASIBLE, nearest_feasible
+from linkplan.planner.solvers.newton import FEASIBLE, nearest_feasible
 from linkplan.planner.transcription.mesh import uniform
 
 

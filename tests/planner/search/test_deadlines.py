@@ -15,8 +15,8 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.replan import Replanner
-from linkplan.planner.search import ladder
-from linkplan.planner.solvers.outcome import OF_TIME
+from linkplan.planner.search.rungs import PATIENT, Rung
+from linkplan.planner.solvers.solve import OF_TIME
 
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 MANY = ["solver.starts=1000"]
@@ -73,8 +73,8 @@ def test_a_certified_motion_is_kept_when_a_later_rung_runs_out_of_time():
         raise OutOfTimeError("late")
 
     rungs = [
-        ladder.Rung(name="finds", climb=lambda *_: found, budget=ladder.PATIENT),
-        ladder.Rung(name="late", climb=late, budget=ladder.PATIENT),
+        Rung(name="finds", climb=lambda *_: found, budget=PATIENT),
+        Rung(name="late", climb=late, budget=PATIENT),
     ]
     plan = plan_motion(load_problem("knee-reach"), rungs=rungs)
     assert plan.status == "optimal"

@@ -15,11 +15,11 @@ from linkplan.planner.refinement.history import recording
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search import attempts
 from linkplan.planner.search.attempts import with_constant_efforts
-from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.first_mesh import first_mesh
-from linkplan.planner.search.ladder import Budget, Rung, Search, climb
+from linkplan.planner.search.ladder import Search, climb
+from linkplan.planner.search.rungs import Budget, Rung, Steps, followed
+from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.search.starts import from_first_starts, no_time
-from linkplan.planner.solvers.outcome import OUT_OF_TIME
+from linkplan.planner.solvers.solve import OUT_OF_TIME
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 # Less torque than any reach of the knee with the shank in this time needs.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.limits.closure_force import ClosureForceLimit
+from linkplan.planner.limits.loops import ClosureForceLimit
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.limits.power import PowerLimit
+from linkplan.planner.limits.actuators import PowerLimit
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from tests.support.digger import DIGGER, POWERS

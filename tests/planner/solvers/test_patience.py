@@ -10,8 +10,7 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.solvers import solve as module
-from linkplan.planner.solvers.outcome import OUT_OF_ITERATIONS
-from linkplan.planner.solvers.solve import solve
+from linkplan.planner.solvers.solve import OUT_OF_ITERATIONS, solve
 from linkplan.planner.transcription.mesh import uniform
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")

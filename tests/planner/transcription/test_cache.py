@@ -25,7 +25,7 @@ from linkplan.models.compiled.functions import cached, compiled, compiler
 from linkplan.models.deadline import Deadline
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.transcription.node import NodeFunctions, build_node
+from linkplan.planner.transcription.system import NodeFunctions, build_node
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 needs_owners = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system's files have no owners")

@@ -12,7 +12,7 @@ from linkplan.models.compiled.cache import wanted_again
 from linkplan.models.compiled.functions import cached, compile_in_background, compiler
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.transcription.node import NodeFunctions, build_node
+from linkplan.planner.transcription.system import NodeFunctions, build_node
 from tests.support.tolerances_planner import ROUNDING
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")

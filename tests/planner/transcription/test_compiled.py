@@ -12,13 +12,13 @@ from linkplan.models.compiled.cache import cache_folder
 from linkplan.models.compiled.functions import cached, compiled, compiler
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.limits.power import PowerLimit
+from linkplan.planner.limits.actuators import PowerLimit
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.transcription.compiled import chain_key, node_key
 from linkplan.planner.transcription.interval import ChainFunctions, IntervalRows, build_chain
-from linkplan.planner.transcription.node import NodeFunctions, build_node
 from linkplan.planner.transcription.schemes import scheme
+from linkplan.planner.transcription.system import NodeFunctions, build_node
 from tests.support.tolerances_planner import COMPILED
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")

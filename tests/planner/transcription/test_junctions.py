@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.bounds import _with_junctions
-from linkplan.planner.transcription.junctions import find_junctions
+from linkplan.planner.transcription.bounds import _with_junctions, find_junctions
 from linkplan.planner.transcription.mesh import segmented
 
 NAN, DURATIONS = np.nan, np.array([1.0, 2.0, 1.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.compiled import functions as compiled
-from linkplan.planner.transcription import node
+from linkplan.planner.transcription import system
 from tests.support.tolerances_planner import ROUNDING
 
 
@@ -24,12 +24,12 @@ AT = (np.array([0.3, -0.4, 0.7]), np.array([0.2]))
 
 def functions_of(monkeypatch, long: float, shared: float) -> dict[str, ca.Function]:
     """Return the functions of rows in which one term comes again and again, by other bounds of length."""
-    monkeypatch.setattr(node, "_MAX_UNSHARED_OPERATIONS", long)
-    monkeypatch.setattr(node, "_MAX_SHARED_OPERATIONS", shared)
+    monkeypatch.setattr(system, "_MAX_UNSHARED_OPERATIONS", long)
+    monkeypatch.setattr(system, "_MAX_SHARED_OPERATIONS", shared)
     xi, theta = ca.SX.sym("xi", 3), ca.SX.sym("theta", 1)
     terms = [ca.sin(xi[0]) * ca.exp(xi[1]) for _ in range(4)]
     at = ca.Function("rows", [xi, theta], [ca.vertcat(terms[0] * xi[2], terms[1] + theta[0], terms[2] * terms[3])])
-    return node._functions(SimpleNamespace(n_xi=3, n_theta=1), "node", at, 2)[0]
+    return system._functions(SimpleNamespace(n_xi=3, n_theta=1), "node", at, 2)[0]
 
 
 @pytest.mark.parametrize("bounds", [(0, np.inf), (0, 0), (np.inf, 0)])

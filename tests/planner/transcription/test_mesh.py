@@ -9,21 +9,21 @@ DURATIONS = np.array([0.1, 3.0, 0.2])
 
 
 def three_segments() -> Mesh:
-    return segmented(DURATIONS, 10, at_least=2, phase=np.array([0, 0, 1]))
+    return segmented(DURATIONS, 10, phase=np.array([0, 0, 1]))
 
 
 def test_segments_have_intervals_in_proportion_to_their_durations_and_a_least_number():
     mesh = three_segments()
-    assert np.bincount(mesh.segment).tolist() == [2, 9, 2]
-    assert (mesh.n_intervals, mesh.n_segments, mesh.n_phases) == (13, 3, 2)
-    assert mesh.boundaries().tolist() == [0, 11, 13]
+    assert np.bincount(mesh.segment).tolist() == [3, 9, 3]
+    assert (mesh.n_intervals, mesh.n_segments, mesh.n_phases) == (15, 3, 2)
+    assert mesh.boundaries().tolist() == [0, 12, 15]
 
 
 def test_the_breaks_are_the_ends_of_intervals_in_their_segments():
     at = three_segments().breaks(DURATIONS)
-    np.testing.assert_allclose(at[:3], [0.0, 0.05, 0.1])
-    np.testing.assert_allclose(at[3:12], 0.1 + np.arange(1, 10) / 3.0)
-    np.testing.assert_allclose(at[-2:], [3.2, 3.3])
+    np.testing.assert_allclose(at[:4], [0.0, 0.1 / 3, 0.2 / 3, 0.1])
+    np.testing.assert_allclose(at[4:13], 0.1 + np.arange(1, 10) / 3.0)
+    np.testing.assert_allclose(at[-2:], [3.1 + 0.4 / 3, 3.3])
 
 
 def test_only_marked_intervals_are_halved():

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from linkplan.planner.keys.json_schema import FILES
+from linkplan.planner.keys.key_table import FILES
 from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.completion_command import completion_script
 from linkplan.studies.experiment.design import DESIGNS

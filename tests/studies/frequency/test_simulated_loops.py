@@ -6,8 +6,8 @@ import pytest
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.sampling import sampling
-from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.trackers.tracker import Feedforward
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.frequency.feedback_loops import operating_point, pd_gain
 from linkplan.studies.frequency.simulated_loops import SimulatedLoops

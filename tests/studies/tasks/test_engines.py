@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.keys.batch_sections import BatchFile, CaseSection
+from linkplan.planner.keys.sections import BatchFile, CaseSection
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
 from linkplan.studies.tasks import cluster as dask_cluster

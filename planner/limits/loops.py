@@ -1,7 +1,9 @@
-"""Limits on pin forces: rows at nodes, or at every instant by Bernstein coefficients of the force's square.
+"""Limits of kinematic loops: pin forces, and the least distance from singular poses.
 
-Rows at nodes alone allow efforts that jump to exceed the limit between nodes, as for powers. At every instant the force is
-an algebraic unknown, a polynomial through the nodes; its error between nodes decreases with the interval's width.
+Pin forces are rows at nodes, or at every instant by Bernstein coefficients of the force's square. Rows at nodes alone allow
+efforts that jump to exceed the limit between nodes, as for powers. At every instant the force is an algebraic unknown, a
+polynomial through the nodes; its error between nodes decreases with the interval's width. The distance from singular poses
+is the determinant of each block of J_z, relative to home.
 """
 
 from collections.abc import Sequence
@@ -13,6 +15,7 @@ import numpy as np
 
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.path_limit import (
+    BETWEEN_NODES_FACTOR,
     Bounds,
     Instant,
     Margin,
@@ -83,3 +86,42 @@ class ClosureForceLimit(PathLimit):
     @classmethod
     def without(cls, problem: Problem) -> Problem:
         return with_limits(problem, closure_force=np.full(len(problem.limits.closure_force), np.inf))
+
+
+@dataclass(frozen=True, slots=True)
+class SingularMarginLimit(PathLimit):
+    """The determinant of one block of J_z, for loops that close together."""
+
+    key: ClassVar[str] = "singular_margin"
+    words: ClassVar[str] = "the distance from a singular pose"
+    beyond: ClassVar[str] = "short of"
+    row_kind: ClassVar[str] = "singular"
+    n_numbers: ClassVar[int] = 1
+    item: int
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        n_blocks = problem.mechanism.dynamics.block_singularity.numel_out(0)
+        return [cls(block) for block in range(n_blocks)] if problem.limits.singular_margin > 0 else []
+
+    def numbers(self, problem: Problem) -> Sequence[float]:
+        mechanism = problem.mechanism
+        return (1.0 / np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel()[self.item],)
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        return at.of_pose("block_singularity")[self.item] * numbers
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return problem.limits.singular_margin, np.inf
+
+    def margin(self, samples: Samples) -> Margin:
+        problem, bounds = samples.problem, (samples.problem.limits.singular_margin, np.inf)
+        return margin_of(self, problem.mechanism.name, samples.block_ratios[:, self.item], bounds, "", samples)
+
+    @classmethod
+    def without(cls, problem: Problem) -> Problem:
+        return with_limits(problem, singular_margin=0.0)
+
+    @classmethod
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
+        return min(m.value / m.limit for m in over) / BETWEEN_NODES_FACTOR

@@ -1,41 +1,51 @@
-"""Continuation in the duration: from a motion of least time to a longer one that another objective prefers.
+"""Continuation in the duration, from a motion of least time to a longer one, and in the effort limits.
 
 Solvers lose long motions under weak actuators. A swing amplifies the error of a coarse mesh, and a false motion between its
 nodes is cheaper than any true one. A motion of least time is found reliably. With a little more time the best motion is
-near it, and so on from one motion to the next.
+near it, and so on from one motion to the next. Problems that no start solves are continued in the effort limits, from the
+motion of least peak effort.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from linkplan.models.poses.along import sampled
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.search.attempts import certified, only_feasible
-from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.durations import longest
-from linkplan.planner.search.first_mesh import INTERVALS_PER_SWING, graded_mesh
-from linkplan.planner.search.known_motions import KnownMotions
-from linkplan.planner.search.ladder import Budget, Search
-from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.singular_poses import nears_singular
-from linkplan.planner.search.solving import solve_from
-from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
+from linkplan.planner.search.ladder import KnownMotions, Search
+from linkplan.planner.search.rungs import Budget, Steps, followed
+from linkplan.planner.search.solving import INTERVALS_PER_SWING, graded_mesh, longest, solve_from
+from linkplan.planner.search.starts import least_time_motion, no_time, shortest_motion, with_switch_times
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
-# The factor between successive durations, and the largest number of steps. The smallest step, after lost ones, is a quarter
-# in the logarithm.
-DURATION_FACTOR, _MAX_STEPS = 1.15, 40
+# The factor between successive durations. The smallest step, after lost ones, is a quarter in the logarithm.
+DURATION_FACTOR = 1.15
 # A free duration is long enough if the last step saved less than this share of the objective, or if the motion ends before
 # its limit by more than the second share.
 MIN_SAVING, _MIN_UNUSED_SHARE = 1e-3, 1e-3
+
+
+def nears_singular(problem: Problem, guess: Guess) -> bool:
+    """True if a motion comes nearer than half the distance of its ends to a singular pose."""
+    nearest = _singular_margin(problem, guess, np.linspace(0.0, guess.duration_s, 1001))
+    return nearest < 0.5 * _singular_margin(problem, guess, np.array([0.0, guess.duration_s]))
+
+
+def _singular_margin(problem: Problem, guess: Guess, times: np.ndarray) -> float:
+    """Return the least |det J_z| of a kinematic loop at times (n,) [s] of a guess, as a share of home's; else infinite."""
+    singularity = problem.mechanism.dynamics.block_singularity
+    poses = poses_along(problem.mechanism, guess, times, problem.solver.deadline)
+    share = sampled(singularity, poses)[:, :, 0] / np.array(singularity(problem.mechanism.home)).ravel()
+    return float(np.abs(share).min(initial=np.inf))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -151,7 +161,7 @@ def continued(problem: Problem, quickest: Guess, n_intervals: int, known: KnownM
         shares = durations / durations.sum()
     begin = Continued(start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
     whole = min(DURATION_FACTOR, longest(problem) / quickest.duration_s)
-    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, halvings=2, most=_MAX_STEPS)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, halvings=2)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
     at = path.stages[-1]
     if not path.arrived:
@@ -192,3 +202,38 @@ def _step(problem: Problem, at: Continued, allowed: float) -> Continued | None:
         motion=better.motion,
         held=not fixed and mesh.n_segments > 1 and at_bounds(better.solution),
     )
+
+
+def efforts_suffice(search: Search) -> bool:
+    """True if the motion of least peak effort keeps the effort limits."""
+    return search.least_limit is not None and search.least_limit.factor <= 1.0
+
+
+def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the motion of least peak effort leads to, by limits that grow to those asked for."""
+    problem, least = search.within(budget), search.least_limit
+
+    def solve(at: _Limited, factor: float) -> _Limited | None:
+        whole = factor == 1.0
+        limits = problem.limits if whole else replace(problem.limits, effort=factor * problem.limits.effort)
+        what = "start from the motion of least peak effort" + ("" if whole else f", {factor:.4g} of the limits")
+        found = solve_from(replace(problem, limits=limits), at.start, least.mesh, at.durations, what)
+        if found is None:
+            return None
+        durations = np.bincount(least.mesh.segment, np.diff(found.motion.breaks_s))
+        return _Limited(start=motion_of(found.motion), durations=durations, found=found)
+
+    begin = min(least.factor, 0.999)  # the first step is the whole way, the smallest a quarter of it in the logarithm
+    steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, halvings=2)
+    path = followed(_Limited(start=motion_of(least.trajectory), durations=least.durations), steps, solve)
+    found = path.stages[-1].found
+    return certified(problem, found) if path.arrived and found is not None else None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Limited:
+    """A motion within a share of the effort limits, as a start; its solution, but for the first."""
+
+    start: Guess
+    durations: np.ndarray  # (n_segments,) [s]
+    found: Iterate | None = None

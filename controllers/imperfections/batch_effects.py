@@ -1,0 +1,157 @@
+"""Many MuJoCo simulations at once: their own model fields, pushes on them, and their closure gaps and contacts.
+
+In one batch each simulation has its own copy of the model fields that differ. Separate models (`Batch.set_models`) give the
+same results, but a step takes half as long again, because each model's memory is read separately. Pushes are forces on
+bodies and efforts on joints during time windows. Gaps follow from MuJoCo's positions of the tied points: MuJoCo's arrays are
+copied after every step and evaluated for many steps together, because an evaluation takes longer than a step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from linkplan.controllers.imperfections.imperfections import Imperfections, Push
+from linkplan.controllers.imperfections.plant import Plant, body_index
+from linkplan.controllers.trackers.tracker import added
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+
+# All model fields that an imperfection changes, and the fields that MuJoCo derives from them.
+FIELDS = (
+    "body_mass", "body_inertia", "body_ipos", "body_pos", "body_sameframe", "body_subtreemass", "body_invweight0",
+    "dof_M0", "dof_damping", "dof_frictionloss", "dof_solref", "dof_solimp",
+    "dof_invweight0", "dof_length", "site_pos", "site_sameframe",
+    "geom_pos", "geom_sameframe", "eq_data", "eq_solref", "tendon_length0", "tendon_invweight0", "tendon_actfrcrange",
+    "actuator_acc0", "actuator_length0", "actuator_ctrlrange", "actuator_forcerange", "jnt_actfrcrange",
+    "cam_pos0", "cam_poscom0", "light_pos0", "light_poscom0",
+)  # fmt: skip
+_CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+_FIRST, _SECOND = slice(0, 3), slice(3, 6)
+
+
+def spread(batch: Batch, base: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
+    """Expand every field of a batch in which some model differs from the base model."""
+    unlike = [model for model in models if model is not base]
+    for name in FIELDS:
+        common = getattr(base, name)
+        if not all(np.array_equal(getattr(model, name), common) for model in unlike):
+            batch.expand(name)[:] = [getattr(model, name) for model in models]
+    timesteps = [model.opt.timestep for model in models]
+    if any(step != base.opt.timestep for step in timesteps):
+        batch.expand("opt.timestep")[:] = timesteps
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Pushing:
+    """Pushes (n, m) on simulations, from `start` to `end` [simulator steps of each simulation]; m is the largest number.
+
+    `force` (n, m, nbody, 6) [N, N.m] acts at the bodies' centres of mass, `effort` (n, m, nv) [N.m or N] on joints.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    force: np.ndarray
+    effort: np.ndarray
+
+    def kept(self, rows: np.ndarray) -> "Pushing":
+        """Return the pushes on some of these simulations, by a mask (n,)."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in ("start", "end", "force", "effort")})
+
+    def over(self, step: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean forces (n, nbody, 6) and efforts (n, nv) over a simulator step."""
+        share = np.maximum(np.minimum(step + 1.0, self.end) - np.maximum(float(step), self.start), 0.0)
+        force, effort = np.zeros(self.force[:, 0].shape), np.zeros(self.effort[:, 0].shape)
+        for i in range(share.shape[1]):  # a fixed order of summation keeps the last bit reproducible
+            force += share[:, i, None, None] * self.force[:, i]
+            effort += share[:, i, None] * self.effort[:, i]
+        return force, effort
+
+
+def pushing(
+    machines: Sequence[Imperfections], plants: Sequence[Plant], mechanism: Mechanism, substeps: int
+) -> Pushing | None:
+    """Return the pushes on machines, or None if no machine has one.
+
+    Raises:
+        LinkplanError: for an unknown body or joint.
+    """
+    n, most, model = len(machines), max((len(one.pushes) for one in machines), default=0), mechanism.model
+    if most == 0:
+        return None
+    start, end = np.zeros((n, most)), np.zeros((n, most))
+    force, effort = np.zeros((n, most, model.nbody, 6)), np.zeros((n, most, model.nv))
+    for i, (one, built) in enumerate(zip(machines, plants, strict=True)):
+        h, begun = float(built.model.opt.timestep), one.clock.phase_periods * substeps
+        for m, push in enumerate(one.pushes):
+            start[i, m] = push.start_s / h - begun
+            end[i, m] = start[i, m] + push.duration_s / h
+            _place(push, mechanism, force[i, m], effort[i, m])
+    return Pushing(start=start, end=end, force=force, effort=effort)
+
+
+def _place(push: Push, mechanism: Mechanism, force: np.ndarray, effort: np.ndarray) -> None:
+    if push.body is not None and push.force is not None:
+        force[body_index(mechanism.model, push.body), :3] = push.force
+    if push.joint is not None:
+        effort[mechanism.joint_index(push.joint, LinkplanError)] = push.effort
+
+
+class ClosureWatch:
+    """The largest gap of tied points and the largest number of contacts of a batch's simulations so far.
+
+    A frozen simulation keeps its last state, which changes neither maximum.
+    """
+
+    def __init__(self, batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
+        model, n = models[0], len(models)
+        ties = [i for i in range(model.neq) if model.eq_active0[i] and int(model.eq_type[i]) in (_CONNECT, _WELD)]
+        self._model = model
+        self._at_sites = [i for i in ties if model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE)]
+        self._at_bodies = [i for i in ties if i not in self._at_sites]
+        self._anchors = np.array([[one.eq_data[i, :6] for one in models] for i in self._at_bodies])  # (ties, n, 6)
+        names = ["ncon", *(["site_xpos"] if self._at_sites else []), *(["xpos", "xmat"] if self._at_bodies else [])]
+        self._live = {name: batch.bind(name) for name in names}
+        size = sum(array.nbytes for array in self._live.values())
+        steps = max(1, min(64, 8_388_608 // max(size, 1)))  # copies of at most 8 MiB
+        self._copies = {name: np.empty((steps, *array.shape), array.dtype) for name, array in self._live.items()}
+        self._pairs = [(self._copies[name], array) for name, array in self._live.items()]
+        self._steps, self._noted = steps, 0
+        self._squares, self._contacts = np.zeros(n), np.zeros(n, dtype=int)
+
+    def note(self) -> None:
+        """Copy the simulations' present positions and contacts."""
+        for copies, live in self._pairs:
+            copies[self._noted] = live
+        self._noted += 1
+        if self._noted == self._steps:
+            self._evaluate()
+
+    def largest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the largest gaps [m] and numbers of contacts (n,) over all copies."""
+        self._evaluate()
+        return np.sqrt(self._squares), self._contacts
+
+    def _evaluate(self) -> None:
+        noted, self._noted = self._noted, 0
+        if not noted:
+            return
+        copies, model = {name: array[:noted] for name, array in self._copies.items()}, self._model
+        self._contacts = np.maximum(self._contacts, copies["ncon"].reshape(noted, -1).max(axis=0))
+        for i in self._at_sites:
+            sites = copies["site_xpos"]
+            self._widen(sites[:, :, model.eq_obj1id[i]] - sites[:, :, model.eq_obj2id[i]])
+        for i, anchor in zip(self._at_bodies, self._anchors, strict=True):
+            # For a weld, MuJoCo stores the point in the second body's frame first.
+            data = (_SECOND, _FIRST) if int(model.eq_type[i]) == _WELD else (_FIRST, _SECOND)
+            ends = []
+            for body, columns in zip((model.eq_obj1id[i], model.eq_obj2id[i]), data, strict=True):
+                turn = copies["xmat"][:, :, body].reshape(noted, -1, 3, 3)
+                ends.append(copies["xpos"][:, :, body] + added(turn * anchor[:, None, columns]))
+            self._widen(ends[0] - ends[1])
+
+    def _widen(self, gap: np.ndarray) -> None:
+        """Update the largest gap with vectors (steps, n, 3) between two tied points."""
+        self._squares = np.fmax(self._squares, np.fmax.reduce(added(gap**2), axis=0))
