@@ -121,7 +121,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 return found
             if rungs is _SMOOTH:
                 tried.append((moving, tables))
-            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, _TIME_BUDGET_S / 10)  # an easy motion needs less
+            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, 0.3 * _TIME_BUDGET_S)  # an easy motion needs less
             hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, most)}}
             try:
                 answer = plan_motion(Problem.from_tables(moving.name, hurried, mechanism=moving), say, rungs)
