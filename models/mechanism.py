@@ -32,7 +32,7 @@ from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
-from linkplan.models.selection import HOME_KEYFRAME, Selection
+from linkplan.models.selection import Selection, home_qpos
 from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.ball_ranges import BallRange, limited_balls
@@ -239,6 +239,7 @@ def load_mechanism(
     fix_base: bool = False,
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
+    exclude_contacts: Sequence[Sequence[str]] = (),
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -258,6 +259,7 @@ def load_mechanism(
         fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
         lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
+        exclude_contacts: pairs of names of bodies whose geoms pass through each other.
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
@@ -267,13 +269,17 @@ def load_mechanism(
     asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
     payload = payload_from(payload)
     selection = Selection(
-        keep=tuple(keep or ()), fix_base=bool(fix_base), lock={} if lock is None else dict(lock), keyframe=keyframe
+        keep=tuple(keep or ()),
+        fix_base=bool(fix_base),
+        lock={} if lock is None else dict(lock),
+        keyframe=keyframe,
+        exclude_contacts=tuple((first, second) for first, second in exclude_contacts),
     )
     name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
-    reference_qpos = _reference_qpos(model)
+    reference_qpos = home_qpos(model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
     transition = transition_speed(friction_transition)
     if friction_transition is not None:
@@ -382,14 +388,6 @@ def _reference_notes(loop: KinematicLoop, reference: np.ndarray, unit: np.ndarra
     if loop.gap(phi) > 1e-6 or there == rank:  # [m]: the rank is meaningful only at a closed pose
         return []
     return [f"the model's reference pose is singular: the closure has rank {there} there and {rank} at home"]
-
-
-def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:
-    """Return the keyframe "home" of the model, or its reference pose `qpos0`, as a qpos (nq,)."""
-    for key in range(model.nkey):
-        if model.key(key).name == HOME_KEYFRAME:
-            return np.array(model.key_qpos[key], dtype=float)
-    return np.array(model.qpos0, dtype=float)
 
 
 def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray) -> None:

@@ -35,13 +35,15 @@ class Selection:
     closes over them, and the bodies between them and the world. All other bodies are dropped. `fix_base`: the joints between
     the world and the kept bodies are locked, and so is a base that no actuator moves. `lock`: positions by name of joints
     that are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home
-    pose and the positions of a fixed base; by default "home", else the model's reference pose.
+    pose and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of
+    names of bodies whose geoms pass through each other.
     """
 
     keep: tuple[str, ...] = ()
     fix_base: bool = False
     lock: Mapping[str, float] = field(default_factory=dict)
     keyframe: str | None = None
+    exclude_contacts: tuple[tuple[str, str], ...] = ()
 
     def __bool__(self) -> bool:
         return bool(self.table())
@@ -49,6 +51,7 @@ class Selection:
     def table(self) -> dict[str, object]:
         """Return what is selected as keys of the [mechanism] table."""
         asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
+        asked["exclude_contacts"] = [list(pair) for pair in self.exclude_contacts]
         return {key: value for key, value in asked.items() if value}
 
 
@@ -63,7 +66,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     Raises:
         ModelError: for unknown names, or a joint that cannot be locked.
     """
-    qpos = _home(model, asked.keyframe)
+    qpos = home_qpos(model, asked.keyframe)
     chosen = [_body_of(model, name) for name in asked.keep]
     below = _closed_chain(model, chosen) if chosen else set(range(1, model.nbody))
     above = {ancestor for body in below for ancestor in _ancestors(model, body)} - below
@@ -82,6 +85,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         *_drop(spec, model, dropped),
         *(leave_the_ground(spec) if floating else ()),
     ]
+    notes += _exclude(spec, asked.exclude_contacts)
     for key in list(spec.keys):
         spec.delete(key)
     small = spec.compile()
@@ -93,7 +97,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     return tuple(notes)
 
 
-def _home(model: mujoco.MjModel, keyframe: str | None) -> np.ndarray:
+def home_qpos(model: mujoco.MjModel, keyframe: str | None = None) -> np.ndarray:
     """Return the qpos (nq,) of a keyframe, by default of "home"; of the reference pose where there is none."""
     names = [model.key(k).name for k in range(model.nkey)]
     if keyframe in (None, HOME_KEYFRAME):
@@ -350,3 +354,22 @@ def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) ->
     mass = float(sum(model.body_mass[body] for body in dropped))
     names = ", ".join(model.body(body).name for body in roots)
     return [f"dropped with all that hangs on them ({len(dropped)} bodies, {mass:.4g} kg): {names}"]
+
+
+def _exclude(spec: mujoco.MjSpec, pairs: Sequence[Sequence[str]]) -> list[str]:
+    """Exclude the contacts between pairs of bodies, and return a note on them.
+
+    Raises:
+        ModelError: for a name that is no body's.
+    """
+    bodies = [body.name for body in spec.bodies]
+    for first, second in pairs:
+        for name in (first, second):
+            if name not in bodies:
+                raise ModelError(
+                    f"mechanism.exclude_contacts: no body is named '{name}'{nearest(name, bodies)}; bodies are"
+                    f" {', '.join(bodies)}"
+                )
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+    names = ", ".join(f"{first} and {second}" for first, second in pairs)
+    return [f"contacts excluded (mechanism.exclude_contacts): {names}"] if pairs else []

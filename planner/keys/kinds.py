@@ -150,6 +150,9 @@ HomeAngles = Annotated[dict[str, Angle], Meta(extra=_JOINTS)]
 HomeLengths = Annotated[dict[str, Number], Meta(extra=_JOINTS)]
 Locks = Annotated[dict[str, Number], Meta(extra={"of": "joint = position"})]
 Kept = Annotated[list[str], Meta(min_length=1, extra={"said": "a list of names of bodies or joints"})]
+BodyPairs = Annotated[
+    list[Annotated[list[str], Meta(min_length=2, max_length=2)]], Meta(extra={"said": "a list of pairs of names of bodies"})
+]
 Phases = Annotated[dict[str, Number], Meta(extra=_JOINTS)]
 WholeTurns = Annotated[dict[str, Turns], Meta(extra=_JOINTS | {"of": "joint = whole turns"})]
 Paths = Annotated[dict[str, Path], Meta(extra=_JOINTS | {"of": "joint = positions"})]

@@ -97,6 +97,14 @@ class MechanismSection(Section, frozen=True):
     keyframe: Annotated[
         str, key("the model's keyframe that gives the home pose", default="home, or the reference pose", example='"home"')
     ] = ABSENT
+    exclude_contacts: Annotated[
+        kinds.BodyPairs,
+        key(
+            "pairs of bodies that pass through each other in simulation and in the search for contacts",
+            default="none",
+            example="[]",
+        ),
+    ] = []
     closure_tolerance_m: Annotated[
         kinds.Positive,
         key("the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", "1e-6"),

@@ -2,17 +2,19 @@
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
 are locked there, since a stop's force is not planned for. Of a rod that spins while all else rests, a hinge is locked:
-nothing drives the spin, and its equations are too small beside the others for the solver. A drive whose limit is below the
+nothing drives the spin, and its equations are too small beside the others for the solver. Links that overlap by
+construction, as an exporter leaves them on their pins, pass through each other. A drive whose limit is below the
 weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, UnassembledError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.contacts import Meeting
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables
@@ -91,6 +93,20 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
         if actuator.name in limits
     )
     return [f"actuators are too weak to hold the weight at home: limits.effort takes {said}; put in the motors' own"]
+
+
+def overlapping_bodies(contacts: Iterable[Meeting]) -> list[list[str]]:
+    """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the world are kept."""
+    pairs = dict.fromkeys(meeting.bodies for meeting in contacts if meeting.since is None)
+    return [list(pair) for pair in pairs if "world" not in pair]
+
+
+def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
+    """Return the sentence on the contacts of overlapping links."""
+    return (
+        "links overlap at home, or on a pin that they share, and would push each other off in simulation: the contacts of"
+        f" {', '.join(f'{first} and {second}' for first, second in pairs)} are excluded (mechanism.exclude_contacts)"
+    )
 
 
 def _pressed(mechanism: Mechanism) -> dict[str, float]:

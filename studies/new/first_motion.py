@@ -21,28 +21,35 @@ from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import contact_notes, geom_names
-from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import RUNGS, plan_motion
+from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.rungs import PATIENT, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
-from linkplan.studies.new.changes import changed_mechanism, raised_limits, raised_notes
+from linkplan.studies.new.changes import (
+    changed_mechanism,
+    overlap_sentence,
+    overlapping_bodies,
+    raised_limits,
+    raised_notes,
+)
 from linkplan.studies.new.hanging import (
-    GRAVITY_M_S2,
     at_gravity_equilibrium,
     at_rest,
     driven_columns,
-    hanging_columns,
     is_equilibrium,
     rests_by_itself,
 )
+from linkplan.studies.new.pace import critical_gains, is_large, many_hang, moderate_duration
 
 Say = Callable[[str], None]
 # The shares of the largest first motion that are tried.
 _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
+# The mesh where each digit costs seconds.
+_COARSE_MESH = {"intervals": 20, "tolerance_deg": 1e-3}
 # Processor time [s] for all motions, and the least time that a motion gets.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
 _SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=PATIENT),)
@@ -90,7 +97,7 @@ class FirstMotion:
 def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     """Return a feasible problem of a mechanism, with its plan.
 
-    Each motion gets half of the remaining time budget.
+    Each motion gets at most half of the remaining time budget; at first, all motions are tried for a short time.
 
     Args:
         table: the [mechanism] table: its model, a built-in name or a path to an MJCF file, and what is selected of it.
@@ -113,7 +120,8 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 return found
             if rungs is _SMOOTH:
                 tried.append((moving, tables))
-            hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, 0.5 * left)}}
+            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, 0.3 * _TIME_BUDGET_S)  # an easy motion needs less
+            hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, most)}}
             try:
                 answer = plan_motion(Problem.from_tables(moving.name, hurried, mechanism=moving), say, rungs)
             except LinkplanError as error:
@@ -124,10 +132,26 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:
-                return found
+                return _without_contacts(found, answer)
     if not tried and obstacles:
         found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
+
+
+def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
+    """Return a first motion without the contacts of links that overlap by construction, which no plan contains."""
+    pairs = overlapping_bodies(() if plan.certificate is None else plan.certificate.contacts)
+    if not pairs or plan.certificate is None:
+        return found
+    tables = found.tables | {"mechanism": found.tables["mechanism"] | {"exclude_contacts": pairs}}
+    mechanism = mechanism_from_tables(tables)
+    left = tuple(meeting for meeting in plan.certificate.contacts if list(meeting.bodies) not in pairs)
+    plan = replace(
+        plan,
+        problem=Problem.from_tables(mechanism.name, tables, mechanism=mechanism),
+        certificate=replace(plan.certificate, contacts=left),
+    )
+    return replace(found, mechanism=mechanism, tables=tables, plan=plan, changes=(*found.changes, overlap_sentence(pairs)))
 
 
 def _of_all_homes(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iterator[tuple[Mechanism, dict[str, dict]]]:
@@ -156,8 +180,8 @@ def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iter
     # Several hanging joints swing in many ways: shorter motions excite them less and are tried first. One drive excites
     # undriven springs less than all do, and a large motion of a robot's leg needs most of the time.
     sprung = bool(sprung_freedoms(mechanism))
-    small = sprung or _is_large(mechanism)
-    shares = reversed(_SHARES) if _many_hang(mechanism) else _SMALL_FIRST if small else _SHARES
+    small = sprung or is_large(mechanism)
+    shares = reversed(_SHARES) if many_hang(mechanism) else _SMALL_FIRST if small else _SHARES
     for share in shares:
         for kind in (alone, together) if alone and sprung else (together, alone):
             for moved, side in itertools.product(kind, (1, -1)):
@@ -188,11 +212,13 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
             return "the joints cannot leave home"
         if (obstacle := _obstacle(problem)) is not None:
             return obstacle
-        duration = _duration_s(problem)
+        duration, slow = moderate_duration(problem)
     except LinkplanError as error:
         return one_line(error)
     tables["motion"]["duration_s"] = duration
-    tables["tracking"] = _gains(mechanism, problem, duration)
+    if slow:  # with least effort, slow motions dip to where the weight is light, on other ways than the clear one
+        tables |= {"objective": {"minimize": "effort_rate"}, "mesh": dict(_COARSE_MESH)}
+    tables["tracking"] = critical_gains(mechanism, problem, duration)
     return tables
 
 
@@ -308,52 +334,14 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
             motion.setdefault(f"{name}_{joint.unit}", {})[joint.name] = value + 0.0
     motion["duration_s"] = "free"
     raised = raised_limits(mechanism)
-    gentle = _many_hang(mechanism) or bool(sprung_freedoms(mechanism)) or _is_large(mechanism)
+    gentle = many_hang(mechanism) or bool(sprung_freedoms(mechanism)) or is_large(mechanism)
     return {
         "mechanism": dict(mechanism.source),
         "motion": motion,
         "objective": {"minimize": "effort_rate" if gentle else "effort"},
         **({"limits": {"effort": raised}} if raised else {}),
-        **({"mesh": {"intervals": 20, "tolerance_deg": 1e-3}} if _is_large(mechanism) else {}),
+        **({"mesh": dict(_COARSE_MESH)} if is_large(mechanism) else {}),
     }
-
-
-def _is_large(mechanism: Mechanism) -> bool:
-    """Tell if a mechanism has the size of a robot's leg, or loops solved by all rows: each digit then costs seconds."""
-    return mechanism.n_q > 12 or mechanism.dof > 6 or bool(mechanism.projected)
-
-
-def _many_hang(mechanism: Mechanism) -> bool:
-    """Tell if several joints hang, so that a motion excites several swings at once."""
-    return len(hanging_columns(mechanism)) > 1
-
-
-def _duration_s(problem: Problem) -> float:
-    """Return a duration [s] in two digits: some times the shortest one on a smooth path, so that the efforts are moderate.
-
-    With hanging joints it is at least two swings of a pendulum of the mechanism's size, else at least 0.1 s.
-    """
-    mechanism = problem.mechanism
-    shortest = first_guess(problem, problem.start_pose()).duration_s
-    swing = 2 * np.pi * np.sqrt(mechanism.extent_m / GRAVITY_M_S2)
-    least = 2 * swing if hanging_columns(mechanism) else 0.1
-    longer = 4 if sprung_freedoms(mechanism) else 2  # quick motions let undriven springs ring
-    return float(f"{max(longer * shortest, least):.2g}")
-
-
-def _gains(mechanism: Mechanism, problem: Problem, duration: float) -> dict:
-    """Return PD gains for a duration: critically damped with the inertia at the start, zero for undriven coordinates.
-
-    The natural frequency gives eight cycles in the motion. A sampled PD law of period T is stable up to about kd = 2 J / T:
-    the gains stay below a tenth of that for T = 0.1 ms.
-    """
-    inertia = np.array(mechanism.dynamics.reduced_inertia(problem.start_pose())).diagonal()
-    inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
-    frequency = min(2 * np.pi * 8 / duration, 0.1 / 1e-4)  # [rad/s]
-    gains = {"kp": inertia * frequency**2, "kd": 2 * inertia * frequency}
-    names = [joint.name for joint in mechanism.independent_joints]
-    found = {key: [float(f"{value:.2g}") for value in values] for key, values in gains.items()}
-    return {key: v[0] if len(v) == 1 else dict(zip(names, v, strict=True)) for key, v in found.items()}
 
 
 def moves_of(motion: Mapping) -> list[str]:

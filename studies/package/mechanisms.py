@@ -37,6 +37,7 @@ def load_mechanism(
     fix_base: bool = False,
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
+    exclude_contacts: Sequence[Sequence[str]] = (),
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
@@ -59,6 +60,7 @@ def load_mechanism(
         fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
         lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
+        exclude_contacts: pairs of names of bodies whose geoms pass through each other.
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -70,7 +72,13 @@ def load_mechanism(
     said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
     said["closure_tolerance_m"] = closure_tolerance_m
     said["friction_transition_deg_s"] = friction_transition_deg_s
-    said |= {"keep": keep, "fix_base": fix_base or None, "lock": lock, "keyframe": keyframe}
+    said |= {
+        "keep": keep,
+        "fix_base": fix_base or None,
+        "lock": lock,
+        "keyframe": keyframe,
+        "exclude_contacts": exclude_contacts or None,
+    }
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": plain(table)})
 

@@ -238,3 +238,19 @@ def test_the_gear_that_drives_a_kept_joint_is_kept_with_its_motor():
     _, model, _ = compile_model(geared, None, Selection(keep=("hip",), fix_base=True))
     assert {model.joint(j).name for j in range(model.njnt)} == {"hip", "pinion"}
     assert (model.neq, model.nu) == (1, 1)
+
+
+def test_two_bodies_pass_through_each_other_when_their_contacts_are_excluded():
+    text = "<mujoco><worldbody>{}{}</worldbody><actuator><motor joint='a'/><motor joint='b'/></actuator></mujoco>".format(
+        *(
+            f"<body name='link {name}'><joint name='{name}' axis='0 1 0'/><geom size='0.1' pos='0 0 -0.2'/></body>"
+            for name in "ab"
+        )
+    )
+    for pairs, contacts in (((), 1), ((("link a", "link b"),), 0)):
+        model = linkplan.load_mechanism(text, exclude_contacts=pairs).model
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        assert data.ncon == contacts
+    with pytest.raises(LinkplanError, match=r"exclude_contacts: no body is named 'link c'.*link a, link b"):
+        linkplan.load_mechanism(text, exclude_contacts=[("link a", "link c")])

@@ -12,6 +12,7 @@ import pytest
 import linkplan
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.tables import set_key
 from linkplan.planner.keys.key_table import key_table
 from linkplan.planner.keys.reading import KEYS as READER
@@ -224,11 +225,27 @@ def test_a_first_problem_is_simulated_with_the_model_s_own_timestep_and_softness
     assert run.to_dict()["loop"]["timestep_s"] == 0.002  # MuJoCo's default
 
 
-def test_links_drawn_on_one_another_are_named_with_the_line_that_lets_them_pass(tmp_path):
+def test_links_drawn_on_one_another_pass_through_each_other_in_the_first_problem_and_the_change_is_named(tmp_path):
     text = re.sub(r"<contact>.*?</contact>", "", HOEKEN.format(actuator=MOTOR), flags=re.S)
     (tmp_path / "hoeken.xml").write_text(text, encoding="utf-8")
-    notes = begun(str(tmp_path / "hoeken.xml")).notes
-    assert any('<exclude body1="coupler" body2="rocker"/>' in note for note in notes)
+    found = begun(str(tmp_path / "hoeken.xml"))
+    assert ["coupler", "rocker"] in found.tables["mechanism"]["exclude_contacts"]
+    assert any("coupler and rocker" in note and "mechanism.exclude_contacts" in note for note in found.notes)
+    model = found.plan.problem.mechanism.model
+    assert model.nexclude == load_mechanism(str(tmp_path / "hoeken.xml")).model.nexclude + len(
+        found.tables["mechanism"]["exclude_contacts"]
+    )
+    assert not found.plan.certificate.contacts
+
+
+def test_a_first_motion_is_slow_enough_for_the_model_s_own_timestep_and_soft_closures(tmp_path):
+    (tmp_path / "hoeken.xml").write_text(HOEKEN.format(actuator=MOTOR), encoding="utf-8")
+    found = begun(str(tmp_path / "hoeken.xml"))
+    model = found.mechanism.model
+    softest = float(model.eq_solref[:, 0].max())
+    assert softest == 0.02  # MuJoCo's default [s]
+    # eight cycles at twice the closures' natural frequency, 1 / softest
+    assert found.tables["motion"]["duration_s"] >= 0.99 * 8 * 2 * np.pi * softest / 2
 
 
 def test_a_mechanism_that_nothing_drives_is_refused_with_the_line_that_it_lacks(tmp_path):
