@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flint import arb
 from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.proof.existence import _Box, _contracted
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.prove import prove
+from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, body_plan
 from tests.support.plans import optimal
@@ -86,3 +89,19 @@ def test_velocities_that_are_no_slope_of_the_positions_lead_to_no_proof():
     (found,) = radii(plan, replace(plan.trajectory, velocity=1.001 * plan.trajectory.velocity))
     assert found.answer == "sampled"
     assert "not the slope" in found.reason
+
+
+def test_every_box_adds_its_variation_to_the_contraction():
+    """Over one box of width h without slopes, v = h D |x| and s = h v: the contraction is D (h + h^2)."""
+
+    def contraction(*variations: float) -> float:
+        form = TaylorForm(coefficients=[arb(0)], remainder=arb(1e-6), whole=arb(0))
+        boxes = [
+            _Box(width=arb(0.1), slopes=[[[0.0], [0.0]]], variation=[[arb(d), arb(d)]], defect=[form], jump=[arb(0)] * 2)
+            for d in variations
+        ]
+        return _contracted(boxes, 1).contraction
+
+    assert contraction(0.0) < 1e-300
+    assert contraction(0.01) == pytest.approx(0.01 * 0.11, rel=1e-12)
+    assert contraction(0.01, 0.01) > 1.2 * max(contraction(0.01, 0.0), contraction(0.0, 0.01))
