@@ -61,6 +61,30 @@ def test_the_margin_of_a_state_is_its_least_distance_to_its_limits(limit, margin
 
 
 @pytest.mark.parametrize(
+    ("limits", "excess"),
+    [([[-1.0, 10.0]], 0.0), ([[-5.0, 2.5]], 0.5), ([[3.25, 9.0]], 0.25), ([[-1.0, 10.0], [0.5, 1.0]], 0.5)],
+)
+def test_an_effort_is_refused_by_the_most_that_one_exceeds_its_limits(limits, excess):
+    """The second effort, where there is one, rests at zero."""
+    problem = OdeProblem(
+        name="straight",
+        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
+        start=[0],
+        goal=[NAN],
+        effort_limit=limits,
+        duration_s=DURATION_S,
+        final_cost=lambda x0, xT, T, p: xT[0],  # noqa: ARG005
+    )
+    state = np.array([[0.0], [SPEED * DURATION_S]])[:, :, None]
+    effort = np.array([SPEED, 0.0])[: len(limits)].reshape(1, 1, -1)
+    certificate = certify_ode(
+        problem, OdeTrajectory(breaks_s=np.array([0.0, DURATION_S]), state=state, effort=effort, n_x=1)
+    )
+    assert certificate.effort_excess == pytest.approx(excess)
+    assert any("an effort exceeds its limit" in failure for failure in certificate.failures) == (excess > 0)
+
+
+@pytest.mark.parametrize(
     ("asked", "missed"),
     [
         ({"start": [1.5]}, 1.5 / (SPEED * DURATION_S)),
