@@ -119,8 +119,9 @@ REPAIRS: tuple[Repair, ...] = (
     ),
 )
 
+Diagnosis = Callable[[Search], Plan | None]
 # In this order: the first diagnosis that applies gives the reason.
-DIAGNOSES = (
+DIAGNOSES: tuple[Diagnosis, ...] = (
     reasons.solver_stopped,
     reasons.one_limit,
     reasons.efforts_contradicted,
@@ -133,13 +134,16 @@ DIAGNOSES = (
 )
 
 
-def plan_motion(problem: Problem, say: Say = silent, rungs: Sequence[Rung] = RUNGS) -> Plan:
+def plan_motion(
+    problem: Problem, say: Say = silent, rungs: Sequence[Rung] = RUNGS, diagnoses: Sequence[Diagnosis] = DIAGNOSES
+) -> Plan:
     """Return the plan of a problem; `message` gives the reason if it has no motion.
 
     Args:
         problem: the problem; `solver.max_time_s` limits the whole of planning.
         say: called with a line of progress from time to time.
         rungs: the attempts, in order.
+        diagnoses: the looks for a reason where there is no motion, in order; the last one has a reason for every problem.
 
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism.
@@ -147,14 +151,14 @@ def plan_motion(problem: Problem, say: Say = silent, rungs: Sequence[Rung] = RUN
     begun, plans = replace(problem, solver=problem.solver.begun()), []
     with recording(_with_the_best(say, plans)):
         try:
-            plan = _planned(begun, rungs, plans)
+            plan = _planned(begun, rungs, diagnoses, plans)
         except OutOfTimeError:
             message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
             plan = Plan(problem=problem, status="failed", message=message, history=recorded())
     return replace(plan, problem=problem)
 
 
-def _planned(problem: Problem, rungs: Sequence[Rung], plans: list[Plan]) -> Plan:
+def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagnosis], plans: list[Plan]) -> Plan:
     """Return the plan of a problem with a deadline; plans of the rungs are appended to `plans`.
 
     Raises:
@@ -164,7 +168,9 @@ def _planned(problem: Problem, rungs: Sequence[Rung], plans: list[Plan]) -> Plan
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose)
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
-    return reasons.contradicted(search) or reasons.too_short(search) or _climbed(search, rungs) or _diagnosed(search)
+    return (
+        reasons.contradicted(search) or reasons.too_short(search) or _climbed(search, rungs) or _diagnosed(search, diagnoses)
+    )
 
 
 def _climbed(search: Search, rungs: Sequence[Rung]) -> Plan | None:
@@ -185,7 +191,7 @@ def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
     return say_with_best
 
 
-def _diagnosed(search: Search) -> Plan:
+def _diagnosed(search: Search, diagnoses: Sequence[Diagnosis]) -> Plan:
     """Return the plan with the reason why no motion was found."""
     progress("no motion found; looking for the limit that forbids one")
-    return next(plan for diagnosis in DIAGNOSES if (plan := diagnosis(search)) is not None)
+    return next(plan for diagnosis in diagnoses if (plan := diagnosis(search)) is not None)

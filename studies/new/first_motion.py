@@ -21,12 +21,13 @@ from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import contact_notes, geom_names
+from linkplan.planner.diagnosis.reasons import nothing_found, solver_stopped
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
-from linkplan.planner.planning import RUNGS, plan_motion
+from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.rungs import PATIENT, Rung
+from linkplan.planner.search.rungs import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
 from linkplan.studies.new.changes import (
@@ -52,7 +53,8 @@ _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
 _COARSE_MESH = {"intervals": 20, "tolerance_deg": 1e-3}
 # Processor time [s] for all motions, and the least time that a motion gets.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
-_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=PATIENT),)
+_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=HURRIED),)
+_IN_BRIEF = (solver_stopped, nothing_found)  # another motion is tried next: why one was not found does not matter yet
 _SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
 
 
@@ -123,7 +125,8 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             most = 0.5 * left if rungs is RUNGS else min(0.5 * left, 0.3 * _TIME_BUDGET_S)  # an easy motion needs less
             hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, most)}}
             try:
-                answer = plan_motion(Problem.from_tables(moving.name, hurried, mechanism=moving), say, rungs)
+                problem = Problem.from_tables(moving.name, hurried, mechanism=moving)
+                answer = plan_motion(problem, say, rungs, _IN_BRIEF if rungs is _SMOOTH else DIAGNOSES)
             except LinkplanError as error:
                 found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
