@@ -204,8 +204,11 @@ class _Sweep:
             open_claims = [i for i in box.claims if i == _NEAR_PLAN or self.records[i].refuted is None]
             if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
                 continue
+            if self.until.passed:
+                self._leave(piece, box, open_claims, closed=False)
+                continue
             lost = len(self.closure.undecided) >= _MAX_LOST
-            last = lost or box.halvings == _MAX_HALVINGS or self.boxes >= most or self.until.passed
+            last = lost or box.halvings == _MAX_HALVINGS or self.boxes >= most
             self.boxes += 1
             self.closure.boxes += 1
             try:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.planning import plan_motion
@@ -188,3 +189,12 @@ def test_failures_of_the_certificate_refute_a_plan():
 def test_a_plan_without_a_motion_has_no_proof():
     with pytest.raises(LinkplanError, match="nothing to prove"):
         planned("knee-reach", "motion.duration_s=0.01").prove()
+
+
+def test_a_proof_whose_time_is_up_examines_no_box():
+    plan = optimal("knee-reach")
+    proof = prove_all(plan.problem, plan.trajectory, (), NO_DEADLINE.within(0.0))
+    assert proof.boxes == 0
+    assert {"the loops close, on one branch without a singular pose", "planned effort of act_O"} <= {
+        finding.name for finding in proof.of("undecided")
+    }
