@@ -3,13 +3,14 @@
 Plans contain no contact forces. A motion along which geoms collide is therefore wrong, unless they overlap by construction.
 """
 
+import json
 from dataclasses import replace
 
 import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.contacts import Meeting, exclusion, may_collide, meetings, new_meetings
+from linkplan.models.poses.contacts import Meeting, may_collide, meetings, new_meetings
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -81,11 +82,11 @@ def contact_notes(found: tuple[Meeting, ...]) -> tuple[str, ...]:
     if not constant:
         return tuple(begun)
     which = geom_names(constant[0]) if len(constant) == 1 else f"{len(constant)} pairs of geoms"
-    exclusions = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in constant))
+    pairs = json.dumps(list(dict.fromkeys(meeting.bodies for meeting in constant)))
     said = (
         f"contact of {which}, as deep at home, or on a pin that they share,"
-        f" {_neglected(max(meeting.depth_m for meeting in constant))}; the simulator applies them unless the model's"
-        f" <contact> has {exclusions}"
+        f" {_neglected(max(meeting.depth_m for meeting in constant))}; the simulator applies them, and"
+        f" mechanism.exclude_contacts = {pairs} leaves them out"
     )
     return (*begun, said)
 
