@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from linkplan.planner.solvers import restoration
+from linkplan.planner.solvers import newton
 
 
 def chain(n: int) -> scipy.sparse.csc_matrix:
@@ -17,7 +17,7 @@ def chain(n: int) -> scipy.sparse.csc_matrix:
 
 def step_of(rows: scipy.sparse.csc_matrix, weight: np.ndarray, missing: np.ndarray) -> np.ndarray | None:
     free, binding = np.zeros(rows.shape[1], dtype=bool), np.ones(rows.shape[0], dtype=bool)
-    return restoration._least_step(ca.DM(rows), missing, weight, free, binding)
+    return newton._least_step(ca.DM(rows), missing, weight, free, binding)
 
 
 @pytest.mark.parametrize("n", [30, 49, 50, 51, 500])
