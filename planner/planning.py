@@ -143,7 +143,7 @@ def plan_motion(
         problem: the problem; `solver.max_time_s` limits the whole of planning.
         say: called with a line of progress from time to time.
         rungs: the attempts, in order.
-        diagnoses: the looks for a reason where there is no motion, in order; the last one has a reason for every problem.
+        diagnoses: the searches for the reason why there is no motion, in order; the last one has a reason for every problem.
 
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism.

@@ -4,7 +4,7 @@ Builders, files and saved plans all make tables. The sections of `planner.keys` 
 becomes the value of one field here. Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`;
 all else is SI.
 
-Arguments of a problem's builders, in users' types, become entries of the same tables.
+The builders `Problem.reach`, `periodic` and `track` first write their arguments into such tables.
 """
 
 import copy

@@ -136,7 +136,7 @@ def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, st
         further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what)
         if further is None:
             return None
-        # The duration has no end if the objective falls to a thousandth at once.
+        # An objective that one step lowers to a thousandth falls for ever: the duration is unbounded.
         falls = further.solution.objective < 1e-3 * at.found.solution.objective and problem.motion.max_duration_s is None
         return _BoundedByGuess(
             found=further, unbounded=at.unbounded if falls else unbounded_duration(problem, further.solution)

@@ -65,7 +65,7 @@ def _candidates(
 
 
 def junction_places(junctions: np.ndarray | None, mesh: Mesh) -> Iterator[tuple[int, int, int, int]]:
-    """Yield per junction the last interval before it, its segment, its path quantity and its direction."""
+    """Yield for each junction: the last interval before it, and its segment, path quantity and direction."""
     if junctions is None:
         return
     for k, i in zip(*np.nonzero(junctions), strict=True):

@@ -78,7 +78,7 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
     if isinstance(tracker, MPC):
         m, n, many = len(tracker.kept), HORIZON_BLOCKS, HORIZON_BLOCKS * n_u
         free = state + 2 * n_u * m + many * (2 * m + 1)
-        # Runge and Kutta's method evaluates the dynamics four times.
+        # The Runge-Kutta method evaluates the dynamics four times.
         predicted = closing + n * (4 * _size(dynamics.flow) + _size(dynamics.linearisation))
         stored = state + n_s + 2 * n_q + 2 * n_u + m * m + n_u * m * (1 + n)
         return stored, free, free + predicted + _size(condensing(n, m, n_u))

@@ -49,7 +49,7 @@ def _fastest_feedback(problem: Problem) -> float:
 def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> dict:
     """Return PD gains for a duration: critically damped with the inertia at the start, zero for undriven coordinates.
 
-    The natural frequency gives eight cycles in the motion, which lasts long enough for that (`moderate_duration`).
+    The natural frequency has eight cycles in the duration, or fewer if the simulation admits no feedback that quick.
     """
     inertia = np.array(mechanism.dynamics.reduced_inertia(problem.start_pose())).diagonal()
     inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
