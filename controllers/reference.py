@@ -1,6 +1,7 @@
 """The motion that a tracker follows, sampled at its control instants."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -8,28 +9,30 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.turning import whole_turns
+from linkplan.models.renamed import RenamedFields
 from linkplan.planner.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class SampledReference:
+class SampledReference(RenamedFields):
     """A motion at control instants t_k = k T, for k = 0 to n - 1.
 
-    `pose` (n, n_q), `position` and `velocity` (n, n_s) [rad or m, and per second]. `effort` (n, n_u) [N.m or N] comes from
-    the reduced inverse dynamics at the middle of each period, because a held effort acts like its mean. `cycle` is the
-    number of samples after which the motion repeats, or None.
+    `pose_rad` (n, n_q), `position_rad` and `velocity_rad_s` (n, n_s); slides are in m and m/s.
+    `effort` (n, n_u) [N.m or N] comes from the reduced inverse dynamics at the middle of each period, because a held effort
+    acts like its mean. `cycle` is the number of samples after which the motion repeats, or None.
     """
 
+    renamed: ClassVar = {"pose": "pose_rad", "position": "position_rad", "velocity": "velocity_rad_s"}
     period_s: float
     time_s: np.ndarray
-    pose: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
+    pose_rad: np.ndarray
+    position_rad: np.ndarray
+    velocity_rad_s: np.ndarray
     effort: np.ndarray
     cycle: int | None
 
     def __post_init__(self) -> None:
-        for name in ("time_s", "pose", "position", "velocity", "effort"):
+        for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort"):
             value = np.array(getattr(self, name), dtype=float)
             value.flags.writeable = False
             object.__setattr__(self, name, value)
@@ -51,10 +54,10 @@ def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[n
     after = np.minimum(k + 1, reference.n - 1)
     x = (time / T - k)[..., None]
     x = np.where(np.abs(x) < 1e-9, 0.0, x)
-    p0, v0 = reference.position[k], T * reference.velocity[k]
+    p0, v0 = reference.position_rad[k], T * reference.velocity_rad_s[k]
     last = (k == after)[..., None]
-    p1 = np.where(last, p0 + v0, reference.position[after])
-    v1 = np.where(last, v0, T * reference.velocity[after])
+    p1 = np.where(last, p0 + v0, reference.position_rad[after])
+    v1 = np.where(last, v0, T * reference.velocity_rad_s[after])
     a, b = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
     return p0 + x * (v0 + x * (a + x * b)), np.where(x == 0, v0, v0 + x * (2 * a + 3 * x * b)) / T
 
@@ -80,9 +83,9 @@ def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, durati
     return SampledReference(
         period_s=period_s,
         time_s=period_s * np.arange(n),
-        pose=pose[again] + passed * gone,
-        position=position[again] + passed * trajectory.advance,
-        velocity=trajectory.velocity_at(time)[again],
+        pose_rad=pose[again] + passed * gone,
+        position_rad=position[again] + passed * trajectory.advance,
+        velocity_rad_s=trajectory.velocity_at(time)[again],
         effort=effort[again],
         cycle=cycle,
     )

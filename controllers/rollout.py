@@ -6,11 +6,13 @@ Numpy's and MuJoCo's warnings are suppressed in runs that may diverge; the logs 
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.mujoco_warnings import mujoco_warnings
+from linkplan.models.renamed import RenamedFields
 
 
 @contextlib.contextmanager
@@ -34,21 +36,28 @@ class ControlLoop:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Rollout:
+class Rollout(RenamedFields):
     """The log of a run at its control instants (n,), and the conditions of the simulation.
 
-    Positions are in [rad or m]. `commanded` is the tracker's output and `applied` the mean effort of the period, both
-    (n, n_u) [N.m or N]. `gap_m` (n,) is the largest distance between points or slides that a closure ties; `gap_rad` (n,)
-    is the largest gap of tied angles, empty if there are none. `finite` is False if the simulation diverged; the log ends
-    there. `asked_s` (n,) [s] is the measured computing time of the tracker.
+    Positions are in rad, those of slides in m. `commanded` is the tracker's output and `applied` the mean effort of the
+    period, both (n, n_u) [N.m or N]. `gap_m` (n,) is the largest distance between points or slides that a closure ties;
+    `gap_rad` (n,) is the largest gap of tied angles, empty if there are none. `finite` is False if the simulation diverged;
+    the log ends there. `asked_s` (n,) [s] is the measured computing time of the tracker.
     """
 
+    renamed: ClassVar = {
+        "position": "position_rad",
+        "velocity": "velocity_rad_s",
+        "reference": "reference_rad",
+        "pose": "pose_rad",
+        "error": "error_rad",
+    }
     tracker: str
     time_s: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    reference: np.ndarray
-    pose: np.ndarray
+    position_rad: np.ndarray
+    velocity_rad_s: np.ndarray
+    reference_rad: np.ndarray
+    pose_rad: np.ndarray
     commanded: np.ndarray
     applied: np.ndarray
     gap_m: np.ndarray
@@ -60,9 +69,9 @@ class Rollout:
     gap_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
-    def error(self) -> np.ndarray:
-        """The position error s_ref - s (n, n_s) [rad or m]."""
-        return self.reference - self.position
+    def error_rad(self) -> np.ndarray:
+        """The position error s_ref - s (n, n_s) [rad, or m of slides]."""
+        return self.reference_rad - self.position_rad
 
     @property
     def largest_gaps(self) -> tuple[float, float]:

@@ -6,7 +6,7 @@ A motion is given at any times in the units of files: positions and speeds of al
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.turning import whole_turns
+from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.collisions import contact_notes
 from linkplan.planner.problem.problem import Problem
@@ -28,17 +29,18 @@ from linkplan.planner.transcription.collocation import Transcribed
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class MotionTable:
-    """A motion at times (n,) [s]: by joint [deg or m, and per second], by actuator [N.m or N], by site (n, 3) [m].
+class MotionTable(RenamedFields):
+    """A motion at times (n,) [s]: by joint in degrees, or m for slides; by actuator [N.m or N]; by site (n, 3) [m].
 
-    `acceleration` covers the independent joints only. `unit` is the unit of positions by joint, `effort_unit` the unit by
-    actuator. `site` are the sites that the problem names, in the world's frame.
+    `acceleration_deg_s2` covers the independent joints only. `unit` is the unit of positions by joint, `effort_unit` the
+    unit by actuator. `site` are the sites that the problem names, in the world's frame.
     """
 
+    renamed: ClassVar = {"position": "position_deg", "speed": "speed_deg_s", "acceleration": "acceleration_deg_s2"}
     time_s: np.ndarray
-    position: dict[str, np.ndarray]
-    speed: dict[str, np.ndarray]
-    acceleration: dict[str, np.ndarray]
+    position_deg: dict[str, np.ndarray]
+    speed_deg_s: dict[str, np.ndarray]
+    acceleration_deg_s2: dict[str, np.ndarray]
     effort: dict[str, np.ndarray]
     unit: dict[str, str]
     effort_unit: dict[str, str]
@@ -53,9 +55,9 @@ class MotionTable:
         return replace(
             self,
             time_s=float(self.time_s[0]),
-            position=first(self.position),
-            speed=first(self.speed),
-            acceleration=first(self.acceleration),
+            position_deg=first(self.position_deg),
+            speed_deg_s=first(self.speed_deg_s),
+            acceleration_deg_s2=first(self.acceleration_deg_s2),
             effort=first(self.effort),
             site={name: place[0] for name, place in self.site.items()},
         )
@@ -63,10 +65,10 @@ class MotionTable:
     def columns(self) -> dict[str, np.ndarray]:
         """Return all columns (n,) with units in their headers: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m."""
         found = {"time_s": self.time_s}
-        for name, values in self.position.items():
+        for name, values in self.position_deg.items():
             found[f"{name}_{self.unit[name]}"] = values
-            found[f"{name}_{self.unit[name]}_s"] = self.speed[name]
-        found |= {f"{name}_{self.unit[name]}_s2": values for name, values in self.acceleration.items()}
+            found[f"{name}_{self.unit[name]}_s"] = self.speed_deg_s[name]
+        found |= {f"{name}_{self.unit[name]}_s2": values for name, values in self.acceleration_deg_s2.items()}
         found |= {f"{name}_{self.effort_unit[name].replace('.', '')}": values for name, values in self.effort.items()}
         for name, place in self.site.items():
             heads = [f"{name}_{axis}_m" for axis in AXES]
@@ -76,10 +78,10 @@ class MotionTable:
 
     def named_arrays(self) -> tuple[dict, dict]:
         """Return the variables and coordinates of a data set, each as the names of its dimensions and its values."""
-        joints, actuators = list(self.position), list(self.effort)
+        joints, actuators = list(self.position_deg), list(self.effort)
         variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
-            "position": (("time_s", "joint"), np.column_stack([self.position[name] for name in joints])),
-            "speed": (("time_s", "joint"), np.column_stack([self.speed[name] for name in joints])),
+            "position_deg": (("time_s", "joint"), np.column_stack([self.position_deg[name] for name in joints])),
+            "speed_deg_s": (("time_s", "joint"), np.column_stack([self.speed_deg_s[name] for name in joints])),
             "effort": (("time_s", "actuator"), np.column_stack([self.effort[name] for name in actuators])),
         }
         coordinates = {
@@ -144,9 +146,9 @@ def motion_table(
 
     return MotionTable(
         time_s=time,
-        position=shown(mechanism.joints, q),
-        speed=shown(mechanism.joints, rates),
-        acceleration=shown(mechanism.independent_joints, accelerations),
+        position_deg=shown(mechanism.joints, q),
+        speed_deg_s=shown(mechanism.joints, rates),
+        acceleration_deg_s2=shown(mechanism.independent_joints, accelerations),
         effort={actuator.name: u for actuator, u in zip(mechanism.actuators, efforts.T, strict=True)},
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
@@ -281,7 +283,7 @@ class Plan:
         return len(self.trajectory.breaks_s) - 1
 
     def sample(self, time_s: float | np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
-        """Return the motion at times: `position`, `speed`, `acceleration` by joint and `effort` by actuator.
+        """Return the motion at times: `position_deg`, `speed_deg_s`, `acceleration_deg_s2` by joint, `effort` by actuator.
 
         Args:
             time_s: a time or times (n,) [s], in any order; by default ten instants of every interval. A periodic motion
@@ -289,10 +291,10 @@ class Plan:
             jumps: whether the default times have both sides of a jump in effort, at equal times; else they increase.
 
         Returns:
-            `time_s`; `position` [deg or m] and `speed` of all joints by name; `acceleration` of the independent joints;
-            `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and `effort_unit` are their
-            units; `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world frame. `columns()` returns
-            all columns under heads with units.
+            `time_s`; `position_deg` [deg, or m of slides] and `speed_deg_s` of all joints by name; `acceleration_deg_s2` of
+            the independent joints; `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and
+            `effort_unit` are their units; `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world
+            frame. `columns()` returns all columns under heads with units.
 
         Raises:
             LinkplanError: if the plan has no motion, or a time is not finite.
@@ -312,9 +314,9 @@ class Plan:
     def to_dataset(self, time_s: np.ndarray | None = None) -> xarray.Dataset:
         """Return the motion at times (n,) [s] as an xarray data set over time.
 
-        `position` and `speed` [deg or m, and per second] have the dimensions `time_s` and `joint`, `effort` [N.m or N] has
-        `time_s` and `actuator`; the coordinates `joint_unit` and `actuator_unit` have their units. `site` [m] has `time_s`,
-        `site_name` and `axis`, if the problem names sites.
+        `position_deg` and `speed_deg_s` (m and m/s of slides) have the dimensions `time_s` and `joint`, `effort` [N.m or N]
+        has `time_s` and `actuator`; the coordinates `joint_unit` and `actuator_unit` have their units. `site` [m] has
+        `time_s`, `site_name` and `axis`, if the problem names sites.
 
         Raises:
             MissingPackageError: if xarray is not installed.

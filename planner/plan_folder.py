@@ -83,7 +83,7 @@ def record(plan: Plan) -> dict:
 def certificate_record(problem: Problem, certificate: Certificate) -> dict:
     """Return a certificate's values by name, with units in the names."""
     joints = problem.mechanism.joints
-    margins = list(zip(joints, certificate.position_margin, certificate.speed_margin, strict=True))
+    margins = list(zip(joints, certificate.position_margin_rad, certificate.speed_margin_rad_s, strict=True))
     return {
         "passed": certificate.passed,
         "failures": list(certificate.failures),

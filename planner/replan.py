@@ -15,10 +15,12 @@ import contextlib
 import threading
 import time
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
+from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
@@ -37,19 +39,24 @@ from linkplan.planner.transcription.program import Program
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class NextMotion:
+class NextMotion(RenamedFields):
     """A nearly optimal motion, a few Newton steps from the last one: not certified, but with bounds on its error.
 
-    `position_bound` (n_s,) [rad or m], `velocity_bound` (n_s,) and `effort_bound` (n_u,) [N.m or N] bound the differences
+    `position_bound_rad`, `velocity_bound_rad_s` (n_s,) and `effort_bound` (n_u,) [N.m or N] bound the differences
     from the optimal motion on the same mesh: of positions and velocities at the mesh's nodes, and of the efforts' Bernstein
     coefficients, hence of efforts everywhere. They are infinite if no bound is known. `newton_s` is the processing time [s]
     of the steps.
     """
 
+    renamed: ClassVar = {
+        "position_bound": "position_bound_rad",
+        "velocity_bound": "velocity_bound_rad_s",
+        "position_error": "position_error_deg",
+    }
     problem: Problem
     trajectory: Trajectory
-    position_bound: np.ndarray
-    velocity_bound: np.ndarray
+    position_bound_rad: np.ndarray
+    velocity_bound_rad_s: np.ndarray
     effort_bound: np.ndarray
     duration_error_s: float
     violation: float
@@ -64,10 +71,10 @@ class NextMotion:
         return self.trajectory.duration_s
 
     @property
-    def position_error(self) -> dict[str, float]:
+    def position_error_deg(self) -> dict[str, float]:
         """A bound, by independent joint, on the error [deg or m] of positions at nodes from the optimum on this mesh."""
         joints = self.problem.mechanism.independent_joints
-        return {j.name: float(j.shown(x)) for j, x in zip(joints, self.position_bound, strict=True)}
+        return {j.name: float(j.shown(x)) for j, x in zip(joints, self.position_bound_rad, strict=True)}
 
     @property
     def effort_error(self) -> dict[str, float]:
@@ -84,7 +91,7 @@ class NextMotion:
         return sample_motion(self.problem, self.trajectory, time_s)
 
     def __repr__(self) -> str:
-        joint, error = next(iter(self.position_error.items()))
+        joint, error = next(iter(self.position_error_deg.items()))
         return f"NextMotion({self.problem.name!r}, {self.duration_s:.6g} s, {joint} within {error:.2g})"
 
 
@@ -94,8 +101,8 @@ def motion_step(problem: Problem, numbered: Transcribed, found: NewtonStep, newt
     return NextMotion(
         problem=problem,
         trajectory=trajectory_of(numbered, found.optimum.x, problem.limits.effort),
-        position_bound=error * units.state[:n_s],
-        velocity_bound=error * units.state[n_s : 2 * n_s],
+        position_bound_rad=error * units.state[:n_s],
+        velocity_bound_rad_s=error * units.state[n_s : 2 * n_s],
         effort_bound=error * units.effort,
         duration_error_s=error * units.time_s * numbered.program.layout.n_segments,
         violation=found.violation,

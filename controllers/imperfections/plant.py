@@ -150,18 +150,20 @@ def start_of(
         AssemblyError: for a loop that does not close there.
     """
     machine, clock = imperfect.machine, imperfect.clock
-    position, velocity = reference.position[0], reference.velocity[0]
+    position, velocity = reference.position_rad[0], reference.velocity_rad_s[0]
     if clock.phase_periods:
         position, velocity = state_at(reference, clock.phase_periods * reference.period_s * clock.period_factor)
     s = position + imperfect.start.position_error
     v = velocity + imperfect.start.velocity_error
-    as_planned = not machine.length_factor and np.all(s == reference.position[0]) and np.all(v == reference.velocity[0])
+    as_planned = (
+        not machine.length_factor and np.all(s == reference.position_rad[0]) and np.all(v == reference.velocity_rad_s[0])
+    )
     if as_planned:
-        gamma = np.array(mechanism.dynamics.velocity_map(reference.pose[0]))
-        return reference.pose[0], gamma @ reference.velocity[0]
+        gamma = np.array(mechanism.dynamics.velocity_map(reference.pose_rad[0]))
+        return reference.pose_rad[0], gamma @ reference.velocity_rad_s[0]
     # Newton's method may diverge if the machine starts far from the plan's start: follow the assembly branch first.
-    poses, arrived = continue_to(mechanism, reference.pose[0], s[None])
-    pose, rates = np.array(poses[0] if arrived else reference.pose[0]), np.zeros(mechanism.n_q)
+    poses, arrived = continue_to(mechanism, reference.pose_rad[0], s[None])
+    pose, rates = np.array(poses[0] if arrived else reference.pose_rad[0]), np.zeros(mechanism.n_q)
     pose[mechanism.independent], rates[mechanism.independent] = s, v
     pose = closed_pose(model, data, mechanism, pose)
     return pose, closed_rates(model, data, mechanism, pose, rates)
@@ -169,10 +171,10 @@ def start_of(
 
 def held_before(mechanism: Mechanism, reference: SampledReference) -> np.ndarray:
     """Return the efforts (n_u,) before the first command: those that hold a start at rest, else the reference's own."""
-    if np.any(reference.velocity[0]):
+    if np.any(reference.velocity_rad_s[0]):
         return reference.effort[0]
     still = np.zeros((1, mechanism.dof))
-    return needed_effort(mechanism, reference.pose[:1], still, still)[0][0]
+    return needed_effort(mechanism, reference.pose_rad[:1], still, still)[0][0]
 
 
 def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:

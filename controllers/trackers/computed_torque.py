@@ -34,19 +34,19 @@ class ComputedTorque:
     name: str = "ct"
     batched: ClassVar[bool] = True
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return efforts (..., n_u) [N.m or N] for s and v (..., n_s)."""
         reference = self.reference
-        acceleration = self.acceleration[k] + self.damping * (reference.velocity[k] - velocity)
-        acceleration += self.stiffness * (reference.position[k] - position)
-        s, v, a = (np.atleast_2d(x) for x in (position, velocity, acceleration))
-        near = np.broadcast_to(reference.pose[k], (len(s), reference.pose.shape[1]))
+        acceleration = self.acceleration[k] + self.damping * (reference.velocity_rad_s[k] - velocity_rad_s)
+        acceleration += self.stiffness * (reference.position_rad[k] - position_rad)
+        s, v, a = (np.atleast_2d(x) for x in (position_rad, velocity_rad_s, acceleration))
+        near = np.broadcast_to(reference.pose_rad[k], (len(s), reference.pose_rad.shape[1]))
         effort, gap = self._called(near, s, v, a)
         far = ~(gap <= MAX_LOOP_GAP_M)
         if np.any(far):
-            there = np.broadcast_to(reference.position[k], s.shape)
+            there = np.broadcast_to(reference.position_rad[k], s.shape)
             effort[far] = self._called(near[far], there[far], v[far], a[far])[0]
-        return effort.reshape(*np.shape(position)[:-1], -1)
+        return effort.reshape(*np.shape(position_rad)[:-1], -1)
 
     def _called(self, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         effort, gap = evaluated(mapped(self.law, len(arguments[0])), *(x.T for x in arguments))
@@ -57,7 +57,8 @@ def computed_torque(
     mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float
 ) -> ComputedTorque:
     """Return the computed torque tracker for the errors' natural frequency [rad/s] and damping ratio."""
-    acceleration = sampled(mechanism.dynamics.acceleration, reference.pose, reference.velocity, reference.effort)[:, :, 0]
+    q, v, u = reference.pose_rad, reference.velocity_rad_s, reference.effort
+    acceleration = sampled(mechanism.dynamics.acceleration, q, v, u)[:, :, 0]
     return ComputedTorque(
         reference=reference,
         acceleration=acceleration,

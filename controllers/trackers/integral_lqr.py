@@ -37,11 +37,13 @@ class IntegralLQR:
         """Return integrals (n, n_i) of zero."""
         return np.zeros((n, len(self.integrated)))
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the next integrals."""
         reference = self.reference
-        error = reference.position[k] - position
-        state = np.concatenate([error, reference.velocity[k] - velocity, memory], axis=-1)
+        error = reference.position_rad[k] - position_rad
+        state = np.concatenate([error, reference.velocity_rad_s[k] - velocity_rad_s, memory], axis=-1)
         effort = reference.effort[k] + times(self.gains[k], state)
         low, high = self.effort_limit.T
         free = np.all((effort >= low) & (effort <= high), axis=-1, keepdims=True)
@@ -102,7 +104,7 @@ def integral_lqr(
     size = np.broadcast_to(errors.position, n_s)[steered]
     # The last instant, where the Riccati recursion begins.
     last = slice(n - 1, n)
-    A_c, B_c = linearise(mechanism, reference.pose[last], reference.velocity[last], reference.effort[last])
+    A_c, B_c = linearise(mechanism, reference.pose_rad[last], reference.velocity_rad_s[last], reference.effort[last])
     chosen = integrable(
         A_c[0, n_s + steered[:, None], steered] * size / size[:, None], B_c[0, n_s + steered] * errors.effort / size[:, None]
     )

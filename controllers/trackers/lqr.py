@@ -31,10 +31,12 @@ class LQR:
     name: str = "lqr"
     batched: ClassVar[bool] = True
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
         reference = self.reference
-        error = np.concatenate([reference.position[k] - position, reference.velocity[k] - velocity], axis=-1)
+        error = np.concatenate(
+            [reference.position_rad[k] - position_rad, reference.velocity_rad_s[k] - velocity_rad_s], axis=-1
+        )
         return reference.effort[k] + times(self.gains[k], error)
 
 
@@ -123,7 +125,7 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
     A passive degree of freedom, such as the spin of a rod between two ball joints, is uncontrollable and left out.
     """
     n = repeated(reference)
-    A, B = linearise(mechanism, reference.pose[:n], reference.velocity[:n], reference.effort[:n])
+    A, B = linearise(mechanism, reference.pose_rad[:n], reference.velocity_rad_s[:n], reference.effort[:n])
     kept = np.flatnonzero(np.tile(mechanism.steered, 2))
     A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
     sizes = [np.broadcast_to(weight, mechanism.dof)[mechanism.steered] for weight in (errors.position, errors.velocity)]

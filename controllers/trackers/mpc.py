@@ -73,17 +73,21 @@ class MPC:
         """Return the initial memory (n, blocks n_u), NaN: the LQR acts."""
         return np.full((n, self.alone.shape[1]), np.nan)
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the corrections of the blocks."""
         reference, at = self.reference, k % len(self.ahead)
-        error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)[:, self.kept]
+        error = np.concatenate(
+            [position_rad - reference.position_rad[k], velocity_rad_s - reference.velocity_rad_s[k]], axis=-1
+        )[:, self.kept]
         effort = reference.effort[k] - times(self.regulator.gains[at], error)
         # The first row is the effort that the LQR applies now, the others are its corrections in the blocks.
-        predicted, next_memory = np.hstack([effort, times(self.alone[at], error)]), self.start(len(position))
+        predicted, next_memory = np.hstack([effort, times(self.alone[at], error)]), self.start(len(position_rad))
         low, high = self.bounds[at]
         for row in np.flatnonzero(((predicted < low) | (predicted > high)).any(axis=1)):
             before = predicted[row, effort.shape[1] :] if np.isnan(memory[row, 0]) else memory[row]
-            found = self._improved(k, position[row], velocity[row], before)
+            found = self._improved(k, position_rad[row], velocity_rad_s[row], before)
             if found is not None:
                 next_memory[row], effort[row] = found, self._applied(k, found[: effort.shape[1]])
         return effort, next_memory
@@ -105,9 +109,9 @@ class MPC:
         blocks, room = self.ahead[at, :-1], self.room[at]
         corrections = np.minimum(np.maximum(before, room[0]), room[1])
         # If a cycle advances by whole turns, subtract the turns made so far.
-        s = s - (reference.position[k] - reference.position[at])
+        s = s - (reference.position_rad[k] - reference.position_rad[at])
         hessian, gradient, gap = evaluated(
-            self.predictor.program, reference.pose[at], s, v,
+            self.predictor.program, reference.pose_rad[at], s, v,
             self.begin[blocks].T, self.mean[blocks].T, self.own[blocks].T, corrections.reshape(HORIZON_BLOCKS, -1).T,
             *self.weights, self.regulator.cost[self.ahead[at, -1]],
         )  # fmt: skip
@@ -157,7 +161,7 @@ def mpc(
         alone[:, b] = -found.gains[here] @ so_far
         so_far, ahead[:, b + 1] = way[here] @ so_far, at[here]
     model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s, compile_mode)
-    begin = np.hstack([reference.pose[:n], reference.velocity[:n]])
+    begin = np.hstack([reference.pose_rad[:n], reference.velocity_rad_s[:n]])
     return MPC(
         reference=reference,
         regulator=found,

@@ -29,16 +29,18 @@ class PD:
     name: str = "pd"
     batched: ClassVar[bool] = True
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
         reference = self.reference
-        error = self.kp * (reference.position[k] - position) + self.kd * (reference.velocity[k] - velocity)
+        error = self.kp * (reference.position_rad[k] - position_rad) + self.kd * (
+            reference.velocity_rad_s[k] - velocity_rad_s
+        )
         return times(self.map[k], error)
 
 
 def pd(mechanism: Mechanism, reference: SampledReference, kp: float | np.ndarray, kd: float | np.ndarray) -> PD:
     """Return the PD tracker of a reference."""
-    maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose))
+    maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose_rad))
     return PD(reference=reference, kp=kp, kd=kd, map=maps)
 
 
@@ -51,8 +53,8 @@ def scheduled_pd(mechanism: Mechanism, reference: SampledReference, natural_freq
         natural_frequency: w [rad/s].
         damping_ratio: zeta.
     """
-    maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose))
-    inertia = sampled(mechanism.dynamics.reduced_inertia, reference.pose)
+    maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose_rad))
+    inertia = sampled(mechanism.dynamics.reduced_inertia, reference.pose_rad)
     return PD(
         reference=reference,
         kp=natural_frequency**2,

@@ -2,10 +2,13 @@
 
 The feedback loop calls every tracker through `steps_of`. There are two kinds:
 
-* `Tracker`: `effort(k, position, velocity)` for one state. With the class attribute `batched = True`, `effort` also accepts
-  leading batch axes: position and velocity (..., n_s) -> efforts (..., n_u). Otherwise states are passed one by one.
-* `TrackerWithMemory`: `start(n)` and `step(k, position, velocity, memory)`, always for a batch of n states. The feedback
-  loop stores the memory. The law receives it, returns the next memory and stores nothing itself.
+* `Tracker`: `effort(k, position_rad, velocity_rad_s)` for one state. With the class attribute `batched = True`, `effort`
+  also accepts leading batch axes: position and velocity (..., n_s) -> efforts (..., n_u). Otherwise states are passed one
+  by one.
+* `TrackerWithMemory`: `start(n)` and `step(k, position_rad, velocity_rad_s, memory)`, always for a batch of n states. The
+  feedback loop stores the memory. The law receives it, returns the next memory and stores nothing itself.
+
+Positions of slides are in m, their velocities in m/s.
 
 The efforts of one state must not depend on the other states of its batch, to the last bit. `times` ensures this for
 products.
@@ -50,9 +53,10 @@ class Tracker(Protocol):
             def __init__(self, reference):
                 self.reference = reference
 
-            def effort(self, k, position, velocity):  # rad and rad/s on hinges
-                wanted = self.reference
-                return 200.0 * (wanted.position[k] - position) + (wanted.velocity[k] - velocity) + wanted.effort[k]
+            def effort(self, k, position_rad, velocity_rad_s):
+                error = self.reference.position_rad[k] - position_rad
+                rate = self.reference.velocity_rad_s[k] - velocity_rad_s
+                return 200.0 * error + rate + self.reference.effort[k]
 
         print(linkplan.track(linkplan.plan("knee-reach"), Stiff))
     """
@@ -62,7 +66,7 @@ class Tracker(Protocol):
         """The name in tables and files."""
         ...
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return efforts (n_u,) [N.m or N] at instant k for measured s [rad or m] and v [rad/s or m/s], both (n_s,)."""
         ...
 
@@ -79,7 +83,9 @@ class TrackerWithMemory(Protocol):
         """Return the memory (n, n_m) before the first control instant of n simulations."""
         ...
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] at instant k for measured s and v (n, n_s), and the next memory (n, n_m)."""
         ...
 
@@ -104,9 +110,9 @@ class Feedforward:
         """True if the feedback accepts leading batch axes."""
         return bool(getattr(self.feedback, "batched", False))
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return efforts (..., n_u) [N.m or N], with leading batch axes if the feedback accepts them."""
-        return self.reference.effort[k] + self.feedback.effort(k, position, velocity)
+        return self.reference.effort[k] + self.feedback.effort(k, position_rad, velocity_rad_s)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -125,13 +131,15 @@ class Memoryless:
         """Return the empty memory (n, 0)."""
         return np.empty((n, 0))
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N], for all states at once or, if the law is not batched, one by one."""
-        if len(position) == 1:  # a small law takes half the time without the batch axis
-            return np.asarray(self.law.effort(k, position[0], velocity[0]), dtype=float)[None], memory
+        if len(position_rad) == 1:  # a small law takes half the time without the batch axis
+            return np.asarray(self.law.effort(k, position_rad[0], velocity_rad_s[0]), dtype=float)[None], memory
         if self.batched:
-            return self.law.effort(k, position, velocity), memory
-        each = [self.law.effort(k, s, v) for s, v in zip(position, velocity, strict=True)]
+            return self.law.effort(k, position_rad, velocity_rad_s), memory
+        each = [self.law.effort(k, s, v) for s, v in zip(position_rad, velocity_rad_s, strict=True)]
         return np.array(each, dtype=float), memory
 
 

@@ -88,7 +88,7 @@ plan.plot()
 # %%
 weak = {"effort": {"drive": [-0.2, 0.2]}}
 quick = linkplan.plan(problem.replace(limits=weak, duration_s="free", minimize="time")).require()
-fastest = np.abs(quick.sample().speed["C"]).max()
+fastest = np.abs(quick.sample().speed_deg_s["C"]).max()
 print(f"{1000 * quick.duration_s:.1f} ms; the rocker turns at {fastest:.0f} deg/s at the most")
 
 # %% [markdown]
@@ -106,10 +106,10 @@ class ByHand:
     def __init__(self, reference):
         self.reference = reference
 
-    def effort(self, k, position, velocity):
+    def effort(self, k, position_rad, velocity_rad_s):
         """Return the torque at control instant k."""
-        error = self.reference.position[k] - position
-        rate = self.reference.velocity[k] - velocity
+        error = self.reference.position_rad[k] - position_rad
+        rate = self.reference.velocity_rad_s[k] - velocity_rad_s
         return self.reference.effort[k] + 4.0 * error + 0.01 * rate
 
 
@@ -122,7 +122,7 @@ print(linkplan.compare(plan, ["pd", ByHand, "pd+ff", "lqr"]))
 runs = linkplan.compare(plan, [ByHand, "pd+ff", "lqr"]).mismatched
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
 for (name, run), line in zip(runs.items(), ("-", "--", ":"), strict=True):
-    error = np.degrees(run.position - run.reference)[:, 0]
+    error = np.degrees(run.position_rad - run.reference_rad)[:, 0]
     axes.plot(plan.problem.tracking.period_s * np.arange(len(error)), error, line, label=name)
 axes.set(xlabel="time [s]", ylabel="error of O [deg]", title="20 % more mass, one control period of delay")
 axes.legend()

@@ -6,6 +6,7 @@ model under the planned effort and compares the state with the planned state.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from linkplan.models.poses.along import demanded, joint_rates, least_effort, sam
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.turning import whole_turns
+from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.boundary import (
     BOUNDARY_SHARE,
     ends_off_m,
@@ -51,13 +53,14 @@ RANGE_SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Certificate:
+class Certificate(RenamedFields):
     """Findings on one motion, with a list of failures that is empty if it passes.
 
     Efforts are in the actuators' units. Margins are negative outside a limit and infinite without one. `worst_time_s` is the
     time of each finding's worst value.
     """
 
+    renamed: ClassVar = {"position_margin": "position_margin_rad", "speed_margin": "speed_margin_rad_s"}
     effort_excess: float
     inverse_dynamics_excess: float
     dynamics_residual: float
@@ -69,8 +72,8 @@ class Certificate:
     integration_error_deg: float
     integration_error_m: float
     integration_restarts: int  # restarts of the integration because of an unstable motion; 0 as a rule
-    position_margin: np.ndarray  # (n_q,) [rad or m]
-    speed_margin: np.ndarray  # (n_q,)
+    position_margin_rad: np.ndarray  # (n_q,) [rad or m]
+    speed_margin_rad_s: np.ndarray  # (n_q,)
     singularity_ratio: float  # least det J_z along the motion, relative to home
     peak_effort: np.ndarray  # (n_u,)
     peak_power: np.ndarray  # (n_u,) [W], mechanical
@@ -191,8 +194,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         integration_error_deg=in_deg,
         integration_error_m=in_m,
         integration_restarts=integrated.restarts,
-        position_margin=position_margin,
-        speed_margin=speed_margin,
+        position_margin_rad=position_margin,
+        speed_margin_rad_s=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
         peak_power=np.abs(u * samples.actuator_speeds).max(axis=0),

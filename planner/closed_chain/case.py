@@ -66,11 +66,11 @@ class MechanismCase:
         """Return the certificate's findings that refinement needs."""
         over = [certificate.speed_overrun, certificate.position_overrun]
         over += [margin.overrun[None] for margin in certificate.margins if margin.of.tightened is not None]
-        least = min(certificate.position_margin.min(), certificate.speed_margin.min())
+        least = min(certificate.position_margin_rad.min(), certificate.speed_margin_rad_s.min())
         return ErrorReport(
             exact=is_exact(self.asked, certificate),
             mendable=certificate.mendable,
-            leaves_positions=bool(np.any(certificate.position_margin < 0)),
+            leaves_positions=bool(np.any(certificate.position_margin_rad < 0)),
             overruns=bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins),
             overrun=np.vstack(over).max(axis=0),
             integration_error_deg=certificate.integration_error_deg,
@@ -158,10 +158,10 @@ def _tightened(problem: Problem, certificate: Certificate, *, speeds: bool) -> P
     """Return a problem with ranges, effort rates and optionally speeds tightened by 1.1 times the overrun."""
     limits = problem.limits
     changed: dict = {}
-    inward = 1.1 * np.maximum(0.0, -certificate.position_margin)[:, None] * np.array([1.0, -1.0])
+    inward = 1.1 * np.maximum(0.0, -certificate.position_margin_rad)[:, None] * np.array([1.0, -1.0])
     changed["position"] = limits.position + inward
     if speeds:
-        over = 1.1 * np.maximum(0.0, -certificate.speed_margin)[:, None]
+        over = 1.1 * np.maximum(0.0, -certificate.speed_margin_rad_s)[:, None]
         changed["speed"] = limits.speed + over * np.array([1.0, -1.0])
     problem = replace(problem, limits=replace(limits, **changed))
     for margin in certificate.margins:

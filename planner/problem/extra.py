@@ -11,6 +11,7 @@ from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.models.reading import shown
+from linkplan.models.renamed import RenamedFields
 from linkplan.planner.problem.instant import Instant, free_instant
 
 # Names appear in sentences.
@@ -30,23 +31,24 @@ class _Named:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class NamedInstant:
-    """One instant of a motion for users' expressions, in SI: `at.position["O"]`, `at.site("foot")[2]`.
+class NamedInstant(RenamedFields):
+    """One instant of a motion for users' expressions, in SI: `at.position_rad["O"]`, `at.site("foot")[2]`.
 
     Every joint, dependent or not, has a position [rad or m] and a velocity; every actuator has an effort [N.m or N].
     """
 
+    renamed: ClassVar = {"position": "position_rad", "velocity": "velocity_rad_s"}
     instant: Instant
 
     @property
-    def position(self) -> _Named:
+    def position_rad(self) -> _Named:
         """The joints' positions [rad or m] by name."""
-        return _Named("joint in at.position", _joints(self.instant.mechanism), self.instant.q)
+        return _Named("joint in at.position_rad", _joints(self.instant.mechanism), self.instant.q)
 
     @property
-    def velocity(self) -> _Named:
+    def velocity_rad_s(self) -> _Named:
         """The joints' velocities [rad/s or m/s] by name."""
-        return _Named("joint in at.velocity", _joints(self.instant.mechanism), self.instant.joint_rates)
+        return _Named("joint in at.velocity_rad_s", _joints(self.instant.mechanism), self.instant.joint_rates)
 
     @property
     def effort(self) -> _Named:
@@ -75,7 +77,7 @@ class ExtraLimit:
         unit: of the expression, for messages.
 
     Example:
-        bent = linkplan.ExtraLimit(name="angle of C", expression=lambda at: at.position["C"], lower=-3.0, unit="rad")
+        bent = linkplan.ExtraLimit(name="angle of C", expression=lambda at: at.position_rad["C"], lower=-3.0, unit="rad")
         linkplan.Problem.from_file("knee-reach").replace(extra_limits=[bent])
     """
 
@@ -112,7 +114,10 @@ class ExtraCost:
         unit: of the integral, for messages.
 
     Example:
-        calm = linkplan.ExtraCost(name="swing of A", expression=lambda at: at.velocity["A"] ** 2, weight=1e-3, unit="rad2/s")
+        def swing(at):
+            return at.velocity_rad_s["A"] ** 2
+
+        calm = linkplan.ExtraCost(name="swing of A", expression=swing, weight=1e-3, unit="rad2/s")
         linkplan.Problem.from_file("knee-reach").replace(extra_costs=[calm])
     """
 

@@ -139,7 +139,7 @@ def _errors(plan: Plan, reference: SampledReference) -> Errors:
 
 def lqr_settings(plan: Plan, reference: SampledReference) -> Tracking:
     """Return the settings of tracking with every LQR error set for a plan's machine and motion."""
-    return scaled(plan.problem.tracking, plan.problem.mechanism, reference.pose, _unit_effort(plan))
+    return scaled(plan.problem.tracking, plan.problem.mechanism, reference.pose_rad, _unit_effort(plan))
 
 
 def _unit_effort(plan: Plan) -> np.ndarray:
@@ -232,7 +232,7 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
     for unit, which, factor in (("deg", hinge & steered, 180 / np.pi), ("m", ~hinge & steered, 1.0)):
         if not np.any(which):
             continue
-        error = factor * np.linalg.norm(rollout.error[:, which], axis=1)
+        error = factor * np.linalg.norm(rollout.error_rad[:, which], axis=1)
         record |= {
             f"rms_error_{unit}": float(np.sqrt(np.mean(error**2))),
             f"max_error_{unit}": float(error.max()),
@@ -260,7 +260,7 @@ def gap_note(plan: Plan, rollout: Rollout) -> str | None:
     mechanism = plan.problem.mechanism
     if not (rollout.finite and gap_sentence(mechanism, *rollout.largest_gaps)):
         return None
-    return gap_sentence(mechanism, *rollout.largest_gaps, softness_error(mechanism, rollout.pose))
+    return gap_sentence(mechanism, *rollout.largest_gaps, softness_error(mechanism, rollout.pose_rad))
 
 
 def contact_note(plan: Plan, rollout: Rollout) -> str | None:

@@ -43,7 +43,7 @@ def comparison_figure(comparison: Comparison, path: Path | None = None, *, every
     mechanism, cases = comparison.plan.problem.mechanism, cases_of(comparison)
     most = max(mechanism.dof, mechanism.n_u) if every_joint else 2
     runs_of_all = [run for _, runs in cases for run in runs.values()]
-    chosen = largest(np.max([np.abs(run.error).max(axis=0) for run in runs_of_all], axis=0), most)
+    chosen = largest(np.max([np.abs(run.error_rad).max(axis=0) for run in runs_of_all], axis=0), most)
     pushed = largest(np.max([np.abs(run.applied).max(axis=0) for run in runs_of_all], axis=0), most)
     columns = [
         [
@@ -122,10 +122,12 @@ def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Seq
     joints, longest, found = comparison.plan.problem.mechanism.independent_joints, _longest(runs), []
     for k in chosen:
         joint, factor = joints[k], joints[k].shown(1.0)
-        desired = Line(name="desired", values=factor * longest.reference[:, k], unit=joint.unit, look="dash", colour=None)
-        positions = {name: factor * run.position[:, k] for name, run in runs.items()}
+        desired = Line(
+            name="desired", values=factor * longest.reference_rad[:, k], unit=joint.unit, look="dash", colour=None
+        )
+        positions = {name: factor * run.position_rad[:, k] for name, run in runs.items()}
         # On the logarithmic axis, errors below the simulator's rounding, about 1e-7 deg or m, are drawn at that value.
-        errors = {name: np.maximum(np.abs(factor * run.error[:, k]), 1e-7) for name, run in runs.items()}
+        errors = {name: np.maximum(np.abs(factor * run.error_rad[:, k]), 1e-7) for name, run in runs.items()}
         title = f"{joint.name}, desired and tracked"
         found += _plots(comparison, runs, title, "position", joint.unit, positions, extra=[desired])
         found += _plots(comparison, runs, f"Size of the error of {joint.name}", "error", joint.unit, errors, log=True)
@@ -137,7 +139,7 @@ def follower_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[
     mechanism, found = comparison.plan.problem.mechanism, []
     for index in mechanism.dependent.tolist():
         joint = mechanism.joints[index]
-        positions = {name: joint.shown(1.0) * run.pose[:, index] for name, run in runs.items()}
+        positions = {name: joint.shown(1.0) * run.pose_rad[:, index] for name, run in runs.items()}
         found += _plots(comparison, runs, f"{joint.name}, tracked", "position", joint.unit, positions)
     return found
 
@@ -157,10 +159,10 @@ def site_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot
     """Return the plots of the distances of the problem's sites from their planned places, in millimetres."""
     mechanism, found = comparison.plan.problem.mechanism, []
     for name, index in comparison.plan.problem.sites.items():
-        planned = places_of(mechanism, index, tracking_reference(comparison.plan).pose)
+        planned = places_of(mechanism, index, tracking_reference(comparison.plan).pose_rad)
         errors = {
             key: 1e3
-            * np.linalg.norm(places_of(mechanism, index, np.nan_to_num(run.pose)) - planned[: len(run.pose)], axis=1)
+            * np.linalg.norm(places_of(mechanism, index, np.nan_to_num(run.pose_rad)) - planned[: len(run.pose_rad)], axis=1)
             for key, run in runs.items()
         }
         found += _plots(comparison, runs, f"Distance of {name} from the plan", "distance", "mm", errors)
@@ -261,8 +263,8 @@ def _document_plots(runs: Mapping[tuple[str, float], Rollout], kp: float) -> lis
     found = []
     for (model, kd), run in runs.items():
         lines = [
-            Line(name="actual", values=np.degrees(run.position[:, 0]), unit="deg", look="line", colour=1),
-            Line(name="desired", values=np.degrees(run.reference[:, 0]), unit="deg", look="dash", colour=0),
+            Line(name="actual", values=np.degrees(run.position_rad[:, 0]), unit="deg", look="line", colour=1),
+            Line(name="desired", values=np.degrees(run.reference_rad[:, 0]), unit="deg", look="dash", colour=0),
         ]
         title = f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad"
         found += plots(title, "joint O", TIME, run.time_s, lines, group="time:document")

@@ -47,7 +47,7 @@ def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, floa
     time = period_s * np.arange(round(_DURATION_S / period_s))
     position, velocity = sine.derivative(time, 0), sine.derivative(time, 1)
     reference = SampledReference(
-        period_s=period_s, time_s=time, pose=position, position=position, velocity=velocity,
+        period_s=period_s, time_s=time, pose_rad=position, position_rad=position, velocity_rad_s=velocity,
         effort=np.zeros_like(position), cycle=None,
     )  # fmt: skip
     for kd in KD:
@@ -61,7 +61,7 @@ def document_record(runs: dict[tuple[str, float], Rollout]) -> list[dict]:
     """Return the runs' metrics: error, loop gap over the second half, contacts, share of the time at the limit."""
     rows = []
     for (model, kd), rollout in runs.items():
-        error = np.degrees(rollout.error[:, 0])
+        error = np.degrees(rollout.error_rad[:, 0])
         half = len(rollout.time_s) // 2
         rows.append(
             {

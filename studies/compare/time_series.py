@@ -20,13 +20,13 @@ def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]
     found = {"time_s": rollout.time_s}
     for k, joint in enumerate(mechanism.independent_joints):
         unit, factor = joint.unit, joint.shown(1.0)
-        found[f"{joint.name}_ref_{unit}"] = factor * rollout.reference[:, k]
-        found[f"{joint.name}_{unit}"] = factor * rollout.position[:, k]
-        found[f"{joint.name}_error_{unit}"] = factor * rollout.error[:, k]
-        found[f"{joint.name}_{unit}_s"] = factor * rollout.velocity[:, k]
+        found[f"{joint.name}_ref_{unit}"] = factor * rollout.reference_rad[:, k]
+        found[f"{joint.name}_{unit}"] = factor * rollout.position_rad[:, k]
+        found[f"{joint.name}_error_{unit}"] = factor * rollout.error_rad[:, k]
+        found[f"{joint.name}_{unit}_s"] = factor * rollout.velocity_rad_s[:, k]
     for index in mechanism.dependent:
         joint = mechanism.joints[int(index)]
-        found[f"{joint.name}_{joint.unit}"] = joint.shown(1.0) * rollout.pose[:, index]
+        found[f"{joint.name}_{joint.unit}"] = joint.shown(1.0) * rollout.pose_rad[:, index]
     for k, actuator in enumerate(mechanism.actuators):
         unit = actuator.unit.replace(".", "")
         found[f"{actuator.name}_commanded_{unit}"] = rollout.commanded[:, k]

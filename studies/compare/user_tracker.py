@@ -28,6 +28,8 @@ TrackerLike = str | AnyTracker | Callable[[SampledReference], AnyTracker]
 _QUOTED_CHARACTERS = 300
 # Longest name of a tracker: it is part of file names, which have at most 255 bytes.
 _LONGEST_NAME = 50
+# What a tracker for one state defines, as messages say it.
+_LAW = "effort(k, position_rad, velocity_rad_s)"
 # Contents of the trackers' modules at import: the files may change during a long-lived process.
 _loaded_from: dict[str, bytes] = {}
 
@@ -164,15 +166,15 @@ class CheckedTracker:
     actuators: tuple[str, ...]
     batched: bool = False
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return efforts (..., n_u) [N.m or N].
 
         Raises:
             ProblemError: if the law raises, or does not return one number for each actuator.
         """
         with users_code(self.name, f"fails at control instant {k}"):
-            given = self.law.effort(k, position, velocity)
-        return _checked(given, self.name, position.shape[:-1], self.actuators)
+            given = self.law.effort(k, position_rad, velocity_rad_s)
+        return _checked(given, self.name, position_rad.shape[:-1], self.actuators)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -191,18 +193,20 @@ class CheckedMemory:
             raise ProblemError(f"tracker '{self.name}' starts with a memory of shape ({n}, any), got {memory.shape}")
         return memory
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] and the next memory (n, n_m).
 
         Raises:
             ProblemError: if the law raises, does not return one number for each actuator, or changes the memory's shape.
         """
         with users_code(self.name, f"fails at control instant {k}"):
-            given, after = self.law.step(k, position, velocity, memory)
+            given, after = self.law.step(k, position_rad, velocity_rad_s, memory)
             after = np.asarray(after)
         if after.shape != memory.shape:
             raise ProblemError(f"tracker '{self.name}' returns a memory of shape {memory.shape}, got {after.shape}")
-        return _checked(given, self.name, position.shape[:-1], self.actuators), after
+        return _checked(given, self.name, position_rad.shape[:-1], self.actuators), after
 
 
 def _checked(given: object, name: str, states: tuple[int, ...], actuators: tuple[str, ...]) -> np.ndarray:
@@ -239,22 +243,22 @@ def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReferen
     """Return a user's tracker for a reference: the law itself, or the result of a function or class of the reference.
 
     Raises:
-        ProblemError: if it does not have a name and `effort(k, position, velocity)`, or `start` and `step`.
+        ProblemError: if it does not have a name and `effort(k, position_rad, velocity_rad_s)`, or `start` and `step`.
     """
     law: Any = asked
     made_by = _text_of(getattr(asked, "__name__", type(asked).__name__))
     if isinstance(asked, type) or not _is_law(asked):
         if not callable(asked):
             raise ProblemError(
-                f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and effort(k, position, velocity), or a"
-                f" function of the sampled reference that returns one; got {_text_of(asked)}"
+                f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and {_LAW}, or a function of the sampled"
+                f" reference that returns one; got {_text_of(asked)}"
             )
         with users_code(made_by, "cannot be made"):
             law = asked(reference)
         if not _is_law(law):
             raise ProblemError(
-                f"a function that is given as a tracker returns an object with a name and effort(k, position, velocity),"
-                f" '{made_by}' returned {_text_of(law)}"
+                f"a function that is given as a tracker returns an object with a name and {_LAW}, '{made_by}' returned"
+                f" {_text_of(law)}"
             )
     with users_code(made_by, "cannot be used"):
         name, batched, remembers = getattr(law, "name", None), bool(getattr(law, "batched", False)), not _has(law, "effort")

@@ -73,9 +73,11 @@ class Completed:
         """Return the law's memory before the first instant."""
         return self.law.start(n)
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the law's next memory."""
-        effort, after = self.law.step(k, position, velocity, memory)
+        effort, after = self.law.step(k, position_rad, velocity_rad_s, memory)
         return effort + self.lacking[k], after
 
 
@@ -97,7 +99,7 @@ def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
     first = [*ideal, _errors(rigid, _unlimited(law), reference, clocked), ran[frozenset()]]
     after = [ran[frozenset(SWITCHES[:k]) & frozenset(acting)] for k in range(1, len(SWITCHES) + 1)]
     failure = _failures([*zip(RUNGS.values(), [*first, *after], strict=True), *_words_of(ran)], n)
-    t, n_s = reference.position.shape
+    t, n_s = reference.position_rad.shape
     errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in [*first, *after]])
     increments = np.diff(errors, axis=0, prepend=0.0)
     for row, name in enumerate(SWITCHES, start=len(first)):
@@ -184,7 +186,9 @@ def _ideal(experiment: Experiment, asked: TrackerLike) -> list[_Found]:
     whole, found = completed(law, fine), []
     for one in (law,) if whole is law else (whole, law):
         runs = simulate(RigidPlant(mechanism=mechanism), one, fine)
-        found.append((coarse.position[:, None] - runs.pose[::_PERIOD_DIVISOR][:, :, mechanism.independent], runs.failure))
+        found.append(
+            (coarse.position_rad[:, None] - runs.pose[::_PERIOD_DIVISOR][:, :, mechanism.independent], runs.failure)
+        )
     return [found[0], found[-1]]
 
 
@@ -200,7 +204,7 @@ def _rebuilt(experiment: Experiment, asked: TrackerLike, reference: SampledRefer
 def completed(law: AnyTracker, reference: SampledReference) -> AnyTracker:
     """Return a law with a completed feedforward; a law whose feedforward is already complete is returned unchanged."""
     steps = steps_of(law)
-    memory, position, velocity = steps.start(1), reference.position, reference.velocity
+    memory, position, velocity = steps.start(1), reference.position_rad, reference.velocity_rad_s
 
     def lacking(instants: np.ndarray) -> np.ndarray:
         own = [steps.step(int(k), position[k, None], velocity[k, None], memory)[0][0] for k in instants]

@@ -31,9 +31,11 @@ class OneByOne:
             laws[i, 0] = self.make()
         return laws
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] of states (n, n_s), each from its own law."""
-        each = [law.effort(k, s, v) for (law,), s, v in zip(memory, position, velocity, strict=True)]
+        each = [law.effort(k, s, v) for (law,), s, v in zip(memory, position_rad, velocity_rad_s, strict=True)]
         return np.array(each, dtype=float), memory
 
 

@@ -84,7 +84,9 @@ def measured(ensemble: Ensemble, i: int, yardstick: Yardstick) -> dict[str, floa
     inside = np.all(np.abs(error) <= yardstick.tube, axis=1)
     low, high = yardstick.effort_limit.T
     # Overshoot is the distance beyond the range of the whole path.
-    beyond = np.maximum(np.maximum(position - reference.position.max(axis=0), reference.position.min(axis=0) - position), 0)
+    beyond = np.maximum(
+        np.maximum(position - reference.position_rad.max(axis=0), reference.position_rad.min(axis=0) - position), 0
+    )
     found: dict[str, float] = {}
     for unit in _units(mechanism):
         which, factor = _of_unit(mechanism, unit), 180 / np.pi if unit == "deg" else 1.0

@@ -45,9 +45,9 @@ class LawTables:
     gains: np.ndarray
     limit: np.ndarray
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return the efforts (n_u,) of the law."""
-        error = np.concatenate([self.position[k] - position, self.velocity[k] - velocity])
+        error = np.concatenate([self.position[k] - position_rad, self.velocity[k] - velocity_rad_s])
         return self.feedforward[k] + self.gains[k if len(self.gains) > 1 else 0] @ error
 
 
@@ -62,7 +62,7 @@ def law_tables(plan: Plan, tracker: str) -> LawTables:
     feedforward, gains = _linear(build_tracker(tracker, plan, reference), reference)
     if np.all(gains == gains[0]):
         gains = gains[:1]
-    if reference.n * (2 * reference.position.shape[1] + feedforward.shape[1]) + gains.size > _MAX_NUMBERS:
+    if reference.n * (2 * reference.position_rad.shape[1] + feedforward.shape[1]) + gains.size > _MAX_NUMBERS:
         raise ProblemError(
             f"the tables of {reference.n} control instants have more than {_MAX_NUMBERS} numbers; set a longer"
             " tracking.period_s"
@@ -72,8 +72,8 @@ def law_tables(plan: Plan, tracker: str) -> LawTables:
         tracker=tracker,
         mechanism=plan.problem.mechanism,
         period_s=reference.period_s,
-        position=reference.position,
-        velocity=reference.velocity,
+        position=reference.position_rad,
+        velocity=reference.velocity_rad_s,
         feedforward=feedforward,
         gains=gains,
         limit=np.array(plan.problem.limits.actuators_effort),
@@ -82,7 +82,7 @@ def law_tables(plan: Plan, tracker: str) -> LawTables:
 
 def _linear(tracker: object, reference: SampledReference) -> tuple[np.ndarray, np.ndarray]:
     """Return the feedforward (n, n_u) and the gains (n, n_u, 2 n_s) of a tracker."""
-    n_s = reference.position.shape[1]
+    n_s = reference.position_rad.shape[1]
     if isinstance(tracker, Feedforward):
         return reference.effort, _linear(tracker.feedback, reference)[1]
     if isinstance(tracker, LQR):

@@ -16,9 +16,9 @@ def mat_bytes(samples: Samples) -> bytes:
     """
     table = samples.table
     groups = {
-        "position": (table.position, table.unit),
-        "speed": (table.speed, {name: f"{unit}/s" for name, unit in table.unit.items()}),
-        "acceleration": (table.acceleration, {name: f"{unit}/s2" for name, unit in table.unit.items()}),
+        "position": (table.position_deg, table.unit),
+        "speed": (table.speed_deg_s, {name: f"{unit}/s" for name, unit in table.unit.items()}),
+        "acceleration": (table.acceleration_deg_s2, {name: f"{unit}/s2" for name, unit in table.unit.items()}),
         "effort": (table.effort, table.effort_unit),
         "site": (table.site, dict.fromkeys(table.site, "m")),
     }

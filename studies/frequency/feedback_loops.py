@@ -76,9 +76,9 @@ class OperatingPoint:
         return SampledReference(
             period_s=period_s,
             time_s=period_s * np.arange(n),
-            pose=np.tile(self.pose, (n, 1)),
-            position=np.tile(self.state[: self.mechanism.dof], (n, 1)),
-            velocity=np.tile(self.velocity, (n, 1)),
+            pose_rad=np.tile(self.pose, (n, 1)),
+            position_rad=np.tile(self.state[: self.mechanism.dof], (n, 1)),
+            velocity_rad_s=np.tile(self.velocity, (n, 1)),
             effort=np.tile(self.hold, (n, 1)),
             cycle=None,
         )

@@ -103,7 +103,7 @@ def frozen_radii(mechanism: Mechanism, reference: SampledReference, tracker: Any
 
 
 def _closed_along(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling) -> np.ndarray:
-    A, B, B_late = simulated(mechanism, reference.pose, reference.velocity, reference.effort, timing)
+    A, B, B_late = simulated(mechanism, reference.pose_rad, reference.velocity_rad_s, reference.effort, timing)
     return closed(*augmented(A, B, B_late, timing), tracker_gains(tracker))
 
 
@@ -168,8 +168,8 @@ def _steady(mechanism, reference: SampledReference, tracker: AnyTracker, timing:
     n = reference.n
     batch = SimulatedLoops(
         mechanism,
-        pose=reference.pose[:1],
-        velocity=reference.velocity[:1],
+        pose=reference.pose_rad[:1],
+        velocity=reference.velocity_rad_s[:1],
         gain=tracker_gains(tracker)[:1],
         under_way=reference.effort[:1],
         timing=timing,
@@ -188,9 +188,9 @@ def _steady(mechanism, reference: SampledReference, tracker: AnyTracker, timing:
     motion = SampledReference(
         period_s=reference.period_s,
         time_s=reference.time_s,
-        pose=follow(mechanism, position, reference.pose[0]),
-        position=position,
-        velocity=velocity,
+        pose_rad=follow(mechanism, position, reference.pose_rad[0]),
+        position_rad=position,
+        velocity_rad_s=velocity,
         effort=acting,
         cycle=n,
     )
@@ -200,7 +200,7 @@ def _steady(mechanism, reference: SampledReference, tracker: AnyTracker, timing:
 def _signals(reference: SampledReference, tracker: AnyTracker, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the reference states (n, count, 2 n_s) and feedforward efforts (n, count, n_u) of a tracker."""
     forward = reference.effort if feeds_forward(tracker) else np.zeros_like(reference.effort)
-    along = np.concatenate([reference.position, reference.velocity], axis=1)
+    along = np.concatenate([reference.position_rad, reference.velocity_rad_s], axis=1)
     return np.repeat(along[:, None], count, axis=1), np.repeat(forward[:, None], count, axis=1)
 
 
@@ -217,11 +217,11 @@ def _measured(
     """Return MuJoCo's transition matrices (n + 1, M, M) from the start: disturbed runs minus an undisturbed run."""
     n, n_s, n_u = reference.n, mechanism.dof, mechanism.n_u
     size = len(scale)
-    pose, velocity = np.tile(motion.pose[0], (size + 1, 1)), np.tile(motion.velocity[0], (size + 1, 1))
+    pose, velocity = np.tile(motion.pose_rad[0], (size + 1, 1)), np.tile(motion.velocity_rad_s[0], (size + 1, 1))
     for i in range(n_s):
-        s = motion.position[0].copy()
+        s = motion.position_rad[0].copy()
         s[i] += scale[i]
-        pose[i + 1] = close_at(mechanism, s, motion.pose[0])
+        pose[i + 1] = close_at(mechanism, s, motion.pose_rad[0])
         velocity[n_s + i + 1, i] += scale[n_s + i]
     gain = tracker_gains(tracker)[:n]
     # The commands in the state are ordered from u_{-1} backwards.
@@ -257,7 +257,9 @@ def _scale(mechanism: Mechanism, size: int) -> np.ndarray:
 
 
 def _cut(reference: SampledReference, n: int) -> SampledReference:
-    arrays = {name: getattr(reference, name)[:n] for name in ("time_s", "pose", "position", "velocity", "effort")}
+    arrays = {
+        name: getattr(reference, name)[:n] for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
+    }
     return SampledReference(period_s=reference.period_s, cycle=n, **arrays)
 
 

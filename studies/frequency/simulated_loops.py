@@ -31,12 +31,14 @@ class StateFeedback:
         """Return the indices (n, 1) of simulations."""
         return np.arange(n)[:, None]
 
-    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (r, n_u) of simulations at states (r, n_s)."""
         drive, gain = self.drive[k], self.gain[k]
         if len(memory) < len(drive):
             drive, gain = drive[memory[:, 0]], gain[memory[:, 0]]
-        x = np.concatenate([position, velocity], axis=1)
+        x = np.concatenate([position_rad, velocity_rad_s], axis=1)
         return drive - np.matmul(gain, x[:, :, None])[:, :, 0], memory
 
 

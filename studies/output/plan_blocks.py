@@ -97,7 +97,10 @@ def _error_rows(plan: Plan) -> list[list]:
 def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     """Return the rows of the certificate's margins, largest closure forces and powers."""
     motion, mechanism, rows = plan.problem.motion, plan.problem.mechanism, []
-    for what, per, margins in (("range", "", certificate.position_margin), ("speed limit", "/s", certificate.speed_margin)):
+    for what, per, margins in (
+        ("range", "", certificate.position_margin_rad),
+        ("speed limit", "/s", certificate.speed_margin_rad_s),
+    ):
         rows += [
             [f"margin to the {what} of {joint.name}", joint.shown(margin), f"{joint.unit}{per}"]
             for joint, margin in zip(mechanism.joints, margins, strict=True)

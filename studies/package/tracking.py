@@ -37,11 +37,11 @@ def track(
     Args:
         plan: with a motion.
         tracker: "pd", "pd+ff", "lqr", "lqi", "gs-pd+ff", "ct" or "mpc"; or a `Tracker`: an object with a `name` and
-            `effort(k, position, velocity)`; or a function of the sampled reference that returns a tracker. The reference
-            has `period_s`, and at the control instants `time_s` (n,), `position`, `velocity` (n, n_s) [rad or m, and per
-            second], `pose` (n, n_q) and the needed `effort` (n, n_u) [N.m or N]. `effort` of a tracker returns efforts
-            (n_u,) at instant k for the measured position and velocity (n_s,) of the independent joints; the loop adds
-            saturation, sampling and delay.
+            `effort(k, position_rad, velocity_rad_s)`; or a function of the sampled reference that returns a tracker. The
+            reference has `period_s`, and at the control instants `time_s` (n,), `position_rad`, `velocity_rad_s` (n, n_s),
+            `pose_rad` (n, n_q) and the needed `effort` (n, n_u) [N.m or N]; slides are in m and m/s. `effort` of a tracker
+            returns efforts (n_u,) at instant k for the measured position and velocity (n_s,) of the independent joints;
+            the loop adds saturation, sampling and delay.
         mass_factor: on mass and inertia of the payload in the simulator, or of all moving bodies without a payload.
         delay_periods: further control periods (also a fraction) before a command acts, in addition to those of the problem.
         tracking: settings that replace the problem's: kp, kd, period_s, delay_periods, duration_s, lqr_position_deg, ...

@@ -127,18 +127,18 @@ class TransferResult:
         """Every quantity over the nodes (n, ...): "joint_position", "motor_position", "ratio" (G), "inertia", ..."""
         return arrays_of(self.found)
 
-    def at(self, name: str, positions: Rows) -> np.ndarray:
+    def at(self, name: str, positions_rad: Rows) -> np.ndarray:
         """Return a quantity of the table by linear interpolation, NaN off the map.
 
         Args:
             name: "motor_position", "ratio" (G), "ratio_slope", "inertia", "armature", "damping", "friction" or "gravity".
-            positions: of the output joints (n, n_joints) [rad or m].
+            positions_rad: of the output joints (n, n_joints) [rad or m].
         """
         grid = self.found.table.grid
         names = [key for key in grid.values if key not in ("pose", "status")]
         if name not in names:
             raise ProblemError(f"unknown quantity '{name}'; legal: {', '.join(names)}")
-        return grid.at(name, np.atleast_2d(np.asarray(positions, dtype=float)))
+        return grid.at(name, np.atleast_2d(np.asarray(positions_rad, dtype=float)))
 
     @property
     def serial_mjcf(self) -> str:
@@ -166,12 +166,12 @@ class TransferResult:
             raise LinkplanError(f"no URDF: {urdf_notes(self.found)[0]}")
         return text
 
-    def errors_along(self, time_s: Sequence[float] | np.ndarray, position: Rows) -> dict[str, np.ndarray]:
+    def errors_along(self, time_s: Sequence[float] | np.ndarray, position_rad: Rows) -> dict[str, np.ndarray]:
         """Return the errors of models without loops along a motion of the output joints, in N.m or N.
 
         Args:
             time_s: instants (n,) [s].
-            position: output positions (n, n_joints) [rad or m], interpolated by a spline of the fifth degree.
+            position_rad: output positions (n, n_joints) [rad, or m of slides], interpolated by a spline of the fifth degree.
 
         Returns:
             Arrays (n, n_joints): "effort" that the motion needs, and the errors of the "static map" (a tree without anything
@@ -180,21 +180,23 @@ class TransferResult:
         from linkplan.studies.transfer.serial_study import errors_along, motion_of_samples
 
         table, serial = self.found.table, self._serial()
-        found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position))
+        found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position_rad))
         return {"effort": found.effort, **found.named()}
 
-    def rest_effort(self, position: Rows, velocity: Rows, acceleration: Rows) -> np.ndarray:
+    def rest_effort(self, position_rad: Rows, velocity_rad_s: Rows, acceleration_rad_s2: Rows) -> np.ndarray:
         """Return what the serial equivalent lacks: efforts (n, n_joints) to subtract from those on its joints, in N.m or N.
 
         It is interpolated in the table, NaN off the map.
 
         Args:
-            position: of the output joints (n, n_joints) [rad or m].
-            velocity: likewise, per second.
-            acceleration: likewise, per second squared.
+            position_rad: of the output joints (n, n_joints) [rad, or m of slides].
+            velocity_rad_s: likewise, per second.
+            acceleration_rad_s2: likewise, per second squared.
         """
         serial, grid = self._serial(), self.found.table.grid
-        s, v, a = (np.atleast_2d(np.asarray(rows, dtype=float)) for rows in (position, velocity, acceleration))
+        s, v, a = (
+            np.atleast_2d(np.asarray(rows, dtype=float)) for rows in (position_rad, velocity_rad_s, acceleration_rad_s2)
+        )
         if not s.shape == v.shape == a.shape or s.shape[1] != len(grid.axes):
             raise ProblemError(
                 f"position, velocity and acceleration are (n, {len(grid.axes)}), got {s.shape}, {v.shape}, {a.shape}"

@@ -51,7 +51,7 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
     """
     reference = tracking_reference(plan) if reference is None else reference
     run = track(plan, tracker, None, reference)
-    kept = int(np.sum(np.cumprod(np.isfinite(run.pose).all(axis=1))))
+    kept = int(np.sum(np.cumprod(np.isfinite(run.pose_rad).all(axis=1))))
     if kept < 2:
         raise ProblemError(f"the run with {tracker} diverges at once: there is no motion to draw")
     effort, limit = run.applied[:kept], np.array(run.effort_limit)
@@ -60,8 +60,8 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
         name=plan.problem.name,
         tracker=tracker,
         time_s=run.time_s[:kept],
-        pose=run.pose[:kept],
-        reference=reference.pose[:kept],
+        pose=run.pose_rad[:kept],
+        reference=reference.pose_rad[:kept],
         effort=effort,
         limit=limit,
         shares=load_shares(effort, limit, np.abs(effort).max(axis=0, initial=0.0)),

@@ -55,8 +55,8 @@ def _ranges(plan: Plan, motion: Motion) -> list[Item]:
     """Return the joints' ranges and speed limits: the value nearest to its limit, and that limit."""
     problem, certificate, items = plan.problem, plan.certificate, []
     kinds = (
-        ("range", "", motion.pose, problem.limits.position, certificate.position_margin),
-        ("speed limit", "/s", motion.rates, problem.limits.speed, certificate.speed_margin),
+        ("range", "", motion.pose, problem.limits.position, certificate.position_margin_rad),
+        ("speed limit", "/s", motion.rates, problem.limits.speed, certificate.speed_margin_rad_s),
     )
     for what, per, values, bounds, margins in kinds:
         for k, joint in enumerate(problem.mechanism.joints):

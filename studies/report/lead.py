@@ -59,8 +59,8 @@ def _margins(plan: Plan) -> Iterator[tuple[float, str]]:
     """Yield every margin as a share of its limit and in words."""
     problem, certificate = plan.problem, plan.certificate
     kinds = (
-        ("range", "", problem.limits.position, certificate.position_margin),
-        ("speed limit", "/s", problem.limits.speed, certificate.speed_margin),
+        ("range", "", problem.limits.position, certificate.position_margin_rad),
+        ("speed limit", "/s", problem.limits.speed, certificate.speed_margin_rad_s),
     )
     for what, per, bounds, margins in kinds:
         for joint, (low, high), margin in zip(problem.mechanism.joints, bounds, margins, strict=True):

@@ -55,7 +55,7 @@ def _animation(comparison: Comparison) -> Block:
         f"{mechanism.name} along {plan.problem.name}, planned and as tracked",
         group_of(plan),
         reference.time_s[frames],
-        reference.pose[frames],
+        reference.pose_rad[frames],
         effort=reference.effort[frames],
         effort_limit=np.array(plan.problem.limits.effort),
         ghosts=ghosts,
@@ -65,16 +65,16 @@ def _animation(comparison: Comparison) -> Block:
 
 def _run(run: Rollout, frames: np.ndarray) -> Run:
     """Return a run at control instants; a diverged run keeps its last finite pose, with zero effort."""
-    seen = np.flatnonzero(np.isfinite(run.pose).all(axis=1))
+    seen = np.flatnonzero(np.isfinite(run.pose_rad).all(axis=1))
     last = int(seen[-1]) if len(seen) else 0
     at = np.minimum(frames, last)
-    return Run(poses=np.nan_to_num(run.pose[at]), effort=np.where((frames <= last)[:, None], run.applied[at], 0.0))
+    return Run(poses=np.nan_to_num(run.pose_rad[at]), effort=np.where((frames <= last)[:, None], run.applied[at], 0.0))
 
 
 def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout], *, depth: int) -> list[Section]:
     """Return the plots over time: joints and actuators with the largest figures, and the others in a folded section."""
     mechanism = comparison.plan.problem.mechanism
-    chosen = largest(np.max([np.abs(run.error).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
+    chosen = largest(np.max([np.abs(run.error_rad).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
     pushed = largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
     others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
     blocks = [*joint_plots(comparison, runs, chosen), *site_plots(comparison, runs)]

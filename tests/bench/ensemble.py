@@ -71,8 +71,8 @@ def _least_s(works: list[Callable[[], object]]) -> list[float]:
 def _raw(mechanism, reference, driven: np.ndarray) -> None:
     """Step the same motion by MuJoCo alone: the efforts are known."""
     batch = Batch(mechanism.model, nsim=SIMULATIONS, nthread=THREADS)
-    batch.bind("qpos")[:] = reference.pose[0]
-    batch.bind("qvel")[:] = np.array(mechanism.dynamics.velocity_map(reference.pose[0])) @ reference.velocity[0]
+    batch.bind("qpos")[:] = reference.pose_rad[0]
+    batch.bind("qvel")[:] = np.array(mechanism.dynamics.velocity_map(reference.pose_rad[0])) @ reference.velocity_rad_s[0]
     ctrl = batch.bind("ctrl")
     for effort in driven:
         ctrl[:] = effort
@@ -82,8 +82,8 @@ def _raw(mechanism, reference, driven: np.ndarray) -> None:
 def _python(mechanism, reference, tracker, limit: np.ndarray) -> None:
     """Run one simulation as one would write it down."""
     model, data, (joint,) = mechanism.model, mujoco.MjData(mechanism.model), mechanism.independent
-    data.qpos[:] = reference.pose[0]
-    data.qvel[:] = np.array(mechanism.dynamics.velocity_map(reference.pose[0])) @ reference.velocity[0]
+    data.qpos[:] = reference.pose_rad[0]
+    data.qvel[:] = np.array(mechanism.dynamics.velocity_map(reference.pose_rad[0])) @ reference.velocity_rad_s[0]
     for k in range(reference.n):
         effort = tracker.effort(k, data.qpos[joint : joint + 1], data.qvel[joint : joint + 1])
         data.ctrl[:] = np.clip(effort, limit[:, 0], limit[:, 1])

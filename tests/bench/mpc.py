@@ -56,9 +56,9 @@ def periods_us(law: MPC) -> np.ndarray:
     reference, random = law.reference, np.random.default_rng(0)
     memory, found = law.start(1), []
     for k in range(0, reference.n, max(1, reference.n // _PERIODS)):
-        shape = (1, reference.position.shape[1])
-        s = reference.position[k] + np.radians(_ERROR_DEG) * random.standard_normal(shape)
-        v = reference.velocity[k] * (1 + 0.05 * random.standard_normal(shape))
+        shape = (1, reference.position_rad.shape[1])
+        s = reference.position_rad[k] + np.radians(_ERROR_DEG) * random.standard_normal(shape)
+        v = reference.velocity_rad_s[k] * (1 + 0.05 * random.standard_normal(shape))
         times = []
         for _ in range(_RUNS):
             begin = time.perf_counter()

@@ -35,11 +35,11 @@ def test_a_machine_without_imperfections_is_the_single_run(law, delay):
     single = run_alone(mechanism, reference, law(), loop)
     many = run_machines(mechanism, reference, law(), loop, [Imperfections()] * 3, threads=2)
     for i in range(3):
-        assert np.abs(many.pose[:, i] - single.pose).max() < SAME_RUN
+        assert np.abs(many.pose[:, i] - single.pose_rad).max() < SAME_RUN
         assert np.abs(many.commanded[:, i] - single.commanded).max() < SAME_RUN * 1e3
         assert np.abs(many.applied[:, i] - single.applied).max() < SAME_RUN * 1e3
         assert many.gap_m[i] == pytest.approx(single.gap_m.max(), rel=1e-6)
-    assert np.ptp(single.position) > 1e-3  # it moves
+    assert np.ptp(single.position_rad) > 1e-3  # it moves
 
 
 def test_several_degrees_of_freedom_and_several_steps_a_period_are_the_single_run_too():
@@ -58,7 +58,7 @@ def test_several_degrees_of_freedom_and_several_steps_a_period_are_the_single_ru
     tracker, loop = pd(mechanism, reference, 20.0, 1.0), ControlLoop(effort_limit=mechanism.effort_limit)
     single = run_alone(mechanism, reference, tracker, loop)
     many = run_machines(mechanism, reference, tracker, loop, [Imperfections()] * 2)
-    assert np.abs(many.pose[:, 1] - single.pose).max() < SAME_RUN
+    assert np.abs(many.pose[:, 1] - single.pose_rad).max() < SAME_RUN
     assert np.abs(many.commanded[:, 1] - single.commanded).max() < SAME_RUN * 1e3
 
 

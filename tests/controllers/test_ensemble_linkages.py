@@ -33,10 +33,10 @@ def test_a_machine_as_modelled_runs_as_alone(text, integrator):
     mechanism = load_mechanism(text)
     efforts = wave(mechanism, 0.05)
     alone, together = both(text, efforts)
-    assert np.ptp(alone.position[:, 0]) > 1e-3
+    assert np.ptp(alone.position_rad[:, 0]) > 1e-3
     for i in range(3):
-        assert np.abs(together.pose[:, i] - alone.pose).max() < SERVO_AS_MOTOR
-        assert np.abs(together.velocity[:, i] - alone.velocity).max() < 100 * SERVO_AS_MOTOR
+        assert np.abs(together.pose[:, i] - alone.pose_rad).max() < SERVO_AS_MOTOR
+        assert np.abs(together.velocity[:, i] - alone.velocity_rad_s).max() < 100 * SERVO_AS_MOTOR
         assert np.abs(together.applied[:, i] - alone.applied).max() < ROUNDING
     assert together.failure == (None,) * 3
 
@@ -50,7 +50,7 @@ def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
     assert together.commanded[0, 0, 1] == 0.9
     # Ten simulator steps a period: a single run logs what acts in the first one, an ensemble the mean of all.
     assert together.applied[:, 0, 1].max() < 0.1
-    assert np.abs(together.pose[:, 1] - alone.pose).max() < SERVO_AS_MOTOR
+    assert np.abs(together.pose[:, 1] - alone.pose_rad).max() < SERVO_AS_MOTOR
 
 
 @pytest.mark.parametrize("text", [GRIPPER, RSSR], ids=["servo", "ball"])
@@ -98,7 +98,7 @@ def test_a_servo_whose_gain_changes_gives_what_the_end_of_its_range_leaves(integ
     mechanism = load_mechanism(hard(text, PERIOD_S, integrator))
     alone, _ = both(hard(text, PERIOD_S, integrator), np.tile([5.0, 0.9], (40, 1)))
     data = mujoco.MjData(mechanism.model)
-    for pose, applied in zip(alone.pose, alone.applied[:, 1], strict=True):
+    for pose, applied in zip(alone.pose_rad, alone.applied[:, 1], strict=True):
         data.qpos[:] = pose
         mujoco.mj_forward(mechanism.model, data)
         length = data.actuator_length[mechanism.actuators[1].output]

@@ -128,7 +128,7 @@ def test_a_mass_factor_is_the_single_run_s():
     mechanism, reference = reach()
     single = run_alone(mechanism, reference, follower(), replace(LOOP, mass_factor=1.2))
     many = run_machines(mechanism, reference, follower(), LOOP, [Imperfections(machine=Machine(mass_factor=1.2))])
-    assert np.abs(many.pose[:, 0] - single.pose).max() < 1e-12
+    assert np.abs(many.pose[:, 0] - single.pose_rad).max() < 1e-12
 
 
 def test_a_shifted_payload_is_the_mechanism_with_that_payload():
@@ -139,7 +139,7 @@ def test_a_shifted_payload_is_the_mechanism_with_that_payload():
     accelerations = []
     for model in (other.model, shifted, mechanism.model):
         data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = reference.pose[-1], mechanism.home * 0, 20.0
+        data.qpos[:], data.qvel[:], data.ctrl[:] = reference.pose_rad[-1], mechanism.home * 0, 20.0
         mujoco.mj_forward(model, data)
         accelerations.append(data.qacc_smooth.copy())
     assert accelerations[1] == pytest.approx(accelerations[0], rel=1e-9)
@@ -156,9 +156,9 @@ def test_a_longer_link_is_longer_and_the_loop_is_closed_with_it():
     B, A = data.site("B_coupler").xpos, data.body("coupler").xpos
     assert np.linalg.norm(B - A) == pytest.approx(1.01 * 0.0741)
     assert np.linalg.norm(B - data.site("B_rocker").xpos) < 1e-12
-    assert built.pose[mechanism.independent] == reference.position[0]
+    assert built.pose[mechanism.independent] == reference.position_rad[0]
     assert np.abs(data.efc_vel[data.efc_type == 0]).max() < 1e-12
-    assert abs(built.pose - reference.pose[0]).max() > 1e-3
+    assert abs(built.pose - reference.pose_rad[0]).max() > 1e-3
 
 
 def test_lengths_that_do_not_close_are_refused_in_one_line():

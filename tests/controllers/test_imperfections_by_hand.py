@@ -129,7 +129,7 @@ def test_a_start_error_is_where_and_how_fast_the_machine_starts():
 def acceleration(machine: Machine, speed: float, effort: float = 0.0) -> tuple[float, np.ndarray, float]:
     """Return the acceleration of O [rad/s2] in MuJoCo at a speed [rad/s], Gamma there, and the reduced inertia [kg m2]."""
     mechanism, reference = reach()
-    imperfect = Imperfections(machine=machine, start=Start(velocity_error=speed - reference.velocity[0]))
+    imperfect = Imperfections(machine=machine, start=Start(velocity_error=speed - reference.velocity_rad_s[0]))
     built = plant(mechanism, reference, LOOP, imperfect, 1)
     data = mujoco.MjData(built.model)
     data.qpos[:], data.qvel[:], data.ctrl[:] = built.pose, built.rates, effort
@@ -220,7 +220,7 @@ def test_no_imperfection_of_the_machine_is_told_to_the_tracker(kind):
     before = mechanism.fingerprint(), saved(mechanism.model)
     found = run_machines(mechanism, reference, build_tracker(kind, plan, reference), LOOP, [wrong])
     assert (mechanism.fingerprint(), saved(mechanism.model)) == before
-    assert np.abs(found.pose[:, 0] - reference.pose).max() > 1e-4  # it is another machine
+    assert np.abs(found.pose[:, 0] - reference.pose_rad).max() > 1e-4  # it is another machine
     law = steps_of(build_tracker(kind, plan, reference))
     memory = law.start(1)
     for k in range(reference.n):

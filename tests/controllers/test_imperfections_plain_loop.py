@@ -58,7 +58,7 @@ class Law:
 def simulated(imperfect: Imperfections) -> np.ndarray:
     """Return the positions (N,) of the machine in linkplan's simulator."""
     reference = SampledReference(
-        period_s=T, time_s=TIME, pose=WAY[:, None], position=WAY[:, None], velocity=RATE[:, None],
+        period_s=T, time_s=TIME, pose_rad=WAY[:, None], position_rad=WAY[:, None], velocity_rad_s=RATE[:, None],
         effort=FEEDFORWARD[:, None], cycle=None,
     )  # fmt: skip
     found = run_machines(MACHINE, reference, Law(), ControlLoop(effort_limit=np.array([[-LIMIT, LIMIT]])), [imperfect])

@@ -62,8 +62,8 @@ def test_a_servo_gives_the_effort_that_a_motor_would(integrator):
     assert not motor.actuators[1].is_servo
     efforts = wave(servo, 0.05) * [100.0, 1.0]
     first, second = scripted(servo, efforts), scripted(motor, efforts)
-    assert np.abs(np.ptp(first.position, axis=0)).min() > 1e-3, "both coordinates move"
-    assert np.abs(first.pose - second.pose).max() < SERVO_AS_MOTOR
+    assert np.abs(np.ptp(first.position_rad, axis=0)).min() > 1e-3, "both coordinates move"
+    assert np.abs(first.pose_rad - second.pose_rad).max() < SERVO_AS_MOTOR
     assert np.abs(first.applied - efforts).max() < ROUNDING
 
 
@@ -84,8 +84,8 @@ def test_servos_that_run_in_threads_of_their_own_do_not_meddle_with_each_other()
     with ThreadPoolExecutor(len(efforts)) as threads:
         together = list(threads.map(lambda each: scripted(mechanism, each), efforts))
     for one, other in zip(alone, together, strict=True):
-        np.testing.assert_array_equal(other.pose, one.pose)
-    assert np.ptp([run.pose[-1, 0] for run in alone]) > 1e-4
+        np.testing.assert_array_equal(other.pose_rad, one.pose_rad)
+    assert np.ptp([run.pose_rad[-1, 0] for run in alone]) > 1e-4
 
 
 @pytest.mark.slow
@@ -97,8 +97,8 @@ def test_the_simulation_follows_the_reduced_model(name, text, size):
         efforts = efforts * [200.0, 1.0]
     rollout, expected = scripted(mechanism, efforts), integrated(mechanism, efforts)
     assert rollout.finite
-    assert np.ptp(rollout.position[:, 0]) > 20 * SIMULATED, "it moves"
-    assert np.abs(rollout.pose - expected).max() < SIMULATED
+    assert np.ptp(rollout.position_rad[:, 0]) > 20 * SIMULATED, "it moves"
+    assert np.abs(rollout.pose_rad - expected).max() < SIMULATED
     assert rollout.gap_m.max() < ROLLOUT_GAP_M
 
 
@@ -110,23 +110,25 @@ def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
     reference = SampledReference(
         period_s=PERIOD_S,
         time_s=PERIOD_S * np.arange(20),
-        pose=pose,
-        position=s,
-        velocity=velocity,
+        pose_rad=pose,
+        position_rad=s,
+        velocity_rad_s=velocity,
         effort=effort,
         cycle=None,
     )
     reference = SampledReference(
-        **{name: getattr(reference, name)[5:] for name in ("time_s", "pose", "position", "velocity", "effort")},
+        **{
+            name: getattr(reference, name)[5:] for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
+        },
         period_s=PERIOD_S,
         cycle=None,
     )
     rollout = run_alone(
         mechanism, reference, Scripted(efforts=np.zeros((15, 1))), ControlLoop(effort_limit=np.array([[-np.inf, np.inf]]))
     )
-    assert np.abs(rollout.pose[0] - pose[5]).max() < ROUNDING
-    assert np.abs(rollout.velocity[0] - velocity[5]).max() < ROUNDING
-    assert len(rollout.pose[0]) == mechanism.model.nv != mechanism.model.nq
+    assert np.abs(rollout.pose_rad[0] - pose[5]).max() < ROUNDING
+    assert np.abs(rollout.velocity_rad_s[0] - velocity[5]).max() < ROUNDING
+    assert len(rollout.pose_rad[0]) == mechanism.model.nv != mechanism.model.nq
 
 
 def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
@@ -136,9 +138,9 @@ def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
     steered = SampledReference(
         period_s=PERIOD_S,
         time_s=reference.time_s,
-        pose=reference.pose,
-        position=reference.position,
-        velocity=reference.velocity,
+        pose_rad=reference.pose_rad,
+        position_rad=reference.position_rad,
+        velocity_rad_s=reference.velocity_rad_s,
         effort=np.tile(effort, (STEPS, 1)),
         cycle=None,
     )
@@ -146,13 +148,13 @@ def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
     assert np.all(tracker.gains[:, :, [1, 3]] == 0)
     assert np.all(tracker.gains[:, 0, 0] > 0)
     rollout = run_alone(mechanism, steered, tracker, ControlLoop(effort_limit=mechanism.effort_limit))
-    assert np.abs(rollout.position[:, 0] - mechanism.home[0]).max() < np.radians(1.0)
+    assert np.abs(rollout.position_rad[:, 0] - mechanism.home[0]).max() < np.radians(1.0)
 
 
 def test_a_playback_pose_is_mujocos():
     mechanism = load_mechanism(RSSR)
     rollout = scripted(mechanism, wave(mechanism, 0.1, 20))
-    qpos = mechanism.qpos_of(rollout.pose[-1])
+    qpos = mechanism.qpos_of(rollout.pose_rad[-1])
     data = mujoco.MjData(mechanism.model)
     data.qpos[:] = qpos
     mujoco.mj_forward(mechanism.model, data)

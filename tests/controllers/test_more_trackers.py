@@ -59,8 +59,10 @@ def asked(kind: str, k: int, position: np.ndarray, velocity: np.ndarray, name: s
 def states_about(name: str, k: int, n: int, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Return n states (n, n_s) about a reference's, off by `size` [rad] and ten times that a second."""
     rng, reference = np.random.default_rng(3), reference_of(name)
-    shape = (n, reference.position.shape[1])
-    return reference.position[k] + size * rng.normal(size=shape), reference.velocity[k] + 10 * size * rng.normal(size=shape)
+    shape = (n, reference.position_rad.shape[1])
+    return reference.position_rad[k] + size * rng.normal(size=shape), reference.velocity_rad_s[k] + 10 * size * rng.normal(
+        size=shape
+    )
 
 
 @pytest.mark.parametrize("name", ["knee-reach", "five-bar-reach"])
@@ -77,7 +79,7 @@ def test_a_batch_is_answered_as_its_states_one_by_one_to_the_last_bit(kind, name
 def test_on_the_reference_itself_only_the_feedforward_acts(kind):
     reference = reference_of("knee-reach")
     for k in (0, 80, 159):
-        effort = asked(kind, k, reference.position[k, None], reference.velocity[k, None])
+        effort = asked(kind, k, reference.position_rad[k, None], reference.velocity_rad_s[k, None])
         np.testing.assert_allclose(effort[0], reference.effort[k], rtol=SAME_FIGURE)
 
 
@@ -85,7 +87,7 @@ def test_on_the_reference_itself_only_the_feedforward_acts(kind):
 def test_a_mechanism_as_modelled_is_tracked(kind):
     followed = run_of(kind, "knee-reach")
     assert followed.stable
-    assert 1e-4 < np.degrees(np.abs(followed.error).max()) < 0.05
+    assert 1e-4 < np.degrees(np.abs(followed.error_rad).max()) < 0.05
 
 
 # Computed torque.
@@ -96,17 +98,21 @@ def test_computed_torque_makes_errors_obey_their_second_order_equation(name):
     mechanism, reference, tracker = optimal(name).problem.mechanism, reference_of(name), tracker_of("ct", name)
     k = 40
     position, velocity = states_about(name, k, 8, 0.05)
-    poses = np.array([close_at(mechanism, s, reference.pose[k]) for s in position])
+    poses = np.array([close_at(mechanism, s, reference.pose_rad[k]) for s in position])
     effort = tracker.effort(k, position, velocity)
     found = sampled(mechanism.dynamics.acceleration, poses, velocity, effort)[:, :, 0]
     w = 2 * np.pi * 20.0
-    wanted = tracker.acceleration[k] + 2 * w * (reference.velocity[k] - velocity) + w**2 * (reference.position[k] - position)
+    wanted = (
+        tracker.acceleration[k]
+        + 2 * w * (reference.velocity_rad_s[k] - velocity)
+        + w**2 * (reference.position_rad[k] - position)
+    )
     np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-7 * np.abs(wanted).max())
 
 
 def test_computed_torque_far_from_its_reference_still_answers():
     reference = reference_of("knee-reach")
-    effort = tracker_of("ct").effort(40, reference.position[40] + 2.5, reference.velocity[40])
+    effort = tracker_of("ct").effort(40, reference.position_rad[40] + 2.5, reference.velocity_rad_s[40])
     assert np.all(np.isfinite(effort))
 
 
@@ -116,8 +122,8 @@ def test_computed_torque_far_from_its_reference_still_answers():
 def test_scheduled_gains_are_the_reduced_inertia_times_the_wanted_frequency_and_damping():
     mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
     for k in (0, 60, 120):
-        inertia = float(mechanism.dynamics.reduced_inertia(reference.pose[k]))
-        state = reference.position[k, None] - 0.01, reference.velocity[k, None] + 0.2
+        inertia = float(mechanism.dynamics.reduced_inertia(reference.pose_rad[k]))
+        state = reference.position_rad[k, None] - 0.01, reference.velocity_rad_s[k, None] + 0.2
         w = 2 * np.pi * 20.0
         wanted = reference.effort[k] + inertia * (w**2 * 0.01 - 2 * w * 0.2)
         np.testing.assert_allclose(asked("gs-pd+ff", k, *state)[0], wanted, rtol=SAME_FIGURE)
@@ -133,7 +139,7 @@ def test_lqr_s_gains_where_the_plan_stands_still_are_python_control_s():
     weights = np.concatenate(tracking.lqr_errors(plan.problem.mechanism.independent_joints))
     K, _, _ = control.dlqr(A, B, np.diag(weights**-2.0), np.array([[plan.problem.limits.effort[0, 1] ** -2.0]]))
     gains = tracker_of("lqr", "knee-reach", PERIOD, 0.3).gains
-    assert np.ptp(reference.position[rest]) == 0
+    assert np.ptp(reference.position_rad[rest]) == 0
     np.testing.assert_allclose(gains[rest, 0], np.repeat(K, 100, axis=0), rtol=1e-6)
     assert np.abs(gains[0, 0] / K[0] - 1).max() > 1e-3  # along the motion they are others
 
@@ -156,13 +162,13 @@ def test_integral_gains_at_rest_are_python_control_s():
 
 
 def _states(reference: SampledReference) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return reference.pose, reference.velocity, reference.effort
+    return reference.pose_rad, reference.velocity_rad_s, reference.effort
 
 
 def test_integral_action_takes_a_lasting_error_away():
     """A payload a fifth heavier pulls at the goal: LQR stays off, its integral does not."""
     errors = {
-        kind: float(np.degrees(np.abs(run_of(kind, "knee-reach", mass_factor=1.2, duration_s=0.8).error[-1]).max()))
+        kind: float(np.degrees(np.abs(run_of(kind, "knee-reach", mass_factor=1.2, duration_s=0.8).error_rad[-1]).max()))
         for kind in ("lqr", "lqi")
     }
     assert errors["lqr"] > 1e-3
@@ -171,11 +177,11 @@ def test_integral_action_takes_a_lasting_error_away():
 
 def test_the_integral_stands_still_beyond_a_limit():
     law, reference = tracker_of("lqi"), reference_of("knee-reach")
-    far, near = reference.position[40, None] - 2.0, reference.position[40, None] - 1e-4
-    effort, memory = law.step(40, far, reference.velocity[40, None], law.start(1))
+    far, near = reference.position_rad[40, None] - 2.0, reference.position_rad[40, None] - 1e-4
+    effort, memory = law.step(40, far, reference.velocity_rad_s[40, None], law.start(1))
     assert effort[0, 0] > 100
     np.testing.assert_array_equal(memory, 0)
-    _, memory = law.step(40, near, reference.velocity[40, None], law.start(1))
+    _, memory = law.step(40, near, reference.velocity_rad_s[40, None], law.start(1))
     np.testing.assert_allclose(memory, PERIOD * 1e-4, rtol=SAME_FIGURE)
 
 
@@ -207,7 +213,7 @@ def test_integral_action_on_a_cart_pole_keeps_the_cart_in_place_where_the_pole_i
     for kind in ("lqr", "lqi"):
         law = tracker_of(kind, "cart-pole-swing-up", PERIOD, 6.0)
         followed = run_machines(plan.problem.mechanism, reference, law, loop, [wrong])
-        off[kind] = float(np.abs(followed.pose[-1, 0, 0] - reference.position[-1, 0]))
+        off[kind] = float(np.abs(followed.pose[-1, 0, 0] - reference.position_rad[-1, 0]))
     assert off["lqr"] > 1e-3
     assert off["lqi"] < 1e-2 * off["lqr"]
 
@@ -226,8 +232,8 @@ def test_mpc_without_an_active_limit_is_lqr():
 def test_a_run_of_mpc_that_meets_no_limit_is_lqr_s():
     lqr, mpc = run_of("lqr", "knee-reach", mass_factor=1.2, delay=1), run_of("mpc", "knee-reach", mass_factor=1.2, delay=1)
     assert lqr.saturated_fraction == 0
-    assert np.abs(lqr.error).max() > 1e-3
-    np.testing.assert_allclose(mpc.position, lqr.position, rtol=0, atol=1e-6 * np.abs(lqr.error).max())
+    assert np.abs(lqr.error_rad).max() > 1e-3
+    np.testing.assert_allclose(mpc.position_rad, lqr.position_rad, rtol=0, atol=1e-6 * np.abs(lqr.error_rad).max())
     np.testing.assert_allclose(mpc.applied, lqr.applied, rtol=1e-6)
 
 
@@ -241,7 +247,7 @@ def test_mpc_keeps_the_limits_that_lqr_goes_beyond():
 def test_mpc_brakes_in_time_where_lqr_does_not():
     """Far behind its reference and slow to stop: at the goal LQR still pushes, MPC already brakes."""
     heavy = {kind: run_of(kind, "knee-sprint", mass_factor=1.2, delay=1, duration_s=0.25) for kind in ("lqr", "mpc")}
-    worst = {kind: float(np.degrees(np.abs(one.error).max())) for kind, one in heavy.items()}
+    worst = {kind: float(np.degrees(np.abs(one.error_rad).max())) for kind, one in heavy.items()}
     assert worst["lqr"] > 5
     assert worst["mpc"] < worst["lqr"]
     assert heavy["mpc"].gap_m.max() < 10e-6
@@ -250,14 +256,14 @@ def test_mpc_brakes_in_time_where_lqr_does_not():
 @pytest.mark.slow
 def test_mpc_on_a_limit_riding_cycle_stays_clear_of_the_singular_pose_that_lqr_is_thrown_into():
     heavy = {kind: run_of(kind, "knee-sine-shank", mass_factor=1.2, delay=1, duration_s=1.0) for kind in ("lqr", "mpc")}
-    worst = {kind: float(np.degrees(np.abs(one.error).max())) for kind, one in heavy.items()}
+    worst = {kind: float(np.degrees(np.abs(one.error_rad).max())) for kind, one in heavy.items()}
     assert worst["mpc"] < 0.6 * worst["lqr"]
     assert heavy["lqr"].gap_m.max() > 10e-6 > heavy["mpc"].gap_m.max()
 
 
 def test_mpc_answers_as_lqr_where_no_motion_ahead_is_predicted():
     """At these speeds Runge-Kutta steps lead beyond all numbers."""
-    position, velocity = reference_of("knee-reach").position[60:61], np.full((1, 1), -1e3)
+    position, velocity = reference_of("knee-reach").position_rad[60:61], np.full((1, 1), -1e3)
     np.testing.assert_array_equal(asked("mpc", 60, position, velocity), asked("lqr", 60, position, velocity))
     assert np.any(asked("mpc", 60, position, 0.01 * velocity) != asked("lqr", 60, position, 0.01 * velocity))
 
@@ -298,7 +304,7 @@ def test_a_compiled_prediction_gives_the_interpreted_one_s_efforts_to_the_last_b
 
 def test_mpc_follows_a_plan_with_a_switch_as_modelled():
     """Efforts that were held over blocks smeared the switch: 0.0438 deg."""
-    assert np.degrees(np.sqrt(np.mean(run_of("mpc", "knee-sprint").error ** 2))) < 0.031
+    assert np.degrees(np.sqrt(np.mean(run_of("mpc", "knee-sprint").error_rad ** 2))) < 0.031
 
 
 def test_mpc_uses_all_of_the_effort_until_the_switch_where_the_machine_lags():
@@ -306,7 +312,10 @@ def test_mpc_uses_all_of_the_effort_until_the_switch_where_the_machine_lags():
     reference = reference_of("knee-sprint", 1e-4)
     switch = int(np.argmax(reference.effort[:, 0] < 0)) - 1  # its own period holds the switch
     for k in range(switch - 60, switch, 5):
-        position, velocity = reference.position[k, None] - np.radians(0.1), reference.velocity[k, None] - np.radians(5)
+        position, velocity = (
+            reference.position_rad[k, None] - np.radians(0.1),
+            reference.velocity_rad_s[k, None] - np.radians(5),
+        )
         law = tracker_of("mpc", "knee-sprint", 1e-4)
         effort, _ = law.step(k, position, velocity, law.start(1))
         assert tracker_of("lqr", "knee-sprint", 1e-4).effort(k, position[0], velocity[0]) > 100
@@ -316,5 +325,5 @@ def test_mpc_uses_all_of_the_effort_until_the_switch_where_the_machine_lags():
 def test_mpc_corrects_a_vanishing_error_by_a_vanishing_effort_about_a_switch():
     law, reference = tracker_of("mpc", "knee-sprint", 1e-4), reference_of("knee-sprint", 1e-4)
     for k in range(0, reference.n, 10):
-        effort, _ = law.step(k, reference.position[k, None] - 1e-7, reference.velocity[k, None], law.start(1))
+        effort, _ = law.step(k, reference.position_rad[k, None] - 1e-7, reference.velocity_rad_s[k, None], law.start(1))
         np.testing.assert_allclose(effort[0], reference.effort[k], atol=0.1)

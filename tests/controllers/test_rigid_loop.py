@@ -98,14 +98,14 @@ def test_a_loop_stays_closed_over_a_whole_motion():
     mechanism, reference = reach("knee-reach", 1e-4, 0.16)
     law = build_tracker("pd", optimal("knee-reach"), reference)
     runs = simulate(RigidPlant(mechanism=mechanism), law, reference)
-    assert np.degrees(np.abs(reference.pose - runs.pose[:, 0]).max()) > 1
+    assert np.degrees(np.abs(reference.pose_rad - runs.pose[:, 0]).max()) > 1
     assert mechanism.gaps_m(runs.pose[:, 0]).max() < 1e-12
 
 
 def test_a_run_that_is_lost_ends_there_and_harms_no_other():
     mechanism, reference = reach("knee-reach", 1e-3, 0.05)
     machines = [Imperfections(start=Start(position_error=off)) for off in (0.05, -0.05)]
-    law = Shove(reference=reference, start=float(reference.position[0, 0]))
+    law = Shove(reference=reference, start=float(reference.position_rad[0, 0]))
     both = simulate(RigidPlant(mechanism=mechanism), law, reference, machines)
     alone = simulate(RigidPlant(mechanism=mechanism), law, reference, machines[:1])
     assert both.failure == (None, LOST)
@@ -123,14 +123,14 @@ def errors_of_computed_torque(mechanism: Mechanism, reference: SampledReference,
     plant = MujocoPlant(mechanism=mechanism, loop=free) if simulated else RigidPlant(mechanism=mechanism)
     runs = simulate(plant, law, reference, [Imperfections(start=Start(position_error=-off))])
     time = FREQUENCY * reference.time_s[:, None]
-    return reference.position - runs.pose[:, 0, mechanism.independent], off * (1 + time) * np.exp(-time)
+    return reference.position_rad - runs.pose[:, 0, mechanism.independent], off * (1 + time) * np.exp(-time)
 
 
 @pytest.mark.parametrize(("name", "by"), [("optimus-knee", [1.0]), ("five-bar", [0.1, -0.08])])
 def test_the_closed_loop_of_computed_torque_obeys_its_second_order_equation(name, by):
     mechanism = load_mechanism(name)
     reference = cubic_reference(mechanism, np.array(by), 1e-4, 0.08)
-    assert np.abs(reference.velocity).max() > 1
+    assert np.abs(reference.velocity_rad_s).max() > 1
     errors, wanted = errors_of_computed_torque(mechanism, reference, simulated=False)
     assert np.abs(wanted[-1]).max() < 0.01 * np.abs(wanted[0]).max()
     assert np.all(np.abs(errors - wanted) < ONE_PERCENT * np.abs(wanted[0]))
@@ -179,7 +179,7 @@ def rms_in_the_simulator(integrator: mujoco.mjtIntegrator, timestep_s: float) ->
     loop = ControlLoop(effort_limit=plan.problem.limits.actuators_effort)
     followed = run_alone(mechanism, reference, build_tracker("pd+ff", plan, reference), loop)
     assert followed.conditions["timestep_s"] == pytest.approx(timestep_s)
-    return float(np.degrees(np.sqrt(np.mean(followed.error**2))))
+    return float(np.degrees(np.sqrt(np.mean(followed.error_rad**2))))
 
 
 @pytest.mark.slow

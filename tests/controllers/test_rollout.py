@@ -92,7 +92,7 @@ def tracked(kind: str, name: str) -> Rollout:
 
 
 def rms_deg(rollout: Rollout) -> float:
-    return float(np.degrees(np.sqrt(np.mean(rollout.error**2))))
+    return float(np.degrees(np.sqrt(np.mean(rollout.error_rad**2))))
 
 
 # Every run.
@@ -104,7 +104,7 @@ def rms_deg(rollout: Rollout) -> float:
 def test_the_loop_stays_closed_to_ten_micrometres(kind, name):
     rollout = tracked(kind, name)
     assert rollout.finite
-    assert np.abs(rollout.velocity).max() > 1  # it moves
+    assert np.abs(rollout.velocity_rad_s).max() > 1  # it moves
     assert 0 < rollout.gap_m.max() < ROLLOUT_GAP_M
 
 
@@ -131,14 +131,14 @@ def test_a_command_beyond_the_limit_acts_as_the_limit(kind):
 @every_tracker
 def test_every_joint_stays_within_its_range(kind, name):
     rollout, limits = tracked(kind, name), optimal(name).problem.limits
-    assert np.all((rollout.pose >= limits.position[:, 0]) & (rollout.pose <= limits.position[:, 1]))
+    assert np.all((rollout.pose_rad >= limits.position[:, 0]) & (rollout.pose_rad <= limits.position[:, 1]))
 
 
 @every_plan
 def test_a_run_begins_in_the_reference_s_state(name):
     rollout, reference = tracked("pd", name), reference_of(name)
-    np.testing.assert_array_equal(rollout.pose[0], reference.pose[0])
-    np.testing.assert_allclose(rollout.velocity[0], reference.velocity[0], rtol=ROUNDING)
+    np.testing.assert_array_equal(rollout.pose_rad[0], reference.pose_rad[0])
+    np.testing.assert_allclose(rollout.velocity_rad_s[0], reference.velocity_rad_s[0], rtol=ROUNDING)
 
 
 @pytest.mark.slow
@@ -146,7 +146,7 @@ def test_two_runs_of_one_thing_are_the_same():
     name = "knee-reach"
     reference = reference_of(name)
     again = run_alone(optimal(name).problem.mechanism, reference, tracker_of("lqr", name, reference), loop_of(name))
-    np.testing.assert_array_equal(again.pose, tracked("lqr", name).pose)
+    np.testing.assert_array_equal(again.pose_rad, tracked("lqr", name).pose_rad)
 
 
 def test_a_run_records_what_its_result_depends_on():
@@ -188,8 +188,8 @@ def test_the_planned_effort_alone_takes_mujoco_to_the_goal():
     plan = optimal("knee-reach")
     reference = sample(plan.problem.mechanism, plan.trajectory, 2.5e-5, plan.trajectory.duration_s)
     rollout = run_alone(plan.problem.mechanism, reference, Scripted(efforts=reference.effort), loop_of("knee-reach"))
-    assert np.abs(np.degrees(rollout.error)).max() < OPEN_LOOP_DEG
-    assert np.degrees(rollout.position[-1, 0]) == pytest.approx(np.degrees(GOAL), abs=OPEN_LOOP_DEG)
+    assert np.abs(np.degrees(rollout.error_rad)).max() < OPEN_LOOP_DEG
+    assert np.degrees(rollout.position_rad[-1, 0]) == pytest.approx(np.degrees(GOAL), abs=OPEN_LOOP_DEG)
 
 
 # Verdicts.
@@ -216,12 +216,12 @@ def test_sampled_damping_of_a_pure_inertia_is_stable_up_to_twice_the_inertia_ove
     """Held for one period T, a damper turns v into (1 - kd T / I) v: stable while kd < 2 I / T."""
     hinge = load_mechanism(HINGE.replace("<option ", '<option timestep="0.01" '))
     reference = hinge_reference(hinge, 400)
-    started = replace(reference, velocity=np.concatenate([[[0.01]], reference.velocity[1:]]))
+    started = replace(reference, velocity_rad_s=np.concatenate([[[0.01]], reference.velocity_rad_s[1:]]))
     tracker = pd(hinge, reference, 0.0, share * 2 * HINGE_INERTIA / 0.01)
     rollout = run_alone(hinge, started, tracker, ControlLoop(effort_limit=hinge.effort_limit))
-    assert rollout.velocity[0, 0] == 0.01
+    assert rollout.velocity_rad_s[0, 0] == 0.01
     assert rollout.stable == stable
-    assert (np.abs(rollout.velocity[-50:]).max() < DIED_OUT) == stable
+    assert (np.abs(rollout.velocity_rad_s[-50:]).max() < DIED_OUT) == stable
 
 
 @every_plan
@@ -236,10 +236,10 @@ def log_with(applied: np.ndarray, finite: bool = True) -> Rollout:
     return Rollout(
         tracker="drawn",
         time_s=np.arange(n) * 1e-4,
-        position=zeros,
-        velocity=zeros,
-        reference=zeros,
-        pose=zeros,
+        position_rad=zeros,
+        velocity_rad_s=zeros,
+        reference_rad=zeros,
+        pose_rad=zeros,
         commanded=applied[:, None],
         applied=applied[:, None],
         gap_m=np.zeros(n),
@@ -280,7 +280,7 @@ def test_a_simulation_that_blows_up_ends_its_log_and_says_so():
     )
     assert not rollout.finite
     assert not rollout.stable
-    assert len(rollout.time_s) == len(rollout.pose) == len(rollout.applied) < n
+    assert len(rollout.time_s) == len(rollout.pose_rad) == len(rollout.applied) < n
 
 
 @pytest.mark.parametrize("effort", [np.nan, np.inf])
@@ -316,9 +316,9 @@ def test_the_motion_follows_the_delayed_command(delay):
     efforts = np.zeros((40, 1))
     efforts[10] = 3.0
     rollout = hinge_run(efforts, delay_periods=delay)
-    moving = np.flatnonzero(np.abs(rollout.velocity[:, 0]) > STILL)
+    moving = np.flatnonzero(np.abs(rollout.velocity_rad_s[:, 0]) > STILL)
     assert moving[0] == 10 + delay + 1  # the state is read before the command acts
-    assert rollout.velocity[-1, 0] == pytest.approx(3.0 * 0.01 / HINGE_INERTIA, rel=SAME_FIGURE)
+    assert rollout.velocity_rad_s[-1, 0] == pytest.approx(3.0 * 0.01 / HINGE_INERTIA, rel=SAME_FIGURE)
 
 
 def test_a_delay_makes_a_sharp_loop_worse():
@@ -386,4 +386,4 @@ def test_a_heavier_payload_is_tracked_less_well():
 def test_a_wider_limit_of_the_problem_admits_what_the_file_would_clamp():
     rollout = hinge_run(np.full((20, 1), 9.0), effort_limit=np.array([[-10.0, 10.0]]))
     np.testing.assert_array_equal(rollout.applied, 9.0)
-    assert rollout.velocity[-1, 0] == pytest.approx(9.0 * 0.19 / HINGE_INERTIA, rel=SAME_FIGURE)
+    assert rollout.velocity_rad_s[-1, 0] == pytest.approx(9.0 * 0.19 / HINGE_INERTIA, rel=SAME_FIGURE)

@@ -63,8 +63,8 @@ def test_a_reference_is_the_trajectory_at_the_control_instants(name):
     np.testing.assert_allclose(reference.time_s, PERIOD * np.arange(400), rtol=ROUNDING)
     # What repeats is sampled once; the second cycle's times differ from the first's by the rounding of a long sum.
     position, velocity = trajectory.position_at(reference.time_s), trajectory.velocity_at(reference.time_s)
-    np.testing.assert_allclose(reference.position, position, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(reference.velocity, velocity, rtol=ROUNDING, atol=ROUNDING * np.abs(velocity).max())
+    np.testing.assert_allclose(reference.position_rad, position, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(reference.velocity_rad_s, velocity, rtol=ROUNDING, atol=ROUNDING * np.abs(velocity).max())
 
 
 def test_a_reference_s_effort_is_the_inverse_dynamics_in_the_middle_of_each_hold():
@@ -78,9 +78,9 @@ def test_a_reference_s_effort_is_the_inverse_dynamics_in_the_middle_of_each_hold
 def test_a_reference_that_reaches_its_goal_rests_there():
     reference = reference_of("knee-reach", PERIOD, 0.3)
     after = reference.time_s > 0.16
-    np.testing.assert_array_equal(reference.velocity[after], 0)
-    assert np.ptp(reference.position[after]) == 0
-    weight = knee().carrying("crank", SHANK).fitted(0.9, 1.0)[1].deriv()(reference.position[-1, 0])
+    np.testing.assert_array_equal(reference.velocity_rad_s[after], 0)
+    assert np.ptp(reference.position_rad[after]) == 0
+    weight = knee().carrying("crank", SHANK).fitted(0.9, 1.0)[1].deriv()(reference.position_rad[-1, 0])
     assert abs(weight) > 0.1
     np.testing.assert_allclose(reference.effort[after], weight, rtol=SAME_FIGURE)
 
@@ -95,7 +95,7 @@ def test_a_reference_repeats_after_whole_periods_only(name, period, cycle):
 
 def test_a_reference_s_arrays_cannot_be_written_to():
     with pytest.raises(ValueError, match="read-only"):
-        reference_of("knee-reach").position[0] = 0
+        reference_of("knee-reach").position_rad[0] = 0
 
 
 # The laws.
@@ -103,7 +103,7 @@ def test_a_reference_s_arrays_cannot_be_written_to():
 
 def test_pd_is_the_gains_times_the_errors():
     tracker, reference = tracker_of("pd"), reference_of("knee-reach")
-    effort = tracker.effort(40, reference.position[40] - 0.01, reference.velocity[40] + 0.3)
+    effort = tracker.effort(40, reference.position_rad[40] - 0.01, reference.velocity_rad_s[40] + 0.3)
     assert effort == pytest.approx(200 * 0.01 - 20 * 0.3)
 
 
@@ -115,7 +115,7 @@ def test_pd_goes_through_the_gear_to_the_motor():
 
 def test_feedforward_adds_the_reference_s_own_effort():
     reference = reference_of("knee-reach")
-    state = reference.position[7] + 0.02, reference.velocity[7] - 0.1
+    state = reference.position_rad[7] + 0.02, reference.velocity_rad_s[7] - 0.1
     expected = reference.effort[7] + tracker_of("pd").effort(7, *state)
     np.testing.assert_array_equal(tracker_of("pd+ff").effort(7, *state), expected)
 
@@ -124,13 +124,13 @@ def test_feedforward_adds_the_reference_s_own_effort():
 def test_on_the_reference_itself_only_the_feedforward_acts(kind):
     reference = reference_of("knee-reach")
     for k in (0, 80, 159):
-        effort = tracker_of(kind).effort(k, reference.position[k], reference.velocity[k])
+        effort = tracker_of(kind).effort(k, reference.position_rad[k], reference.velocity_rad_s[k])
         np.testing.assert_array_equal(effort, reference.effort[k])
 
 
 def test_lqr_is_the_gains_times_the_state_s_error():
     tracker, reference = tracker_of("lqr"), reference_of("knee-reach")
-    effort = tracker.effort(30, reference.position[30] - 0.01, reference.velocity[30] + 0.2)
+    effort = tracker.effort(30, reference.position_rad[30] - 0.01, reference.velocity_rad_s[30] + 0.2)
     gains = tracker.gains[30, 0]
     assert effort - reference.effort[30] == pytest.approx(gains[0] * 0.01 - gains[1] * 0.2)
 
@@ -176,15 +176,15 @@ def test_a_tracker_has_no_state_to_change(kind):
 def test_the_linearisation_is_the_difference_quotient_along_the_closed_chain():
     mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
     instants = np.array([3, 40, 90, 155])
-    A, B = linearise(mechanism, reference.pose[instants], reference.velocity[instants], reference.effort[instants])
+    A, B = linearise(mechanism, reference.pose_rad[instants], reference.velocity_rad_s[instants], reference.effort[instants])
     step = 1e-5
 
     def acceleration(k: int, x: np.ndarray) -> np.ndarray:
-        pose = close_at(mechanism, x[:1], reference.pose[k])
+        pose = close_at(mechanism, x[:1], reference.pose_rad[k])
         return np.array(mechanism.dynamics.acceleration(pose, x[1:2], x[2:])).ravel()
 
     for index, k in enumerate(instants):
-        at = np.concatenate([reference.position[k], reference.velocity[k], reference.effort[k]])
+        at = np.concatenate([reference.position_rad[k], reference.velocity_rad_s[k], reference.effort[k]])
         scale = np.maximum(1.0, np.abs(at))
         shifted = [step * scale[j] * np.eye(3)[j] for j in range(3)]
         expected = [(acceleration(k, at + d) - acceleration(k, at - d)) / (2 * d.sum()) for d in shifted]
@@ -196,8 +196,8 @@ def test_the_linearisation_is_the_difference_quotient_along_the_closed_chain():
 
 def test_the_linearisation_s_input_column_is_the_inverse_of_the_reduced_inertia():
     mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
-    _, B = linearise(mechanism, reference.pose, reference.velocity, reference.effort)
-    inertia = knee().carrying("crank", SHANK).inertia(reference.position[:, 0])
+    _, B = linearise(mechanism, reference.pose_rad, reference.velocity_rad_s, reference.effort)
+    inertia = knee().carrying("crank", SHANK).inertia(reference.position_rad[:, 0])
     np.testing.assert_allclose(B[:, 1, 0], 1 / inertia, rtol=SAME_FIGURE)
 
 
@@ -235,7 +235,8 @@ def knee_matrices(name: str) -> tuple[np.ndarray, ...]:
     plan, reference = optimal(name), reference_of(name)
     tracking = plan.problem.tracking
     A, B = discretise(
-        *linearise(plan.problem.mechanism, reference.pose, reference.velocity, reference.effort), reference.period_s
+        *linearise(plan.problem.mechanism, reference.pose_rad, reference.velocity_rad_s, reference.effort),
+        reference.period_s,
     )
     Q = np.diag(np.concatenate(tracking.lqr_errors(plan.problem.mechanism.independent_joints)) ** -2)
     return A, B, Q, np.array([[plan.problem.limits.effort[0, 1] ** -2]])

@@ -217,5 +217,5 @@ def test_over_a_planned_turn_from_rest_to_rest_the_torque_does_no_work():
 def test_lqr_tracks_the_turn_in_mujoco():
     rollout = tracked(PROBLEM, "lqr")
     assert rollout.stable
-    assert np.degrees(np.abs(rollout.error).max()) < LQR_IN_A_FAST_TURN_DEG
+    assert np.degrees(np.abs(rollout.error_rad).max()) < LQR_IN_A_FAST_TURN_DEG
     assert rollout.gap_m.max() < ROLLOUT_GAP_M

@@ -114,5 +114,5 @@ def test_the_planned_force_moves_the_textbook_model_to_the_goal():
 
 
 def test_lqr_keeps_the_pole_up_in_mujoco_where_pd_on_the_cart_cannot():
-    assert np.degrees(np.abs(tracked(PROBLEM, "lqr").error[:, 1]).max()) < LQR_DEG
-    assert np.degrees(np.abs(tracked(PROBLEM, "pd").error[-1, 1])) > 10.0
+    assert np.degrees(np.abs(tracked(PROBLEM, "lqr").error_rad[:, 1]).max()) < LQR_DEG
+    assert np.degrees(np.abs(tracked(PROBLEM, "pd").error_rad[-1, 1])) > 10.0

@@ -206,7 +206,7 @@ def test_no_other_reach_of_the_same_duration_costs_less():
 def test_lqr_tracks_a_plan_in_mujoco(problem):
     rollout = tracked(problem, "lqr")
     assert rollout.stable
-    assert np.degrees(np.abs(rollout.error).max()) < 1.0
+    assert np.degrees(np.abs(rollout.error_rad).max()) < 1.0
     assert rollout.gap_m.max() < ROLLOUT_GAP_M
 
 

@@ -75,7 +75,7 @@ def test_with_its_couplers_locked_it_is_planned_and_tracked(tmp_path):
     )
     assert plan.require().certificate.passed
     rollout = track(plan, "pd+ff")
-    assert np.degrees(np.abs(rollout.position - rollout.reference).max()) < TRACKED_DEG
+    assert np.degrees(np.abs(rollout.position_rad - rollout.reference_rad).max()) < TRACKED_DEG
 
 
 @pytest.mark.slow

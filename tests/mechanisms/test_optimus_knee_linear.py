@@ -205,5 +205,5 @@ def test_the_force_of_the_plan_does_the_work_that_lifts_the_shank():
 def test_lqr_tracks_the_swing_in_mujoco_within_a_tenth_of_a_millimetre():
     rollout = tracked(PROBLEM, "lqr")
     assert rollout.stable
-    assert np.abs(rollout.error).max() < LQR_M
+    assert np.abs(rollout.error_rad).max() < LQR_M
     assert rollout.gap_m.max() < ROLLOUT_GAP_M

@@ -65,9 +65,9 @@ def test_rounding_of_the_axes_changes_the_effort_no_more_than_itself(name):
 def test_a_turn_is_tracked_in_mujoco(name, noise):
     rollout = linkplan.track(planned(name, noise), "pd+ff").comparison.nominal["pd+ff"]
     assert rollout.stable
-    assert np.degrees(np.abs(rollout.error).max()) < TRACKED_DEG
+    assert np.degrees(np.abs(rollout.error_rad).max()) < TRACKED_DEG
     gone = 0.0 if name == "bricard" else 720.0
-    assert np.degrees(rollout.position[-1, 0] - rollout.position[0, 0]) == pytest.approx(gone, abs=1.0)
+    assert np.degrees(rollout.position_rad[-1, 0] - rollout.position_rad[0, 0]) == pytest.approx(gone, abs=1.0)
 
 
 @of_each

@@ -103,5 +103,5 @@ def test_the_closed_form_integrated_under_the_planned_pull_ends_closed():
 def test_lqr_closes_the_hand_in_mujoco():
     rollout = tracked(PROBLEM, "lqr")
     assert rollout.stable
-    assert np.degrees(np.abs(rollout.error).max()) < LQR_IN_A_FAST_TURN_DEG
+    assert np.degrees(np.abs(rollout.error_rad).max()) < LQR_IN_A_FAST_TURN_DEG
     assert rollout.gap_m.max() < ROLLOUT_GAP_M

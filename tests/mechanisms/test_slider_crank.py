@@ -118,4 +118,4 @@ def test_every_tracker_carries_the_turn_through_both_dead_centres(tracker):
     rollout = tracked(PROBLEM, tracker)
     assert rollout.stable
     assert rollout.gap_m.max() < ROLLOUT_GAP_M
-    assert abs(np.degrees(rollout.error[-1, 0])) < 1.0
+    assert abs(np.degrees(rollout.error_rad[-1, 0])) < 1.0

@@ -70,8 +70,8 @@ def test_a_bush_that_the_goal_names_is_steered_and_that_is_dear():
 def test_what_spins_in_the_plan_spins_as_much_in_mujoco():
     plan = reach(BUSH)
     rollout = track(plan, "lqr")
-    assert np.degrees(np.abs(rollout.error[:, 0]).max()) < TRACKED_DEG
-    assert np.degrees(np.abs(rollout.error[:, 1]).max()) < 0.2 * abs(spun_deg(plan))
+    assert np.degrees(np.abs(rollout.error_rad[:, 0]).max()) < TRACKED_DEG
+    assert np.degrees(np.abs(rollout.error_rad[:, 1]).max()) < 0.2 * abs(spun_deg(plan))
     assert rollout_record(plan, rollout)["max_error_deg"] < TRACKED_DEG, "what nobody steers is no tracking error"
 
 
@@ -81,9 +81,9 @@ def test_a_spatial_four_bar_is_planned_and_tracked_through_two_turns():
     plan = planned(ON_A_BALL, motion, mesh={"intervals": 80, "scheme": "radau-5"}, tracking={"period_s": 1e-4})
     assert plan.certificate.passed
     rollout = track(plan, "lqr")
-    assert np.degrees(rollout.position[-1, 0]) > 719
-    assert np.degrees(np.abs(rollout.error[:, 0]).max()) < TRACKED_DEG
-    assert np.degrees(np.abs(rollout.error[:, 1]).max()) < SPUN_DEG
+    assert np.degrees(rollout.position_rad[-1, 0]) > 719
+    assert np.degrees(np.abs(rollout.error_rad[:, 0]).max()) < TRACKED_DEG
+    assert np.degrees(np.abs(rollout.error_rad[:, 1]).max()) < SPUN_DEG
     assert abs(spun_deg(plan)) > 10
 
 
@@ -104,7 +104,7 @@ def test_a_spatial_four_bar_turns_for_ever_and_its_rod_spins_on():
     turns = spun_deg(plan) / 360
     assert abs(turns - round(turns)) > 1e-3, "its angle need not"
     rollout = track(plan, "lqr")
-    assert np.degrees(np.abs(rollout.error[:, 0]).max()) < TRACKED_DEG
+    assert np.degrees(np.abs(rollout.error_rad[:, 0]).max()) < TRACKED_DEG
 
 
 @pytest.mark.slow

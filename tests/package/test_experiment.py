@@ -23,7 +23,7 @@ def test_an_experiment_is_a_table_columns_and_runs_again(plan):
     assert [name for name in tried.results if name.startswith("imperfection.")] == ["imperfection.delay_periods"]
     run = tried.replay("lqr", 2)
     row = (tried.results["sample"] == 2) & (tried.results["tracker"] == "lqr")
-    assert np.degrees(np.sqrt(np.mean(run.error**2))) == pytest.approx(tried.results["rms_error_deg"][row][0])
+    assert np.degrees(np.sqrt(np.mean(run.error_rad**2))) == pytest.approx(tried.results["rms_error_deg"][row][0])
     assert tried.to_dict()["asked"]["settings"]["samples"] == 4
 
 
@@ -51,7 +51,7 @@ class Held:
 
     def effort(self, k, position, velocity):
         del velocity
-        return self.reference.effort[k] + 200.0 * (self.reference.position[k] - position)
+        return self.reference.effort[k] + 200.0 * (self.reference.position_rad[k] - position)
 
 
 def test_an_experiment_takes_classes_objects_and_functions(plan):
@@ -62,7 +62,7 @@ def test_an_experiment_takes_classes_objects_and_functions(plan):
     ours = by_class.results["rms_error_deg"][by_class.results["tracker"] == "own:held"]
     np.testing.assert_allclose(by_function.results["rms_error_deg"], ours, rtol=1e-12)
     run = by_class.replay("own:held", 1)
-    assert np.degrees(np.sqrt(np.mean(run.error**2))) == pytest.approx(ours[1])
+    assert np.degrees(np.sqrt(np.mean(run.error_rad**2))) == pytest.approx(ours[1])
 
 
 def test_an_experiment_with_an_object_goes_on_and_tells_another_object(plan, tmp_path):

@@ -19,11 +19,11 @@ def knee():
 
 
 def angle(at):
-    return at.position["O"]
+    return at.position_rad["O"]
 
 
 LIMIT = ExtraLimit(name="wide", expression=angle, upper=1.0, unit="rad")
-COST = ExtraCost(name="bend", expression=lambda at: at.position["C"] ** 2, weight=1e-4, unit="rad2 s")
+COST = ExtraCost(name="bend", expression=lambda at: at.position_rad["C"] ** 2, weight=1e-4, unit="rad2 s")
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +37,8 @@ def saved(knee, tmp_path_factory):
 @pytest.mark.parametrize(
     ("expression", "said"),
     [
-        (lambda at: at.position["Q"], "unknown joint in at.position 'Q'; legal: O, A, C"),
-        (lambda at: at.velocity[0], "unknown joint in at.velocity '0'"),
+        (lambda at: at.position_rad["Q"], "unknown joint in at.position_rad 'Q'; legal: O, A, C"),
+        (lambda at: at.velocity_rad_s[0], "unknown joint in at.velocity_rad_s '0'"),
         (lambda at: at.effort["O"], "unknown actuator in at.effort 'O'; legal: act_O"),
         (lambda at: at.site("foot")[2], "unknown site in at.site 'foot'"),
         (lambda at: at.site("C"), "CasADi scalar of the instant that it is given, got shape (3, 1)"),
@@ -179,7 +179,7 @@ def test_a_saved_plan_is_not_read_with_other_extras(saved, given):
 
 def test_a_saved_plan_whose_motion_overruns_the_limit_given_again_is_refused(saved):
     _, folder = saved
-    other = ExtraLimit(name="wide", expression=lambda at: 4 * at.position["O"], upper=1.0, unit="rad")
+    other = ExtraLimit(name="wide", expression=lambda at: 4 * at.position_rad["O"], upper=1.0, unit="rad")
     with pytest.raises(linkplan.LinkplanError, match="the extra limit 'wide' comes to"):
         linkplan.read_plan(folder, extra_limits=[other], extra_costs=[COST])
 

@@ -31,7 +31,7 @@ def test_a_figure_that_cannot_be_saved_is_refused(value, plan, tmp_path, monkeyp
 
 @pytest.mark.parametrize("value", ["now", 10**400, float("nan"), [[0.0]], object()])
 def test_what_is_no_time_is_refused_of_a_plan_and_of_a_next_motion(value, plan):
-    none = dict.fromkeys(("position_bound", "velocity_bound", "effort_bound"), np.zeros(1))
+    none = dict.fromkeys(("position_bound_rad", "velocity_bound_rad_s", "effort_bound"), np.zeros(1))
     step = NextMotion(
         problem=plan.problem,
         trajectory=plan.trajectory,

@@ -127,3 +127,29 @@ def test_messages_of_the_library_know_no_command_line():
                         found.append((path.name, node.value))
     assert looked > 1000
     assert not found
+
+
+def test_positions_and_velocities_state_their_unit_in_their_names():
+    from linkplan.controllers.reference import SampledReference
+    from linkplan.controllers.rollout import Rollout
+    from linkplan.controllers.trackers.tracker import TrackerWithMemory
+    from linkplan.models.equations import Equations
+    from linkplan.planner.certificate.certificate import Certificate
+    from linkplan.planner.plan import MotionTable
+    from linkplan.planner.problem.extra import NamedInstant
+    from linkplan.planner.replan import NextMotion
+    from linkplan.transfers import TransferResult
+
+    arrays = (SampledReference, Rollout, MotionTable, Certificate, NextMotion, NamedInstant)
+    names = {f"{kind.__name__}.{name}" for kind in arrays for name in dir(kind)}
+    methods = [vars(kind) for kind in (Equations, linkplan.Tracker, TrackerWithMemory, TransferResult)]
+    functions = [one for members in methods for name, one in members.items() if inspect.isfunction(one) and name[0] != "_"]
+    names |= {f"{one.__qualname__}.{name}" for one in functions for name in inspect.signature(one).parameters}
+    quantities = [
+        name
+        for name in names
+        if re.search(r"\.(pose|position|velocity|speed|acceleration|error|reference)[a-z_0-9]*$", name)
+    ]
+    shares = {"Certificate.velocity_residual", "Certificate.position_overrun", "Certificate.speed_overrun"}
+    assert len(quantities) > 30
+    assert {name for name in quantities if not re.search(r"_(rad|deg)(_s2?)?$", name)} == shares

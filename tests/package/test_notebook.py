@@ -47,9 +47,12 @@ class ComputedTorque:
     reference: object
     name: str = "by hand"
 
-    def effort(self, k, position, velocity):
+    def effort(self, k, position_rad, velocity_rad_s):
         reference = self.reference
-        stiff, damped = 5.0 * (reference.position[k] - position), 0.03 * (reference.velocity[k] - velocity)
+        stiff, damped = (
+            5.0 * (reference.position_rad[k] - position_rad),
+            0.03 * (reference.velocity_rad_s[k] - velocity_rad_s),
+        )
         return reference.effort[k] + stiff + damped
 
 
@@ -78,9 +81,9 @@ def test_a_notebook_from_mjcf_text_to_margins(tmp_path):
     assert quickest.duration_s < 0.2
 
     motion = plan.sample(np.linspace(0.0, 0.3, 31))
-    assert np.ptp(motion.position["C"]) > 20.0
+    assert np.ptp(motion.position_deg["C"]) > 20.0
     assert np.abs(motion.effort["drive"]).max() <= 1.0
-    assert np.abs(motion.speed["C"]).max() <= 600.0 * (1 + 1e-6)
+    assert np.abs(motion.speed_deg_s["C"]).max() <= 600.0 * (1 + 1e-6)
     plan.plot(tmp_path / "half-turn.png")
     plan.save(tmp_path / "half-turn")
     assert linkplan.read_plan(tmp_path / "half-turn").objective == plan.objective

@@ -27,8 +27,8 @@ def test_a_plan_is_the_same_motion_with_the_same_certificate(plan):
     again = sent(plan)
     assert (again.status, again.objective) == (plan.status, plan.objective)
     at = np.linspace(0.0, 0.2, 7)
-    for joint, angles in plan.sample(at).position.items():
-        np.testing.assert_array_equal(again.sample(at).position[joint], angles)
+    for joint, angles in plan.sample(at).position_deg.items():
+        np.testing.assert_array_equal(again.sample(at).position_deg[joint], angles)
     assert str(again) == str(plan)
 
 

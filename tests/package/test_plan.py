@@ -74,14 +74,14 @@ def test_nothing_is_printed_where_nobody_listens(plan, capfd):
 
 def test_samples_are_in_degrees_and_hold_the_dependent_joints(plan):
     motion = plan.sample([0.0, 0.16])
-    assert motion.position["O"] == pytest.approx([-49.07, 56.27])
+    assert motion.position_deg["O"] == pytest.approx([-49.07, 56.27])
     assert motion.unit == {"O": "deg", "A": "deg", "C": "deg"}
     assert motion.effort_unit == {"act_O": "N.m"}
-    assert motion.speed["A"] == pytest.approx([0.0, 0.0], abs=1e-6)
-    assert list(motion.acceleration) == ["O"]
+    assert motion.speed_deg_s["A"] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert list(motion.acceleration_deg_s2) == ["O"]
     mechanism = plan.problem.mechanism
-    q = np.radians([motion.position[joint.name] for joint in mechanism.joints]).T
-    assert np.ptp(motion.position["A"]) > 30
+    q = np.radians([motion.position_deg[joint.name] for joint in mechanism.joints]).T
+    assert np.ptp(motion.position_deg["A"]) > 30
     assert mechanism.gaps_m(q).max() < 1e-12
 
 
@@ -91,29 +91,29 @@ def test_samples_do_not_depend_on_the_order_or_company_of_their_times(plan):
     for k, time in enumerate(times):
         alone = plan.sample(time)
         assert alone.time_s == time
-        assert isinstance(alone.position["A"], float)
-        for name, values in together.position.items():
-            assert values[k] == pytest.approx(alone.position[name], abs=1e-9)
+        assert isinstance(alone.position_deg["A"], float)
+        for name, values in together.position_deg.items():
+            assert values[k] == pytest.approx(alone.position_deg[name], abs=1e-9)
         assert together.effort["act_O"][k] == alone.effort["act_O"]
 
 
 def test_speeds_are_the_slopes_of_positions(plan):
     time, step = np.array([0.03, 0.1]), 1e-6
     before, after, there = plan.sample(time - step), plan.sample(time + step), plan.sample(time)
-    for name, speed in there.speed.items():
-        slope = (after.position[name] - before.position[name]) / (2 * step)
+    for name, speed in there.speed_deg_s.items():
+        slope = (after.position_deg[name] - before.position_deg[name]) / (2 * step)
         assert slope == pytest.approx(speed, rel=1e-5)
         assert abs(speed).min() > 1.0
 
 
 def test_a_motion_rests_beyond_its_ends_and_a_periodic_one_goes_on(plan, sine):
     late = plan.sample(1.0)
-    assert late.position["O"] == pytest.approx(56.27)
-    assert late.speed["O"] == 0.0
+    assert late.position_deg["O"] == pytest.approx(56.27)
+    assert late.speed_deg_s["O"] == 0.0
     assert sine.duration_s == pytest.approx(0.25)
-    for name, value in sine.sample(0.05).position.items():
-        assert sine.sample(0.05 + 3 * 0.25).position[name] == pytest.approx(value, abs=1e-9)
-        assert sine.sample(0.05 - 0.25).position[name] == pytest.approx(value, abs=1e-9)
+    for name, value in sine.sample(0.05).position_deg.items():
+        assert sine.sample(0.05 + 3 * 0.25).position_deg[name] == pytest.approx(value, abs=1e-9)
+        assert sine.sample(0.05 - 0.25).position_deg[name] == pytest.approx(value, abs=1e-9)
 
 
 @pytest.mark.parametrize("time", [np.nan, [0.0, np.inf], "soon", [[0.0]], None.__class__])
@@ -137,8 +137,8 @@ def test_a_data_set_has_the_values_of_the_table(plan):
     pytest.importorskip("xarray", reason="xarray is not installed")
     found, table = plan.to_dataset(), plan.to_frame()
     for joint in ("O", "C"):
-        assert found.position.sel(joint=joint).values == pytest.approx(table[f"{joint}_deg"].to_numpy(), rel=1e-12)
-        assert found.speed.sel(joint=joint).values == pytest.approx(table[f"{joint}_deg_s"].to_numpy(), rel=1e-12)
+        assert found.position_deg.sel(joint=joint).values == pytest.approx(table[f"{joint}_deg"].to_numpy(), rel=1e-12)
+        assert found.speed_deg_s.sel(joint=joint).values == pytest.approx(table[f"{joint}_deg_s"].to_numpy(), rel=1e-12)
         assert found.joint_unit.sel(joint=joint) == "deg"
     assert found.effort.sel(actuator="act_O").values == pytest.approx(table["act_O_Nm"].to_numpy(), rel=1e-12)
     assert plan.to_dataset(0.1).time_s.values == pytest.approx([0.1])
@@ -163,7 +163,7 @@ def test_a_saved_plan_is_read_as_it_was(plan, tmp_path):
     assert again.status == "optimal"
     assert again.objective == plan.objective
     assert again.problem.to_dict() == plan.problem.to_dict()
-    assert again.sample(0.08).position == pytest.approx(plan.sample(0.08).position)
+    assert again.sample(0.08).position_deg == pytest.approx(plan.sample(0.08).position_deg)
     with pytest.raises(PlanFileError, match=r"is not a plan: it has no plan\.json"):
         linkplan.read_plan(tmp_path)
 
@@ -208,11 +208,11 @@ def test_a_step_is_next_to_the_plan_of_its_problem_in_users_units(plan):
     planner.plan(plan.problem)
     step, exact = planner.step(other), linkplan.plan(other)
     assert step.settled
-    assert step.sample(0.16).position["O"] == pytest.approx(54.0)
+    assert step.sample(0.16).position_deg["O"] == pytest.approx(54.0)
     assert step.duration_s == pytest.approx(0.16)
-    away = np.abs(step.sample().position["O"] - exact.sample().position["O"]).max()
-    assert away <= step.position_error["O"] + np.degrees(1e-7)
-    assert 0 < step.position_error["O"] < 0.01
+    away = np.abs(step.sample().position_deg["O"] - exact.sample().position_deg["O"]).max()
+    assert away <= step.position_error_deg["O"] + np.degrees(1e-7)
+    assert 0 < step.position_error_deg["O"] < 0.01
     assert step.effort_error["act_O"] > 0
     assert "NextMotion" in repr(step)
 
@@ -244,3 +244,11 @@ def test_what_is_no_problem_is_refused(problem):
 def test_progress_that_cannot_be_called_is_refused_before_any_work(plan):
     with pytest.raises(ProblemError, match=r"progress is a function of one line of text, got 'loud'"):
         linkplan.plan(plan.problem, "loud")
+
+
+def test_old_names_of_positions_still_answer_and_say_the_new_one(plan):
+    table = plan.sample(0.08)
+    with pytest.deprecated_call(match="MotionTable.position is called position_deg"):
+        assert table.position == table.position_deg
+    with pytest.raises(AttributeError, match="'MotionTable' has no attribute 'place'"):
+        table.place  # noqa: B018

@@ -23,10 +23,12 @@ class Stiff:
     kd: float = 1.0
     name: str = "stiff"
 
-    def effort(self, k, position, velocity):
+    def effort(self, k, position_rad, velocity_rad_s):
         reference = self.reference
         return (
-            reference.effort[k] + self.kp * (reference.position[k] - position) + self.kd * (reference.velocity[k] - velocity)
+            reference.effort[k]
+            + self.kp * (reference.position_rad[k] - position_rad)
+            + self.kd * (reference.velocity_rad_s[k] - velocity_rad_s)
         )
 
 
@@ -37,7 +39,7 @@ class Idle:
     name: str = "idle"
     value: object = (0.0,)
 
-    def effort(self, k, position, velocity):  # noqa: ARG002
+    def effort(self, k, position_rad, velocity_rad_s):  # noqa: ARG002
         return self.value
 
 
@@ -99,7 +101,7 @@ def test_a_mismatch_is_named(plan):
 
 
 class Nameless:
-    def effort(self, k, position, velocity):  # noqa: ARG002
+    def effort(self, k, position_rad, velocity_rad_s):  # noqa: ARG002
         return [0.0]
 
 

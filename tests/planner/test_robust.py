@@ -112,7 +112,7 @@ def test_a_plan_with_a_reserve_is_tracked_with_a_fifth_more_payload_and_a_period
     loop = ControlLoop(effort_limit=problem.limits.actuators_effort, mass_factor=1.2, delay_periods=1)
     for kind in TRACKERS:
         followed = run_alone(problem.mechanism, reference, build_tracker(kind, plan, reference), loop)
-        worst = np.degrees(np.abs(followed.error).max())
+        worst = np.degrees(np.abs(followed.error_rad).max())
         assert worst > 0.01, kind
         assert worst < 0.5 or kind not in ("lqr", "mpc"), kind
         assert followed.gap_m.max() < 10e-6, kind

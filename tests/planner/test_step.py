@@ -45,7 +45,7 @@ def test_the_bound_holds_against_the_converged_answer(problem, goal):
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     position, effort = errors(step, exact)
     assert step.settled
-    assert position <= step.position_bound[0] + SOLVERS_OWN_POSITION
+    assert position <= step.position_bound_rad[0] + SOLVERS_OWN_POSITION
     assert effort <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
     assert step.effort_bound[0] < 0.05  # of 86 N.m: it says something
 
@@ -80,7 +80,7 @@ def test_steps_go_on_from_one_another(problem):
         step = planner.step(with_goal(problem, goal))
         assert step.settled
     position, effort = errors(step, prepared(problem).solve_again(with_goal(problem, 46.0)))
-    assert position <= step.position_bound[0] + SOLVERS_OWN_POSITION
+    assert position <= step.position_bound_rad[0] + SOLVERS_OWN_POSITION
     assert effort <= step.effort_bound[0] + SOLVERS_OWN_EFFORT
 
 
@@ -121,4 +121,4 @@ def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
     step, moved = at(begin), at(begin + left)
     change = np.abs(moved.trajectory.effort - step.trajectory.effort).max()
     assert change == pytest.approx(step.effort_bound[0], rel=1e-6)
-    assert np.all(step.position_bound > 0)
+    assert np.all(step.position_bound_rad > 0)

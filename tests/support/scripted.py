@@ -39,9 +39,9 @@ def standing(mechanism: Mechanism, n: int = STEPS) -> SampledReference:
     return SampledReference(
         period_s=PERIOD_S,
         time_s=PERIOD_S * np.arange(n),
-        pose=pose,
-        position=pose[:, mechanism.independent],
-        velocity=still,
+        pose_rad=pose,
+        position_rad=pose[:, mechanism.independent],
+        velocity_rad_s=still,
         effort=np.zeros((n, mechanism.n_u)),
         cycle=None,
     )

@@ -72,9 +72,9 @@ def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
         start_pose=np.zeros(1),
         periodic=False,
     )
-    assert certify(problem, touching).speed_margin[0] == 0.0
+    assert certify(problem, touching).speed_margin_rad_s[0] == 0.0
     beyond = replace(touching, velocity=(1 + 1e-9) * touching.velocity)
-    assert certify(problem, beyond).speed_margin[0] == pytest.approx(-1e-9 * limit, rel=EXCESS)
+    assert certify(problem, beyond).speed_margin_rad_s[0] == pytest.approx(-1e-9 * limit, rel=EXCESS)
 
 
 def test_an_effort_that_is_another_motion_s_is_found_by_inverse_dynamics():
@@ -145,7 +145,7 @@ def test_a_joint_that_keeps_its_range_has_the_distance_as_its_margin():
     least = knee().angles(motion().position_at(motion().dense_times(50))[:, 0])
     q_A = least[1] - least[0]
     assert certificate.passed
-    assert certificate.position_margin[1] == pytest.approx(q_A.min() - np.radians(5), abs=SAME_FIGURE)
+    assert certificate.position_margin_rad[1] == pytest.approx(q_A.min() - np.radians(5), abs=SAME_FIGURE)
 
 
 @pytest.mark.slow
@@ -154,7 +154,7 @@ def test_a_joint_that_is_too_fast_is_named_with_its_excess(joint):
     free = found(motion(), f"limits.speed_deg_s.{joint}=1e5")
     assert free.passed
     index = "OAC".index(joint)
-    fastest = 1e5 - np.degrees(free.speed_margin[index])
+    fastest = 1e5 - np.degrees(free.speed_margin_rad_s[index])
     certificate = found(motion(), f"limits.speed_deg_s.{joint}={fastest - 10}")
     assert sentence(certificate, f"joint {joint} leaves its speed limit by 10 deg/s")
 
@@ -165,13 +165,13 @@ def test_the_fastest_of_each_joint_agrees_with_the_closed_form():
     rates = fourbar.rates(s) * motion().velocity_at(time)[:, 0]
     expected = np.abs([rates[0], rates[1] - rates[0], rates[2]]).max(axis=1)
     certificate = found(motion(), *(f"limits.speed_deg_s.{joint}=1e5" for joint in "OAC"))
-    np.testing.assert_allclose(np.radians(1e5) - certificate.speed_margin, expected, rtol=EXTREME)
+    np.testing.assert_allclose(np.radians(1e5) - certificate.speed_margin_rad_s, expected, rtol=EXTREME)
 
 
 def test_what_nothing_limits_has_an_infinite_margin():
     certificate = found(motion())
-    assert np.all(np.isinf(certificate.speed_margin))
-    assert np.all(np.isfinite(certificate.position_margin))
+    assert np.all(np.isinf(certificate.speed_margin_rad_s))
+    assert np.all(np.isfinite(certificate.position_margin_rad))
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])

@@ -62,8 +62,8 @@ def test_its_feedforward_is_followed_in_mujoco_with_the_models_own_friction():
     plan = planned(1.0, "effort").require()
     assert plan.problem.mechanism.model.dof_frictionloss[0] == RUB, "the simulated machine rubs"
     rollout = track(plan, "pd+ff")
-    assert np.degrees(np.abs(rollout.error).max()) < TRACKED_DEG
-    assert np.degrees(np.abs(track(plan, "pd").error).max()) > 10 * TRACKED_DEG, "feedback alone leaves it behind"
+    assert np.degrees(np.abs(rollout.error_rad).max()) < TRACKED_DEG
+    assert np.degrees(np.abs(track(plan, "pd").error_rad).max()) > 10 * TRACKED_DEG, "feedback alone leaves it behind"
 
 
 def test_a_motor_that_cannot_overcome_friction_is_told_so():

@@ -143,4 +143,4 @@ def test_a_motion_beyond_the_range_is_run_in_mujoco_as_planned():
     found = linkplan.plan(linkplan.Problem.reach(mechanism, start_deg={"O": 0}, goal_deg={"O": 30.0}, minimize="time"))
     run = linkplan.track(found, "pd+ff", tracking={"kp": 0.0, "kd": 0.0, "period_s": 2e-4})
     (rollout,) = run.comparison.nominal.values()
-    assert np.degrees(np.abs(rollout.error).max()) < CARRIED_DEG
+    assert np.degrees(np.abs(rollout.error_rad).max()) < CARRIED_DEG

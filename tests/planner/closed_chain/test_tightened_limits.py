@@ -14,7 +14,7 @@ def test_a_range_and_a_speed_are_tightened_by_what_was_overrun():
     n_q, before = plan.problem.mechanism.n_q, plan.problem.limits
     position, speed = np.full(n_q, 0.5), np.full(n_q, 3.0)
     position[0], speed[1] = -0.01, -0.2
-    over = replace(plan.certificate, position_margin=position, speed_margin=speed)
+    over = replace(plan.certificate, position_margin_rad=position, speed_margin_rad_s=speed)
     case = case_of(plan.problem)
     first = case.tightened(over, plan.trajectory)
     second = first.tightened(over, plan.trajectory)

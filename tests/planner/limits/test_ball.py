@@ -51,7 +51,7 @@ def test_its_value_is_the_angle_that_mujoco_limits():
 def test_a_plan_keeps_the_range_at_every_instant_and_proves_it():
     plan = linkplan.plan(reach(90.0)).require()
     (margin,) = [one for one in plan.certificate.margins if isinstance(one.of, BallLimit)]
-    poses = np.array([list(plan.sample(t).position.values()) for t in np.linspace(0.0, 0.5, 41)])
+    poses = np.array([list(plan.sample(t).position_deg.values()) for t in np.linspace(0.0, 0.5, 41)])
     assert margin.value == pytest.approx(angles_deg(plan.problem.mechanism, np.radians(poses)).max(), rel=1e-3)
     assert margin.left == pytest.approx(90.0 - margin.value)
     (proved,) = [one for one in plan.prove().findings if "ball joint rod" in one.name]

@@ -26,7 +26,7 @@ def free(knee):
 
 
 def hip_speed(at):
-    return at.velocity["O"]
+    return at.velocity_rad_s["O"]
 
 
 def own_effort(at):
@@ -34,7 +34,7 @@ def own_effort(at):
 
 
 def knee_speed(at):
-    return at.velocity["C"] ** 2
+    return at.velocity_rad_s["C"] ** 2
 
 
 def speed_limit(upper, lower=-np.inf):
@@ -52,7 +52,9 @@ def test_an_extra_limit_on_a_speed_gives_the_plan_of_the_speed_limit(knee, free)
 def test_an_extra_limit_on_power_gives_the_least_time_of_the_limit_on_power():
     leg = linkplan.load_mechanism("optimus-knee", payload="shank")
     given = {"start_deg": {"O": -49.0}, "goal_deg": {"O": 56.0}, "minimize": "time"}
-    power = ExtraLimit(name="power", expression=lambda at: at.effort["act_O"] * at.velocity["O"], lower=-400, upper=400)
+    power = ExtraLimit(
+        name="power", expression=lambda at: at.effort["act_O"] * at.velocity_rad_s["O"], lower=-400, upper=400
+    )
     effort = {"effort": {"act_O": [-80.0, 80.0]}}
     extra = linkplan.plan(Problem.reach(leg, **given, limits=effort, extra_limits=[power])).require()
     built_in = linkplan.plan(Problem.reach(leg, **given, limits=effort | {"power_w": {"act_O": 400.0}})).require()
@@ -65,9 +67,9 @@ def test_an_extra_limit_on_a_dependent_joint_gives_the_plan_of_its_speed_limit()
     problem = Problem.from_file("five-bar-reach")
     assert "E1" not in [joint.name for joint in problem.mechanism.independent_joints]
     free = linkplan.plan(problem).require()
-    most_deg_s = 0.9 * float(np.abs(free.sample().speed["E1"]).max())
+    most_deg_s = 0.9 * float(np.abs(free.sample().speed_deg_s["E1"]).max())
     most = np.radians(most_deg_s)
-    limit = ExtraLimit(name="slow", expression=lambda at: at.velocity["E1"], lower=-most, upper=most)
+    limit = ExtraLimit(name="slow", expression=lambda at: at.velocity_rad_s["E1"], lower=-most, upper=most)
     extra = linkplan.plan(problem.replace(extra_limits=[limit])).require()
     built_in = linkplan.plan(problem.replace(limits={"speed_deg_s": {"E1": most_deg_s}})).require()
     assert free.objective < (1 - 1e-2) * built_in.objective  # the limit binds
@@ -87,7 +89,7 @@ def test_an_extra_cost_adds_its_weighted_integral_to_the_objective(knee, free):
 
 
 def test_a_cost_below_zero_is_planned_saved_and_read(knee, tmp_path):
-    cost = ExtraCost(name="far", expression=lambda at: -(at.position["O"] ** 2))
+    cost = ExtraCost(name="far", expression=lambda at: -(at.position_rad["O"] ** 2))
     plan = linkplan.plan(Problem.reach(knee, **REACH, extra_costs=[cost])).require()
     assert plan.objective < 0
     plan.save(tmp_path / "plan")
@@ -109,7 +111,7 @@ def test_the_certificate_of_a_motion_says_how_far_it_is_beyond_an_extra_limit_be
     certificate = certify(problem, free.trajectory)
     (margin,) = certificate.margins
     time = np.linspace(0.0, 0.2, 20001)
-    peak = float(np.radians(free.sample(time).speed["O"]).max())
+    peak = float(np.radians(free.sample(time).speed_deg_s["O"]).max())
     assert not certificate.passed
     assert (margin.title, margin.unit) == ("the extra limit 'hip speed'", "rad/s")
     assert margin.value == pytest.approx(peak, rel=PEAK_ON_A_GRID)
@@ -125,7 +127,7 @@ def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_nam
 
 
 def test_a_goal_beyond_an_extra_limit_is_infeasible_before_any_solve(knee):
-    limit = ExtraLimit(name="angle", expression=lambda at: at.position["O"], upper=0.1, unit="rad")
+    limit = ExtraLimit(name="angle", expression=lambda at: at.position_rad["O"], upper=0.1, unit="rad")
     plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[limit]))
     assert plan.status == "infeasible"
     assert "the extra limit 'angle' is 0.349066 rad at the goal, 0.2491 rad beyond its limit of 0.1" in plan.message
@@ -133,7 +135,7 @@ def test_a_goal_beyond_an_extra_limit_is_infeasible_before_any_solve(knee):
 
 
 def test_a_way_that_leaves_an_extra_limit_between_start_and_goal_is_infeasible(knee):
-    limit = ExtraLimit(name="away from 0", expression=lambda at: at.position["O"] ** 2, lower=0.01)
+    limit = ExtraLimit(name="away from 0", expression=lambda at: at.position_rad["O"] ** 2, lower=0.01)
     plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[limit]))
     assert plan.status == "infeasible"
     assert "the extra limit 'away from 0' is" in plan.message
@@ -141,10 +143,10 @@ def test_a_way_that_leaves_an_extra_limit_between_start_and_goal_is_infeasible(k
 
 def test_a_periodic_motion_keeps_an_extra_limit(knee):
     free = linkplan.plan(Problem.periodic(knee, reference=SINE)).require()
-    assert np.radians(free.sample().speed["O"]).max() > 4.2
+    assert np.radians(free.sample().speed_deg_s["O"]).max() > 4.2
     limit = speed_limit(4.0, -4.0)
     plan = linkplan.plan(Problem.periodic(knee, reference=SINE, extra_limits=[limit])).require()
-    assert np.abs(np.radians(plan.sample().speed["O"])).max() <= 4.0 + EXTRA_LIMIT
+    assert np.abs(np.radians(plan.sample().speed_deg_s["O"])).max() <= 4.0 + EXTRA_LIMIT
 
 
 def test_a_prescribed_motion_is_judged_by_an_extra_limit(knee):
@@ -167,6 +169,6 @@ def test_a_planner_gives_each_weight_and_bound_the_plan_of_its_own(knee, name):
 
 
 def test_expressions_of_other_symbols_are_refused(knee):
-    other = ExtraLimit(name="other", expression=lambda at: at.position["O"] + ca.SX.sym("other"), upper=1.0)
+    other = ExtraLimit(name="other", expression=lambda at: at.position_rad["O"] + ca.SX.sym("other"), upper=1.0)
     with pytest.raises(linkplan.LinkplanError, match="no symbols but the instant's"):
         Problem.reach(knee, **REACH, extra_limits=[other])

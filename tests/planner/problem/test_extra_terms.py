@@ -8,7 +8,7 @@ from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 
 
 def limit(lower: float, upper: float) -> ExtraLimit:
-    return ExtraLimit(name="speed", expression=lambda at: at.velocity["J"], lower=lower, upper=upper)
+    return ExtraLimit(name="speed", expression=lambda at: at.velocity_rad_s["J"], lower=lower, upper=upper)
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_a_limit_that_allows_nothing_or_everything_is_refused(lower, upper):
 @pytest.mark.parametrize(("weight", "is_legal"), [(1e-3, True), (0.0, False), (-1.0, False), (np.inf, False)])
 def test_the_weight_of_a_cost_is_positive(weight, is_legal):
     def cost() -> ExtraCost:
-        return ExtraCost(name="swing", expression=lambda at: at.velocity["J"] ** 2, weight=weight)
+        return ExtraCost(name="swing", expression=lambda at: at.velocity_rad_s["J"] ** 2, weight=weight)
 
     if is_legal:
         assert cost().weight == weight

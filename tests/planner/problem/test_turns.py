@@ -113,9 +113,9 @@ def test_dependent_joints_go_on_with_the_crank_and_the_loops_stay_closed_between
     mechanism = plan.problem.mechanism
     table = plan.sample(np.array([0.1, 0.1 + PERIOD_S, 0.1 - PERIOD_S]))
     for name, turns in (("O", 1), ("A", -1), ("B", 0)):
-        values = table.position[name]
+        values = table.position_deg[name]
         assert values[1:] - values[0] == pytest.approx([360.0 * turns, -360.0 * turns], abs=1e-6), name
-    poses = np.array([np.radians(table.position["O"]), np.radians(table.position["A"]), table.position["B"]]).T
+    poses = np.array([np.radians(table.position_deg["O"]), np.radians(table.position_deg["A"]), table.position_deg["B"]]).T
     assert mechanism.gaps_m(poses).max() < CLOSURE_M
 
 
@@ -124,8 +124,8 @@ def test_dependent_joints_go_on_with_the_crank_and_the_loops_stay_closed_between
 def test_trackers_follow_three_turns_in_mujoco(tracker, period_s):
     rollout = linkplan.track(turning(), tracker, tracking={"period_s": period_s}).comparison.nominal[tracker]
     assert rollout.stable
-    assert np.degrees(rollout.position[-1, 0] - rollout.position[0, 0]) == pytest.approx(3 * 360.0, abs=4.0)
-    assert np.degrees(np.abs(rollout.error[:, 0])).max() < 1.0
+    assert np.degrees(rollout.position_rad[-1, 0] - rollout.position_rad[0, 0]) == pytest.approx(3 * 360.0, abs=4.0)
+    assert np.degrees(np.abs(rollout.error_rad[:, 0])).max() < 1.0
     assert rollout.gap_m.max() < ROLLOUT_GAP_M
 
 
@@ -134,7 +134,7 @@ def test_a_saved_plan_of_turns_is_read_back_and_certified_again(tmp_path):
     again = linkplan.read_plan(plan.save(tmp_path / "plan"))
     assert again.certificate.passed
     assert again.problem.motion.turns.tolist() == [1.0]
-    assert again.sample(1.7).position["O"] == pytest.approx(plan.sample(1.7).position["O"])
+    assert again.sample(1.7).position_deg["O"] == pytest.approx(plan.sample(1.7).position_deg["O"])
     text = (tmp_path / "plan" / "plan.json").read_text(encoding="utf-8")
     (tmp_path / "plan" / "plan.json").write_text(replaced(text, '"O": 1\n', '"O": 2\n'), encoding="utf-8")
     with pytest.raises(CertificateError, match="boundary"):
@@ -231,5 +231,5 @@ def test_a_turn_passes_its_waypoints_and_ends_a_turn_after_its_start():
             duration_s=PERIOD_S,
         )
     ).require()
-    assert plan.sample(np.array([0.0, 0.1, PERIOD_S])).position["O"] == pytest.approx([180.0, 300.0, 540.0], abs=1e-6)
+    assert plan.sample(np.array([0.0, 0.1, PERIOD_S])).position_deg["O"] == pytest.approx([180.0, 300.0, 540.0], abs=1e-6)
     assert plan.objective > turning().objective

@@ -111,7 +111,7 @@ def test_a_users_expression_is_enclosed():
     finger, lift = names.index("finger_r"), names.index("lift")
     limit = linkplan.ExtraLimit(
         name="mine",
-        expression=lambda at: at.velocity["finger_r"] * at.position["lift"] + at.effort["grip"] ** 2,
+        expression=lambda at: at.velocity_rad_s["finger_r"] * at.position_rad["lift"] + at.effort["grip"] ** 2,
         upper=1.0,
     )
     grip = [actuator.name for actuator in problem.mechanism.actuators].index("grip")

@@ -55,7 +55,7 @@ def runaway(gain: float):
             self.reference = reference
 
         def effort(self, k, position, velocity):
-            return gain * (position - self.reference.position[k] + 0.001) * (1.0 + np.abs(velocity)) ** 2
+            return gain * (position - self.reference.position_rad[k] + 0.001) * (1.0 + np.abs(velocity)) ** 2
 
     return Runaway
 

@@ -22,9 +22,9 @@ def test_a_fraction_of_a_period_of_delay_acts_as_in_an_ensemble():
     delayed = simulate(
         plant, build_tracker("pd", plan, reference), reference, [Imperfections(clock=Clock(delay_periods=0.4))]
     )
-    np.testing.assert_allclose(found.position[:, 0], delayed.pose[:, 0, mechanism.independent[0]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.position_rad[:, 0], delayed.pose[:, 0, mechanism.independent[0]], rtol=0, atol=1e-12)
     whole = track(plan, "pd", None)
-    assert np.abs(found.position - whole.position).max() > 1e-6
+    assert np.abs(found.position_rad - whole.position_rad).max() > 1e-6
 
 
 @pytest.mark.parametrize("delay", [-0.5, float("nan"), 1e9])

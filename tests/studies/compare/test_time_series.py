@@ -51,7 +51,7 @@ def test_a_run_is_saved_with_units_in_its_heads_as_csv_and_npz(tmp_path):
     assert {"E1_deg", "P_deg", "act_O1_commanded_Nm", "act_O2_applied_Nm", "closure_gap_m"} <= set(head)
     values = dict(zip(head, np.array(rows, dtype=float).T, strict=True))
     assert np.diff(values["time_s"]).min() > 0
-    assert values["O2_error_deg"] == pytest.approx(np.degrees(run.error[:, 1]), abs=1e-9)
+    assert values["O2_error_deg"] == pytest.approx(np.degrees(run.error_rad[:, 1]), abs=1e-9)
     assert values["act_O2_applied_Nm"] == pytest.approx(run.applied[:, 1], rel=1e-11, abs=1e-12)
     with np.load(tmp_path / "nominal-pd.npz", allow_pickle=False) as saved:
         assert list(saved) == head
@@ -107,7 +107,7 @@ GEARS = """<mujoco model="gears"><default><geom contype="0" conaffinity="0"/></d
 def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
     comparison = compared(GEARS)
     plan, run = comparison.plan, comparison.nominal["pd"]
-    off = np.abs(run.pose[:, 1] + 0.5 * run.pose[:, 0])
+    off = np.abs(run.pose_rad[:, 1] + 0.5 * run.pose_rad[:, 0])
     assert off.max() > 1e-4
     assert run.gap_rad == pytest.approx(off)
     assert run.gap_m.max() == 0
@@ -127,7 +127,7 @@ def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
 
 def test_a_loop_that_gapes_wide_is_off_by_all_of_it():
     comparison = compared("optimus-knee")
-    mechanism, pose = comparison.plan.problem.mechanism, comparison.nominal["pd"].pose
+    mechanism, pose = comparison.plan.problem.mechanism, comparison.nominal["pd"].pose_rad
     (dependent, *_), off = mechanism.dependent, np.radians(30.0)
     gaping = np.array(pose)
     gaping[:, dependent] += off

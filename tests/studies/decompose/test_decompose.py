@@ -57,7 +57,7 @@ def test_the_parts_add_up_to_the_error_of_a_run_of_its_own():
     found = split("pd+ff", SHORT, *asked)
     plan = reach(SHORT)
     run = track(plan, "pd+ff", default_mismatch(plan, 1.2, 1))
-    rms = np.degrees(np.sqrt(np.mean(run.error**2)))
+    rms = np.degrees(np.sqrt(np.mean(run.error_rad**2)))
     assert found["rms_error"] == pytest.approx(rms, rel=SAME_RUN)
     assert sum(found["parts"].values()) == pytest.approx(rms, rel=PROMISED)
     assert sum(found["parts"].values()) == pytest.approx(rms, rel=SAME_RUN)
@@ -222,7 +222,7 @@ def test_causes_that_act_on_each_other_have_the_mean_of_their_parts_over_both_or
         limit = plan.problem.limits.actuators_effort if limited else np.array([[-np.inf, np.inf]])
         plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=np.array(limit)))
         ran = simulate(plant, law, reference, [Imperfections(clock=clock, machine=Machine(mass_factor=factor))])
-        errors[limited, factor > 1] = np.degrees(reference.position - ran.pose[:, 0, mechanism.independent])
+        errors[limited, factor > 1] = np.degrees(reference.position_rad - ran.pose[:, 0, mechanism.independent])
     total = errors[True, True]
     rms = np.sqrt(np.mean(total**2))
 

@@ -194,7 +194,7 @@ def test_any_sample_can_be_run_again_to_the_same_bits(tmp_path):
     row = np.flatnonzero((outcome.results["sample"] == 3) & (outcome.results["tracker"] == "pd+ff"))[0]
     for name in ("rms_error_deg", "chatter", "energy_j", "loop_gap_um"):
         assert said[name] == outcome.results[name][row]
-    assert np.degrees(np.sqrt(np.mean(rollout.error**2))) == pytest.approx(said["rms_error_deg"])
+    assert np.degrees(np.sqrt(np.mean(rollout.error_rad**2))) == pytest.approx(said["rms_error_deg"])
     with pytest.raises(ProblemError, match="from 0 to 5, got 6"):
         replay(again, "pd", 6)
 

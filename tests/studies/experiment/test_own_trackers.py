@@ -25,7 +25,7 @@ class Follower:
 
     def law(self, k, s, v):
         reference = self.reference
-        return reference.effort[k] + GAIN * (reference.position[k] - s) + (reference.velocity[k] - v)
+        return reference.effort[k] + GAIN * (reference.position_rad[k] - s) + (reference.velocity_rad_s[k] - v)
 
 
 class Integrating(Follower):
@@ -33,7 +33,7 @@ class Integrating(Follower):
     total = 0.0  # kept in itself, where it does not belong
 
     def effort(self, k, position, velocity):
-        self.total += float(self.reference.position[k][0] - position[0])
+        self.total += float(self.reference.position_rad[k][0] - position[0])
         if self.total > 0.0005:
             raise SystemExit("enough")
         return self.law(k, position, velocity) + 50.0 * self.total
@@ -51,7 +51,7 @@ class Remembering(Follower):
         return np.zeros((n, 1))
 
     def step(self, k, position, velocity, memory):
-        memory = memory + self.reference.position[k] - position
+        memory = memory + self.reference.position_rad[k] - position
         return self.law(k, position, velocity) + 50.0 * memory, memory
 
 

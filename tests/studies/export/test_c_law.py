@@ -89,7 +89,7 @@ def test_a_loop_around_the_law_in_c_gives_the_log_of_the_tracker(tracker):
     ours, theirs = track(plan, tracker), track(plan, InC(tables, folder))
     assert np.ptp(ours.applied) > 10
     assert np.abs(theirs.applied - ours.applied).max() < 1e-8
-    assert np.abs(theirs.pose - ours.pose).max() < 1e-11
+    assert np.abs(theirs.pose_rad - ours.pose_rad).max() < 1e-11
 
 
 @needs_gcc

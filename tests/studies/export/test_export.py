@@ -153,7 +153,7 @@ def test_matlab_has_each_quantity_and_its_unit_in_structs_of_one_shape(plan):
     said = scipy.io.loadmat(io.BytesIO(exported(plan, "mat")), simplify_cells=True)
     table = samples_of(plan).table
     np.testing.assert_array_equal(said["time_s"], table.time_s)
-    for group, values in (("position", table.position), ("speed", table.speed), ("effort", table.effort)):
+    for group, values in (("position", table.position_deg), ("speed", table.speed_deg_s), ("effort", table.effort)):
         assert set(said[group]) == set(said["units"][group]) == set(values)
         for name, value in values.items():
             np.testing.assert_array_equal(said[group][name], value)

@@ -66,10 +66,10 @@ def test_determinant_of_the_monodromy_is_the_product_of_the_steps_determinants(p
     # Liouville: det A_k - B_k K_k of the joint with damping kd is 1 - kd T / J in MuJoCo's steps, whatever the motion.
     found, reference, *_ = along(plan, "pd+ff", kp=0.5, kd=0.002)
     mechanism = plan.problem.mechanism
-    inertia = np.array([float(mechanism.dynamics.reduced_inertia(pose)) for pose in reference.pose])
-    slope = np.gradient(np.log(inertia), reference.position[:, 0])
+    inertia = np.array([float(mechanism.dynamics.reduced_inertia(pose)) for pose in reference.pose_rad])
+    slope = np.gradient(np.log(inertia), reference.position_rad[:, 0])
     # J s'' + J' / 2 s'^2 = u: the speed's own derivative of the acceleration is -J' / J s'.
-    factor = 1 - reference.period_s * (0.002 / inertia + slope * reference.velocity[:, 0])
+    factor = 1 - reference.period_s * (0.002 / inertia + slope * reference.velocity_rad_s[:, 0])
     assert np.linalg.det(found.monodromy) == pytest.approx(np.prod(factor), rel=LIOUVILLE)
 
 

@@ -16,13 +16,14 @@ from tests.support.machines import run_alone
 # States and commands against rollout's own, where the order of sums differs. Measured 1e-16 and 3e-15.
 SAME = 1e-12
 KP, KD, N = 200.0, 20.0, 400
+ARRAYS = ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
 
 
 def kicked(point, speed):
     """Return the point held at rest, its first sample asking for a speed: what starts a run with one."""
     still = point.constant(1e-4, N)
-    arrays = {name: np.array(getattr(still, name)) for name in ("time_s", "pose", "position", "velocity", "effort")}
-    arrays["velocity"][0] = speed
+    arrays = {name: np.array(getattr(still, name)) for name in ARRAYS}
+    arrays["velocity_rad_s"][0] = speed
     return SampledReference(period_s=1e-4, cycle=None, **arrays)
 
 
@@ -36,18 +37,18 @@ def test_every_simulation_is_the_run_of_its_own_loop(delay):
     runs = [run_alone(mechanism, r, tracker, loop) for r, tracker in zip(references, trackers, strict=True)]
     batch = SimulatedLoops(
         mechanism,
-        pose=np.array([r.pose[0] for r in references]),
-        velocity=np.array([r.velocity[0] for r in references]),
+        pose=np.array([r.pose_rad[0] for r in references]),
+        velocity=np.array([r.velocity_rad_s[0] for r in references]),
         gain=np.array([pd_gain(tracker.feedback.map[0], KP, KD) for tracker in trackers]),
         under_way=np.array([rollout.commanded[0] for rollout in runs]),
         timing=sampling(mechanism, 1e-4, delay),
         effort_limit=loop.effort_limit,
     )
-    along = np.stack([np.concatenate([r.position, r.velocity], axis=1) for r in references], axis=1)
+    along = np.stack([np.concatenate([r.position_rad, r.velocity_rad_s], axis=1) for r in references], axis=1)
     states, commands = batch.run(np.arange(3), along, np.stack([r.effort for r in references], axis=1))
     for i, rollout in enumerate(runs):
-        assert np.abs(states[:, i, 0] - rollout.position[:, 0]).max() < SAME
-        assert np.abs(states[:, i, 1] - rollout.velocity[:, 0]).max() < SAME * 1e3
+        assert np.abs(states[:, i, 0] - rollout.position_rad[:, 0]).max() < SAME
+        assert np.abs(states[:, i, 1] - rollout.velocity_rad_s[:, 0]).max() < SAME * 1e3
         assert np.abs(commands[:, i] - rollout.commanded).max() < SAME * 1e3
     # The limit is met on the way, so that its share in the loop is looked at too.
     assert runs[2].saturated_fraction > 0
@@ -83,22 +84,22 @@ def test_a_servo_s_simulations_are_the_runs_of_its_loop_whatever_the_integrator(
     mechanism = load_mechanism(SERVO.format(integrator=integrator))
     point, period = operating_point(mechanism, np.array([0.2])), 2e-3
     still = point.constant(period, N)
-    arrays = {name: np.array(getattr(still, name)) for name in ("time_s", "pose", "position", "velocity", "effort")}
-    arrays["velocity"][0] = 3.0
+    arrays = {name: np.array(getattr(still, name)) for name in ARRAYS}
+    arrays["velocity_rad_s"][0] = 3.0
     reference = SampledReference(period_s=period, cycle=None, **arrays)
     tracker = Feedforward(reference=reference, feedback=pd(mechanism, reference, 20.0, 0.5))
     loop = ControlLoop(effort_limit=np.array([[-9.0, 9.0]]))
     rollout = run_alone(mechanism, reference, tracker, loop)
     batch = SimulatedLoops(
         mechanism,
-        pose=reference.pose[:1],
-        velocity=reference.velocity[:1],
+        pose=reference.pose_rad[:1],
+        velocity=reference.velocity_rad_s[:1],
         gain=pd_gain(tracker.feedback.map[0], 20.0, 0.5)[None],
         under_way=rollout.commanded[:1],
         timing=sampling(mechanism, period, 0),
         effort_limit=loop.effort_limit,
     )
-    along = np.concatenate([reference.position, reference.velocity], axis=1)[:, None]
+    along = np.concatenate([reference.position_rad, reference.velocity_rad_s], axis=1)[:, None]
     states, _ = batch.run(np.arange(1), along, reference.effort[:, None])
-    assert np.ptp(rollout.position) > 1e-3
-    assert np.abs(states[:, 0, 0] - rollout.position[:, 0]).max() < SAME
+    assert np.ptp(rollout.position_rad) > 1e-3
+    assert np.abs(states[:, 0, 0] - rollout.position_rad[:, 0]).max() < SAME

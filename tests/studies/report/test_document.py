@@ -72,7 +72,7 @@ def test_the_checklist_s_worst_numbers_are_the_certificate_s(report):
     assert abs(items["effort of act_O"].worst) == pytest.approx(certificate.peak_effort[0], rel=1e-5)
     assert items["gap of the kinematic loops"].worst == pytest.approx(certificate.closure_gap_m, rel=1e-5)
     assert items["range of A"].limit - items["range of A"].worst == pytest.approx(
-        np.degrees(certificate.position_margin[1]), rel=1e-4
+        np.degrees(certificate.position_margin_rad[1]), rel=1e-4
     )
     assert all(item.passed for item in items.values())
     instants = [item.instant_s for item in items.values() if item.instant_s is not None]
@@ -151,11 +151,11 @@ def test_a_ghost_is_where_its_tracker_was(compared):
     crank = next(body for body in moving.ghosts[0].bodies if body.name == "crank")
     points = np.array(crank.points, dtype=float).reshape(len(moving.times), -1, 2)
     arm = points[:, 1] - points[:, 0]
-    at = np.interp(moving.times, run.time_s, run.position[:, 0])
+    at = np.interp(moving.times, run.time_s, run.position_rad[:, 0])
     angle = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0]))
     assert np.abs(np.abs(angle - angle[0]) - np.abs(at - at[0])).max() < 1e-3
     planned = comparison.plan.trajectory.position_at(np.array([0.08]))
-    assert abs(planned[0, 0] - np.interp(0.08, run.time_s, run.position[:, 0])) > np.radians(1.0)  # pd lags
+    assert abs(planned[0, 0] - np.interp(0.08, run.time_s, run.position_rad[:, 0])) > np.radians(1.0)  # pd lags
 
 
 def test_the_table_of_trackers_has_their_errors(compared):
@@ -163,7 +163,7 @@ def test_the_table_of_trackers_has_their_errors(compared):
     table = blocks(report, Table)[0]
     heads = [head for head, _ in table.columns]
     rms = {row[0]: row[heads.index("rms error")] for row in table.rows}
-    error = np.degrees(comparison.nominal["pd"].error[:, 0])
+    error = np.degrees(comparison.nominal["pd"].error_rad[:, 0])
     assert rms["pd"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-4)
     assert dict(table.columns)["rms error"] == "deg"
 
