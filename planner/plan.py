@@ -250,20 +250,24 @@ class Plan:
         """
         return self._proved(NO_DEADLINE)
 
-    def with_proof(self, until: Deadline = NO_DEADLINE) -> Self:
+    def with_proof(self, until: Deadline = NO_DEADLINE, *, existence: bool = True) -> Self:
         """Return this plan with its proof; claims that are open when the deadline passes are undecided.
+
+        Args:
+            until: the deadline.
+            existence: whether a motion of the model near the plan is looked for, too, for at most a minute.
 
         Raises:
             LinkplanError: if the plan has no motion.
         """
-        return replace(self, proof=self._proved(until))
+        return replace(self, proof=self._proved(until, existence=existence))
 
-    def _proved(self, until: Deadline) -> Proof:
+    def _proved(self, until: Deadline, *, existence: bool = True) -> Proof:
         from linkplan.planner.proof.prove import prove
 
         trajectory = self.require_motion("prove")
         failures = (self.message,) if self.certificate is None else self.certificate.failures
-        return prove(self.problem, trajectory, failures, until, existence=until is NO_DEADLINE)
+        return prove(self.problem, trajectory, failures, until, existence=existence)
 
     @property
     def duration_s(self) -> float | None:

@@ -4,6 +4,8 @@ import math
 from dataclasses import asdict, dataclass
 
 ANSWERS = ("proved", "refuted", "undecided", "sampled")
+# Begins the names of the findings on a motion of the model near a plan.
+OWN_MOTION = "the model's own motion under the planned efforts"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

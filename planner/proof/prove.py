@@ -14,7 +14,12 @@ from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
 from linkplan.planner.proof.claim import Claim
 from linkplan.planner.proof.claims import claims_of, sampled_findings
 from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings
-from linkplan.planner.proof.existence import ATTEMPTS, EXISTENCE_SECONDS, EXISTENCE_SHARE, Neighbourhood, no_motion
+from linkplan.planner.proof.existence import (
+    EXISTENCE_SECONDS,
+    Neighbourhood,
+    first_tube,
+    no_motion,
+)
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.planner.proof.linear import NotSeparatedError
 from linkplan.planner.proof.motion import Piece, State
@@ -92,8 +97,7 @@ def prove(
         if existence and any(finding.answer == "refuted" for finding in found):
             found.append(no_motion("a limit is refuted"))
         else:
-            soon = until.within(max(EXISTENCE_SECONDS, EXISTENCE_SHARE * (of_claims - begun)))
-            found += _existence(problem, trajectory, soon, order, existence=existence)
+            found += _existence(problem, trajectory, until.within(EXISTENCE_SECONDS), order, existence=existence)
     finally:
         ctx.prec, ctx.cap = before
     findings = (*end_findings(problem, trajectory), *found, *sampled_findings(problem, failures))
@@ -118,20 +122,17 @@ def _existence(problem: Problem, trajectory: Trajectory, until: Deadline, order:
     """Return the findings on a motion of the model near a trajectory whose loops are proved to close."""
     if not existence:
         return [no_motion("`linkplan prove` looks for one")]
-    found = [no_motion("there is no time left")]
-    for attempt in ATTEMPTS:
-        if until.passed or all(finding.answer == "proved" for finding in found):
-            break
+    found, tube = [no_motion("there is no time left")], first_tube(trajectory)
+    while tube is not None and not until.passed and any(finding.answer != "proved" for finding in found):
         try:
-            blocks, near = blocks_of(problem.mechanism), Neighbourhood(problem.mechanism, trajectory, *attempt)
+            blocks, near = blocks_of(problem.mechanism), Neighbourhood(problem.mechanism, trajectory, tube)
         except UnknownOperationError as error:
             return [no_motion(f"the model has an operation that balls do not enclose ({error})")]
         shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until, "order": order}
         sweep = _Sweep(claims=[], near=near, **shared)
         sweep.run()
         found = near.findings() if near.failure or not sweep.closure.undecided else [no_motion("the branch is lost")]
-        if near.hopeless:
-            break
+        tube = near.next_tube
     return found
 
 

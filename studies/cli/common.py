@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
 
 
+# What a command says while a whole proof is made.
+PROVING = "proving the limits, then looking for the model's own motion for at most a minute"
+
+
 def output_folder(arguments: argparse.Namespace) -> Path | None:
     """Return the output folder; an unusable folder is refused before the work starts."""
     if arguments.output is None:

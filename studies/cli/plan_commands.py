@@ -11,7 +11,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.robustness import price_of, with_price
-from linkplan.studies.cli.common import engine_asked, output_folder, set_all
+from linkplan.studies.cli.common import PROVING, engine_asked, output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.cli.progress import Progress
@@ -65,10 +65,10 @@ def _proved(plan: Plan, asked: bool, seconds: float, say: Progress) -> Plan:
     if plan.trajectory is None or not plan.passed:
         return plan
     if asked:
-        say("proving")
+        say(PROVING)
         return plan.with_proof()
     until = NO_DEADLINE.within(max(_PROOF_SHARE * seconds, _PROOF_SECONDS))
-    proved = plan.with_proof(until)
+    proved = plan.with_proof(until, existence=False)
     if until.passed:
         say.keep("not proved: the proof takes long beside the plan; linkplan plan --prove and linkplan prove make it")
         return plan

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from linkplan.studies.cli.common import no_plan, plan_asked
+from linkplan.studies.cli.common import PROVING, no_plan, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -24,7 +24,7 @@ def run_prove(arguments: argparse.Namespace) -> int:
         plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
-    say("proving")
+    say(PROVING)
     proof = plan.prove()
     said = {"plan": plan.problem.name, "verdict": proof.verdict} | proof.record()
     show(arguments, said, [Text(text=plan.problem.name), *proof_blocks(proof)])

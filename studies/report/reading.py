@@ -13,6 +13,7 @@ from linkplan.planner.files.manifest import RECORDS
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan, unchecked
 from linkplan.planner.plan_record import read_plan_record
+from linkplan.planner.proof.finding import OWN_MOTION
 from linkplan.studies.batch.saved import read_batch_record
 from linkplan.studies.batch.study import RECORD as BATCH
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
@@ -54,8 +55,9 @@ def saved_plan(folder: Path) -> Plan:
         PlanFileError: if the folder is damaged, or its model has changed.
     """
     plan, note = read_plan(folder, anyway=True), unchecked(folder)
-    if read_plan_record(folder).proof is not None:
-        plan = plan.with_proof()  # a record is not trusted
+    proof = read_plan_record(folder).proof
+    if proof is not None:  # a record is not trusted
+        plan = plan.with_proof(existence=OWN_MOTION in str(proof.get("proved")))
     return plan if note is None else replace(plan, problem=replace(plan.problem, notes=(*plan.problem.notes, note)))
 
 

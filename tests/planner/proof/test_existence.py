@@ -8,7 +8,8 @@ from flint import arb
 from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.proof.existence import _Box, _contracted
+from linkplan.planner.proof.contraction import LinearBox, contracted
+from linkplan.planner.proof.existence import Tube
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.proof.taylor import TaylorForm
@@ -97,11 +98,32 @@ def test_every_box_adds_its_variation_to_the_contraction():
     def contraction(*variations: float) -> float:
         form = TaylorForm(coefficients=[arb(0)], remainder=arb(1e-6), whole=arb(0))
         boxes = [
-            _Box(width=arb(0.1), slopes=[[[0.0], [0.0]]], variation=[[arb(d), arb(d)]], defect=[form], jump=[arb(0)] * 2)
-            for d in variations
+            LinearBox(
+                end_s=0.1 * (k + 1),
+                tube=np.ones(2),
+                width=arb(0.1),
+                slopes=[[[0.0], [0.0]]],
+                variation=[[arb(d), arb(d)]],
+                defect=[form],
+                jump=[arb(0)] * 2,
+            )
+            for k, d in enumerate(variations)
         ]
-        return _contracted(boxes, 1).contraction
+        return contracted(boxes, 1)[1]
 
     assert contraction(0.0) < 1e-300
     assert contraction(0.01) == pytest.approx(0.01 * 0.11, rel=1e-12)
     assert contraction(0.01, 0.01) > 1.2 * max(contraction(0.01, 0.0), contraction(0.0, 0.01))
+
+
+@pytest.mark.parametrize("name", ["cart-pole-swing-up", "gripper-close"])
+def test_the_first_tube_s_bounds_make_a_second_one_in_which_a_motion_is_proved(name):
+    plan = optimal(name)
+    found = radii(plan, plan.trajectory)
+    assert len(found) == 2 * plan.problem.mechanism.dof
+    assert {finding.answer for finding in found} == {"proved"}
+
+
+def test_a_tube_is_as_wide_as_its_bounds_up_to_an_instant():
+    tube = Tube(until_s=np.array([0.5, 1.0]), radii=np.array([[1.0, 2.0], [3.0, 4.0]]))
+    assert [list(tube.at(t)) for t in (0.2, 0.5, 0.6, 1.0, 1.1)] == [[1, 2], [1, 2], [3, 4], [3, 4], [3, 4]]
