@@ -36,10 +36,11 @@ def run_check(arguments: argparse.Namespace) -> int:
     def draw(place: Path) -> None:
         from linkplan.models.selected_model import whole_model_text
         from linkplan.models.urdf import urdf_root
-        from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
+        from linkplan.studies.check.path_plots import MAX_COORDINATES_DRAWN, MAX_FIGURES, inspection_figure, path_figure
 
         inspection_figure(found, place / "mechanism.png")
-        for number, path in enumerate(whole.paths[:MAX_FIGURES], 1):
+        drawn = whole.paths[:MAX_FIGURES] if len(whole.paths) <= MAX_COORDINATES_DRAWN else ()
+        for number, path in enumerate(drawn, 1):
             path_figure(path, found.reaches, place / f"loop-{number}.png")
         if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
             written = "selected.xml" if mechanism.selection else "model.xml"
