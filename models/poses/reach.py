@@ -206,9 +206,7 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     return first if first is None else first[:3]
 
 
-def _pose_where(
-    mechanism: Mechanism, known: list[np.ndarray], trial: np.ndarray, coordinate: int, function
-) -> np.ndarray:
+def _pose_where(mechanism: Mechanism, known: list[np.ndarray], trial: np.ndarray, coordinate: int, function) -> np.ndarray:
     """Return the pose between two poses at which `function(pose)` changes sign, or the first pose if it does not.
 
     `known` has the first pose and receives those found: the way from the nearest one is short, and a pose is found once.

@@ -142,9 +142,7 @@ def _depth(drawing: Drawing, own: list[Solid], pins: np.ndarray) -> float:
         return float(np.mean(pins @ towards)) if pins.size else 0.0
     places, turns, _ = _at_home(drawing.mechanism)
     depths = [
-        np.mean((places[solid.body] + solid.points @ turns[solid.body].T) @ towards)
-        for solid in own
-        if solid.kind == "geom"
+        np.mean((places[solid.body] + solid.points @ turns[solid.body].T) @ towards) for solid in own if solid.kind == "geom"
     ]
     return float(f"{np.mean(depths) if depths else 0.0:.4g}")
 
