@@ -36,6 +36,7 @@ from linkplan.studies.new.changes import (
     overlapping_bodies,
     raised_limits,
     raised_notes,
+    with_exclusions,
 )
 from linkplan.studies.new.hanging import (
     at_gravity_equilibrium,
@@ -146,7 +147,7 @@ def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
     pairs = overlapping_bodies(() if plan.certificate is None else plan.certificate.contacts)
     if not pairs or plan.certificate is None:
         return found
-    tables = found.tables | {"mechanism": found.tables["mechanism"] | {"exclude_contacts": pairs}}
+    tables = found.tables | {"mechanism": with_exclusions(found.tables["mechanism"], pairs)}
     mechanism = mechanism_from_tables(tables)
     left = tuple(meeting for meeting in plan.certificate.contacts if list(meeting.bodies) not in pairs)
     plan = replace(
