@@ -123,7 +123,8 @@ def test_links_that_overlap_at_home_pass_through_each_other_but_not_through_the_
         '<actuator><motor name="drive" joint="one"/></actuator></mujoco>'
     )
     bodies = {
-        name: f'<body name="{name}" pos="{x} 0 0"><joint name="{name}" axis="0 1 0"/><geom size="0.1" pos="0 0 0.09"/></body>'
+        name: f'<body name="{name}" pos="{x} 0 0"><joint name="{name}" axis="0 1 0"/>'
+        '<geom size="0.1" pos="0 0 0.09"/></body>'
         for name, x in (("one", 0.0), ("other", 0.15))
     }
     text = overlapping.format(**bodies)
