@@ -16,9 +16,6 @@ from linkplan.models.tree.joints import Joint
 # A centre of mass no farther from its body's line of spin, as a share of the mechanism's size, moves other bodies little: a
 # millimetre on a leg. Exported rods are half a millimetre off.
 _OFFSET_SHARE = 1e-3
-# Farther off, rods that carry this share of the mechanism's mass times its size still move it as little: a bent rod of 10 g
-# in a leg of 10 kg. Its weight and its inertia are a hundred times below what else is neglected.
-_MOMENT_SHARE = 1e-5
 
 
 def find_passive_dofs(
@@ -76,7 +73,9 @@ def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: 
         mujoco.mj_jacBodyCom(model, data, linear, angular, body)
         speeds[body], turns[body] = np.linalg.norm(linear @ qvel), np.linalg.norm(angular @ qvel)
     moment, whole = speeds @ model.body_mass, model.body_mass[model.body_weldid > 0].sum()
-    if speeds.max() > _OFFSET_SHARE * extent_m * turns.max() and moment > _MOMENT_SHARE * whole * extent_m * turns.max():
+    # Farther off, a light rod still moves the others little: a bent rod of 10 g in a leg of 10 kg.
+    least = _OFFSET_SHARE * extent_m * turns.max()
+    if speeds.max() > least and moment > 0.01 * whole * least:
         return []
     return np.flatnonzero(turns > ROUNDING_SHARE * turns.max()).tolist()
 
