@@ -54,11 +54,16 @@ def run_check(arguments: argparse.Namespace) -> int:
 def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
     """Return the commands to go on with."""
     subject = shlex.join([arguments.model, *_selection_options(arguments)])
+    from linkplan.studies.check.drives import joints_to_drive
+
     if floating_joints(whole.found.mechanism.model):
         further = (
             f"linkplan new {subject} -o problem.toml writes a first motion on the fixed base; --keep NAMES --fix-base takes"
             " one chain with its loops out of the robot"
         )
+    elif whole.found.mechanism.n_u == 0:
+        drive = ",".join(joints_to_drive(whole.found.mechanism))
+        further = f"linkplan new {subject} --drive {shlex.quote(drive)} -o problem.toml puts motors on these joints"
     elif arguments.model.endswith(".toml") or arguments.model in PROBLEMS:
         further = f"linkplan plan {subject} -o planned"
     else:
@@ -69,6 +74,7 @@ def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
 def _selection_options(arguments: argparse.Namespace) -> list[str]:
     """Return the options that select a part of the model, to be given again."""
     keep = [] if arguments.keep is None else ["--keep", arguments.keep]
+    keep += [] if arguments.drive is None else ["--drive", arguments.drive]
     base = ["--fix-base"] if arguments.fix_base else []
     locks = [word for lock in arguments.lock for word in ("--lock", lock)]
     return [*keep, *base, *locks, *([] if arguments.keyframe is None else ["--keyframe", arguments.keyframe])]

@@ -30,6 +30,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.rungs import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
+from linkplan.studies.check.drives import motors_hint
 from linkplan.studies.new.changes import (
     changed_mechanism,
     overlap_sentence,
@@ -239,8 +240,8 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
         unusable = "".join(f"; {item.text}" for item in audit(mechanism.model))
         joints = ", ".join(j.name for j in mechanism.joints)
         raise ProblemError(
-            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; add for example {line} to its"
-            f" model, with the effort that the drive has; joints are {joints}{unusable}"
+            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
+            f" or add for example {line} to its model, with the effort that the drive has; joints are {joints}{unusable}"
         )
     if not len(driven_columns(mechanism)):
         raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")
