@@ -240,6 +240,7 @@ def load_mechanism(
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
     exclude_contacts: Sequence[Sequence[str]] = (),
+    drive: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -254,12 +255,12 @@ def load_mechanism(
             1e-6 m, or 1e-5 of a small mechanism's extent.
         friction_transition: the transition speed of dry friction [rad/s on a hinge; extents per second on a slide or
             tendon]; by default two degrees per second.
-        keep: names of bodies or joints: of a larger robot, only these bodies are read, with what hangs on them, the chains
-            that close loops over them, and the bodies between them and the world.
+        keep: names of bodies or joints of a larger robot, of which only these bodies are read, with their loops.
         fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
         lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
+        drive: names of joints that get a motor, within the effort limit that the joint has.
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
@@ -274,6 +275,7 @@ def load_mechanism(
         lock={} if lock is None else dict(lock),
         keyframe=keyframe,
         exclude_contacts=tuple((first, second) for first, second in exclude_contacts),
+        drive=tuple(drive or ()),
     )
     name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)

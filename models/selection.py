@@ -13,6 +13,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
+from linkplan.models.urdf_loops import add_motors
 from linkplan.models.users import delete_users, leave_the_ground
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
@@ -36,7 +37,8 @@ class Selection:
     the world and the kept bodies are locked, and so is a base that no actuator moves. `lock`: positions by name of joints
     that are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home
     pose and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of
-    names of bodies whose geoms pass through each other.
+    names of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit
+    of the joint.
     """
 
     keep: tuple[str, ...] = ()
@@ -44,6 +46,7 @@ class Selection:
     lock: Mapping[str, float] = field(default_factory=dict)
     keyframe: str | None = None
     exclude_contacts: tuple[tuple[str, str], ...] = ()
+    drive: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return bool(self.table())
@@ -51,7 +54,7 @@ class Selection:
     def table(self) -> dict[str, object]:
         """Return what is selected as keys of the [mechanism] table."""
         asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
-        asked["exclude_contacts"] = [list(pair) for pair in self.exclude_contacts]
+        asked |= {"exclude_contacts": [list(pair) for pair in self.exclude_contacts], "drive": list(self.drive)}
         return {key: value for key, value in asked.items() if value}
 
 
@@ -86,6 +89,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         *(leave_the_ground(spec) if floating else ()),
     ]
     notes += _exclude(spec, asked.exclude_contacts)
+    add_motors(spec, asked.drive)
+    notes += [f"motors added (mechanism.drive): {', '.join(asked.drive)}"] if asked.drive else []
     for key in list(spec.keys):
         spec.delete(key)
     small = spec.compile()

@@ -43,7 +43,8 @@ def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
     if driven:
         return notes
     notes.append(
-        "the URDF names no actuators: add <transmission> elements, a YAML file beside it, or an MJCF file that attaches it,"
+        "the URDF names no actuators: name their joints (mechanism.drive), or add <transmission> elements, a YAML"
+        " file beside it, or an MJCF file that attaches it,"
         ' with <asset><model name="NAME" file="FILE.urdf"/></asset> and <frame><attach model="NAME" prefix="P_"/></frame>'
     )
     return notes

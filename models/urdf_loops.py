@@ -49,7 +49,7 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
     sources = {_BESIDE: named.name_mot, "transmissions of the URDF": list(transmitted), _CUT: cut.independent}
     where, motors = next(((where, motors) for where, motors in sources.items() if motors), ("", []))
-    _drive(spec, root, motors)
+    add_motors(spec, motors)
     if motors:
         notes.append(f"motors from {where}: {', '.join(motors)}")
     return tuple(notes)
@@ -222,13 +222,17 @@ def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
             )
 
 
-def _drive(spec: mujoco.MjSpec, root: ET.Element, motors: Sequence[str]) -> None:
-    """Add a motor on each joint, within the effort limit that the URDF gives it."""
-    for name in motors:
+def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    """Add a motor on each of the named joints, within the effort limit that the joint has.
+
+    Raises:
+        ModelError: for a name that is no joint's, or a joint that has no motor's axis.
+    """
+    for name in names:
         joint = _joint(spec, name)
-        limit = root.find(f"joint[@name='{name}']/limit")
-        effort = float(limit.get("effort", "0")) if limit is not None else 0.0
+        if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            raise ModelError(f"joint '{name}' is no hinge and no slide, so that a motor has no axis there")
         motor = spec.add_actuator(name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
-        if effort > 0:
-            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, (-effort, effort)
+        if joint.actfrcrange[1] > 0:
+            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, joint.actfrcrange

@@ -72,7 +72,10 @@ def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: 
     for body in np.flatnonzero(model.body_mass > 0):
         mujoco.mj_jacBodyCom(model, data, linear, angular, body)
         speeds[body], turns[body] = np.linalg.norm(linear @ qvel), np.linalg.norm(angular @ qvel)
-    if speeds.max() > _OFFSET_SHARE * extent_m * turns.max():
+    moment, whole = speeds @ model.body_mass, model.body_mass[model.body_weldid > 0].sum()
+    # Farther off, a light rod still moves the others little: a bent rod of 10 g in a leg of 10 kg.
+    least = _OFFSET_SHARE * extent_m * turns.max()
+    if speeds.max() > least and moment > 0.01 * whole * least:
         return []
     return np.flatnonzero(turns > ROUNDING_SHARE * turns.max()).tolist()
 

@@ -83,12 +83,14 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
     model, rounding = mechanism.model, FILE_ROUNDING_SHARE * mechanism.extent_m
     if not may_collide(model):
         return ()
-    sample = _pose_sampler(mechanism, model)
-    found: dict[Pair, list[tuple[int, float]]] = {}
-    for k, one in enumerate(sample(poses)):
-        for pair, (clearance, _) in one.clearance.items():
-            if clearance < -rounding:
-                found.setdefault(pair, []).append((k, -clearance))
+    data, found = mujoco.MjData(model), {}
+    for k, qpos in enumerate(mechanism.qpos_of(poses)):
+        depths: dict[Pair, float] = {}
+        for pair, distance, _ in _detected(model, data, qpos):
+            depths[pair] = max(depths.get(pair, rounding), -distance)
+        for pair, depth in depths.items():
+            if depth > rounding:
+                found.setdefault(pair, []).append((k, depth))
     return tuple(
         ContactPair(
             first=geom_name(model, a),
@@ -214,19 +216,11 @@ def _pose_sampler(
 
     def look(qpos: np.ndarray) -> _PoseSample:
         deadline.require_time()
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
         clearance: dict[Pair, tuple[float, float]] = {}
-        contact = data.contact
-        for geoms, distance, place in zip(contact.geom, contact.dist - contact.includemargin, contact.pos, strict=True):
-            if min(geoms) < 0:  # a flex, which `audit` reports
-                continue
-            pair = (int(min(geoms)), int(max(geoms)))
+        for pair, distance, place in _detected(model, data, qpos):
             anywhere, away = clearance.get(pair, (np.inf, np.inf))
-            away = away if on_a_pin(pair, place) else min(away, float(distance))
-            clearance[pair] = (min(anywhere, float(distance)), away)
+            away = away if on_a_pin(pair, place) else min(away, distance)
+            clearance[pair] = (min(anywhere, distance), away)
         return _PoseSample(
             clearance=clearance, centres=data.geom_xpos.copy(), frames=data.geom_xmat.reshape(-1, 3, 3).copy()
         )
@@ -235,6 +229,19 @@ def _pose_sampler(
         return map(look, mechanism.qpos_of(poses))  # one call for all poses: it takes longer than the collisions
 
     return sample
+
+
+def _detected(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> Iterator[tuple[Pair, float, np.ndarray]]:
+    """Yield each point of contact at a pose: the pair of geoms, their distance [m], its place (3,)."""
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    contact = data.contact
+    pairs, distances = np.sort(contact.geom, axis=1).tolist(), (contact.dist - contact.includemargin).tolist()
+    for (first, second), distance, place in zip(pairs, distances, contact.pos, strict=True):
+        if first >= 0:  # not a flex, which `audit` reports
+            yield (first, second), distance, place
 
 
 def _bounding_radii(mechanism: Mechanism) -> np.ndarray:

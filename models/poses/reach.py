@@ -199,24 +199,30 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
             # A joint that does not move with the coordinate, or returns into its range, is no stop.
             if not outside > RANGE_ROUNDING or not outward > ROUNDING_SHARE * step_sizes(mechanism)[i]:
                 continue
-            pose = _pose_where(mechanism, q, trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
+            pose = _pose_where(mechanism, [q], trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
             distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
             if first is None or distance < first[3]:
                 first = (pose, joint, int(i), distance)
     return first if first is None else first[:3]
 
 
-def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int, function) -> np.ndarray:
-    """Return the pose between two poses at which `function(pose)` changes sign, or the first pose if it does not."""
-    index = mechanism.independent[coordinate]
+def _pose_where(mechanism: Mechanism, known: list[np.ndarray], trial: np.ndarray, coordinate: int, function) -> np.ndarray:
+    """Return the pose between two poses at which `function(pose)` changes sign, or the first pose if it does not.
+
+    `known` has the first pose and receives those found: the way from the nearest one is short, and a pose is found once.
+    """
+    index, q = mechanism.independent[coordinate], known[0]
 
     def pose_at(x: float) -> np.ndarray:
-        return _at(mechanism, q, coordinate, x)
+        nearest = min(known, key=lambda pose: abs(pose[index] - x))
+        if nearest[index] != x:
+            known.append(nearest := _at(mechanism, nearest, coordinate, x))
+        return nearest
 
     a, b = float(q[index]), float(trial[index])
-    if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:
+    if function(q) * function(trial) >= 0 or function(q) * function(pose_at(b)) >= 0:
         return np.array(q)
-    return pose_at(sign_change(lambda x: function(pose_at(x)), a, b, xtol=1e-14))
+    return pose_at(sign_change(lambda x: function(pose_at(x)), a, b, xtol=1e-11))
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
@@ -257,7 +263,7 @@ def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[
     def rate(pose: np.ndarray, joint: int) -> float:
         return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])
 
-    found = []
+    found, between = [], {}  # poses found after each sample
     rates = sampled(mechanism.dynamics.velocity_map, poses)[:, :, coordinate]
     rates[np.abs(rates) < ROUNDING_SHARE] = 0.0
     for joint in mechanism.dependent:
@@ -268,6 +274,7 @@ def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[
             if after > before + 1:
                 found.append((int(joint), float(poses[(before + after) // 2, index])))
                 continue
-            pose = _pose_where(mechanism, poses[before], poses[after], coordinate, lambda p, j=int(joint): rate(p, j))
+            known = between.setdefault(int(before), [poses[before]])
+            pose = _pose_where(mechanism, known, poses[after], coordinate, lambda p, j=int(joint): rate(p, j))
             found.append((int(joint), float(pose[index])))
     return tuple(sorted(found, key=lambda item: item[1]))

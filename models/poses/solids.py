@@ -1,5 +1,6 @@
 """The solid shapes of a mechanism's bodies, each convex and in its body's frame: visible geoms, payload, arms to sites."""
 
+import functools
 from dataclasses import dataclass
 
 import mujoco
@@ -39,6 +40,7 @@ def visible_geoms(model: mujoco.MjModel) -> np.ndarray:
     return (matte > 0) & (model.geom_group < 3)
 
 
+@functools.lru_cache(maxsize=8)
 def solids(mechanism: Mechanism) -> tuple[Solid, ...]:
     """Return the shapes of a mechanism: its geoms, its payload, and arms to the sites of bodies without geoms."""
     found = geom_solids(mechanism)

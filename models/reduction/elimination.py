@@ -69,13 +69,13 @@ def block_rows(A: ca.SX) -> list[list[int]]:
     return [rows[block] for block in blocks]
 
 
-def determinant(A: ca.SX) -> ca.SX:
-    """Return det A with its sign."""
+def determinant(A: ca.SX, determinants: ca.SX | None = None) -> ca.SX:
+    """Return det A with its sign, from its `block_determinants` if they are known."""
     if A.shape[0] == 0:
         return ca.SX(1)
     rows, columns, _ = _blocks(ca.sparsify(A))
     product = ca.SX(_parity(rows) * _parity(columns))
-    for det in ca.vertsplit(block_determinants(A)):
+    for det in ca.vertsplit(block_determinants(A) if determinants is None else determinants):
         product *= det
     return product
 
@@ -90,8 +90,11 @@ def _block_solver(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
     if A.shape[0] <= _MAX_CRAMER_SIZE:
         adjugate, det = _adjugate(A), _minor(A)
         return lambda b: (adjugate @ b) / det
-    Q, R = ca.qr(A)
-    return lambda b: ca.solve(R, Q.T @ b)
+    # Columns with few entries come first, so that Q and R of loops that share few joints stay sparse.
+    order = sorted(range(A.shape[0]), key=lambda column: A[:, column].nnz())
+    Q, R = ca.qr(A[:, order])
+    place = [order.index(column) for column in range(len(order))]
+    return lambda b: ca.solve(R, Q.T @ b)[place, :]
 
 
 def _adjugate(A: ca.SX) -> ca.SX:
@@ -105,21 +108,39 @@ def _adjugate(A: ca.SX) -> ca.SX:
 
 
 def _minor(A: ca.SX) -> ca.SX:
-    """Return det A by expansion along rows. Each minor of the rows below is computed once."""
-    n, sparsity, known = A.shape[0], A.sparsity(), {}
+    """Return det A by expansion along rows, in an order that touches new columns late. Each minor is computed once.
 
-    def below(row: int, columns: tuple[int, ...]) -> ca.SX:
-        if row == n:
-            return ca.SX(1)
+    The minors of the last rows are as many as the ways to use the columns that both these and earlier rows touch.
+    """
+    entries = [set() for _ in range(A.shape[0])]
+    for row, column in zip(*A.sparsity().get_triplet(), strict=True):
+        entries[row].add(column)
+    order = _row_order(entries)
+    touched_below = [set().union(*(entries[row] for row in order[place:])) for place in range(len(order) + 1)]
+    known: dict[tuple[int, ...], ca.SX] = {(): ca.SX(1)}
+
+    def below(columns: tuple[int, ...]) -> ca.SX:
         if columns not in known:
-            total = ca.SX(0)
-            for k, column in enumerate(columns):
-                if sparsity.has_nz(row, column):
-                    total += (-1) ** k * A[row, column] * below(row + 1, columns[:k] + columns[k + 1 :])
+            row, total = order[-len(columns)], ca.SX(0)
+            if touched_below[-len(columns) - 1].issuperset(columns):  # a column without entries leaves zero
+                for k, column in enumerate(columns):
+                    if column in entries[row]:
+                        total += (-1) ** k * A[row, column] * below(columns[:k] + columns[k + 1 :])
             known[columns] = total
         return known[columns]
 
-    return below(0, tuple(range(n)))
+    return _parity(order) * below(tuple(range(len(order))))
+
+
+def _row_order(entries: list[set[int]]) -> list[int]:
+    """Return an order of rows in which each touches the fewest new columns; of equals, the first."""
+    left, touched, order = list(range(len(entries))), set(), []
+    while left:
+        row = min(left, key=lambda row: len(entries[row] - touched))
+        left.remove(row)
+        order.append(row)
+        touched |= entries[row]
+    return order
 
 
 def _parity(order: list[int]) -> int:

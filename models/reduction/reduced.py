@@ -270,7 +270,7 @@ def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoop
     dets = block_determinants(loops.J_z)
     oriented = dets * ca.substitute(dets, q, before)
     if not projected:
-        return determinant(loops.J_z), dets, ca.Function("orientation", [before, q], [ca.densify(oriented)])
+        return determinant(loops.J_z, dets), dets, ca.Function("orientation", [before, q], [ca.densify(oriented)])
     own, signed = ca.vertsplit(dets), ca.vertsplit(oriented)
     J_z = loops.jacobian[:, loops.dependent]
     for block, rows in enumerate(block_rows(loops.J_z)):

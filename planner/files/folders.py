@@ -277,7 +277,8 @@ def plain(value: object) -> object:
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        known = value.dtype.kind == "f" and bool(np.isfinite(value).all())
+        return value.tolist() if known else plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if isinstance(value, np.bool_ | bool):
@@ -295,5 +296,16 @@ def plain_record(record: Mapping) -> dict:
 
 
 def write_json(path: Path, record: Mapping) -> None:
-    """Write a record as indented JSON."""
-    path.write_text(json.dumps(plain_record(record), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    """Write a record as JSON with a line for each key; a list of numbers stands in one line."""
+    path.write_text(_lines(plain_record(record), "\n") + "\n", encoding="utf-8")
+
+
+def _lines(value: object, line: str) -> str:
+    """Return a plain value as indented JSON; `line` begins a line at its depth."""
+    inner = f"{line}  "
+    if isinstance(value, dict) and value:
+        items = [f"{json.dumps(key)}: {_lines(item, inner)}" for key, item in value.items()]
+        return f"{{{inner}{f',{inner}'.join(items)}{line}}}"
+    if isinstance(value, list) and any(isinstance(item, dict) for item in value):
+        return f"[{inner}{f',{inner}'.join(_lines(item, inner) for item in value)}{line}]"
+    return json.dumps(value, allow_nan=False)  # the encoder in C, twenty times as fast as an indented one

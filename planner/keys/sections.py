@@ -105,6 +105,14 @@ class MechanismSection(Section, frozen=True):
             example="[]",
         ),
     ] = []
+    drive: Annotated[
+        kinds.Names,
+        key(
+            "joints that get a motor, within their effort limits",
+            default="none: the model's actuators",
+            example="[{independent}]",
+        ),
+    ] = ABSENT
     closure_tolerance_m: Annotated[
         kinds.Positive,
         key("the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", "1e-6"),

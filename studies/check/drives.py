@@ -1,5 +1,7 @@
 """The findings of `linkplan check` on drives: actuators that act in one direction only, or are much weaker than others."""
 
+import json
+
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
@@ -13,6 +15,33 @@ from linkplan.studies.check.check_report import effort_unit
 
 # A joint is at the end of its range within this distance [rad or m], the accuracy of assembly.
 RANGE_END_TOLERANCE = 1e-8
+
+
+def joints_to_drive(mechanism: Mechanism) -> list[str]:
+    """Return the names of joints on which motors would fix the pose, as many as there are degrees of freedom.
+
+    The joints nearest to the ground whose positions fix the pose come first: drives are usually there.
+    """
+    model = mechanism.model
+    rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home)), []
+    named = {model.joint(k).name: int(model.jnt_bodyid[k]) for k in range(model.njnt)}
+    depth = {name: _depth(model.body_parentid, body) for name, body in named.items()}
+    joints = [k for k, joint in enumerate(mechanism.joints) if joint.name in depth and joint.chart is None]
+    for k in sorted(joints, key=lambda k: depth[mechanism.joints[k].name]):
+        values = np.linalg.svd(rates[[*chosen, k]], compute_uv=False)
+        if values[-1] > 1e-3 * values[0]:
+            chosen.append(k)
+    return [mechanism.joints[k].name for k in chosen[: mechanism.dof]]
+
+
+def motors_hint(mechanism: Mechanism) -> str:
+    """Return a phrase on how a mechanism without actuators gets motors."""
+    names = json.dumps(joints_to_drive(mechanism))
+    return f"mechanism.drive = {names} puts motors on joints that fix its pose, within their effort limits"
+
+
+def _depth(parents: np.ndarray, body: int) -> int:
+    return 0 if body == 0 else 1 + _depth(parents, int(parents[body]))
 
 
 def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:

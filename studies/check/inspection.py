@@ -21,6 +21,7 @@ from linkplan.studies.check.drives import (
     RANGE_END_TOLERANCE,
     feeble_drives,
     floating_columns,
+    motors_hint,
     pressed_stops,
     pushed_one_way,
     undriven,
@@ -206,7 +207,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     notes += [] if soft is None else [soft]
     problems += massless_findings(mechanism)
     if mechanism.n_u == 0:
-        problems.append("the model has no actuator that a plan can use")
+        problems.append(f"the model has no actuator that a plan can use: {motors_hint(mechanism)}")
     named = [name for k in range(mechanism.model.nkey) if (name := mechanism.model.key(k).name)]
     if named and "home" not in named and not mechanism.source.keys() & {"home_deg", "home_m"}:
         notes.append(

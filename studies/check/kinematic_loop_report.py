@@ -116,17 +116,18 @@ def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[Kinem
             continue  # a rod that spins about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
-        poses = thinned(swept(mechanism, can), mechanism.dof)
+        poses = thinned(swept(mechanism, can), mechanism)
         found.append(measure(mechanism, poses, f"the reach of {name}{others}", coordinate=column))
     return tuple(found)
 
 
-def thinned(poses: np.ndarray, dof: int) -> np.ndarray:
-    """Return the poses of one of `dof` paths, thinned so that a matrix has at most two million numbers in all.
+def thinned(poses: np.ndarray, mechanism: Mechanism) -> np.ndarray:
+    """Return the poses of one coordinate's path, thinned so that the record of all paths has about a million numbers.
 
-    Such a record has about fifty megabytes in JSON. The limit matters for more than 17 coordinates. Three poses remain.
+    Such a record has about ten megabytes in JSON. The limit matters for more than seven coordinates; 25 poses remain.
     """
-    most = max(3, 2_000_000 // dof**3)
+    n_s = mechanism.dof
+    most = max(25, 1_000_000 // (n_s**2 * (mechanism.n_q + n_s + mechanism.n_u)))
     return poses if len(poses) <= most else poses[np.linspace(0, len(poses) - 1, most).round().astype(int)]
 
 

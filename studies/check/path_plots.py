@@ -20,7 +20,8 @@ from linkplan.studies.output.lines import TIME, Line, plots
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
+# With more coordinates, the paths of a page are folded, the plots of a path show its own coordinate only, and there is
+# one figure, of the first coordinates.
 MAX_COORDINATES_DRAWN = 6
 # The coordinates that have figures of their own; the page has all.
 MAX_FIGURES = 3
@@ -47,7 +48,7 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
 
     The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each of them also has a
-    figure loop-N.png.
+    figure loop-N.png if there are few.
     """
     from linkplan.studies.output.figure import figure_of, one_screen
 

@@ -36,10 +36,11 @@ def run_check(arguments: argparse.Namespace) -> int:
     def draw(place: Path) -> None:
         from linkplan.models.selected_model import whole_model_text
         from linkplan.models.urdf import urdf_root
-        from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
+        from linkplan.studies.check.path_plots import MAX_COORDINATES_DRAWN, MAX_FIGURES, inspection_figure, path_figure
 
         inspection_figure(found, place / "mechanism.png")
-        for number, path in enumerate(whole.paths[:MAX_FIGURES], 1):
+        drawn = whole.paths[:MAX_FIGURES] if len(whole.paths) <= MAX_COORDINATES_DRAWN else ()
+        for number, path in enumerate(drawn, 1):
             path_figure(path, found.reaches, place / f"loop-{number}.png")
         if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
             written = "selected.xml" if mechanism.selection else "model.xml"
@@ -53,11 +54,16 @@ def run_check(arguments: argparse.Namespace) -> int:
 def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
     """Return the commands to go on with."""
     subject = shlex.join([arguments.model, *_selection_options(arguments)])
+    from linkplan.studies.check.drives import joints_to_drive
+
     if floating_joints(whole.found.mechanism.model):
         further = (
             f"linkplan new {subject} -o problem.toml writes a first motion on the fixed base; --keep NAMES --fix-base takes"
             " one chain with its loops out of the robot"
         )
+    elif whole.found.mechanism.n_u == 0:
+        drive = ",".join(joints_to_drive(whole.found.mechanism))
+        further = f"linkplan new {subject} --drive {shlex.quote(drive)} -o problem.toml puts motors on these joints"
     elif arguments.model.endswith(".toml") or arguments.model in PROBLEMS:
         further = f"linkplan plan {subject} -o planned"
     else:
@@ -68,6 +74,7 @@ def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
 def _selection_options(arguments: argparse.Namespace) -> list[str]:
     """Return the options that select a part of the model, to be given again."""
     keep = [] if arguments.keep is None else ["--keep", arguments.keep]
+    keep += [] if arguments.drive is None else ["--drive", arguments.drive]
     base = ["--fix-base"] if arguments.fix_base else []
     locks = [word for lock in arguments.lock for word in ("--lock", lock)]
     return [*keep, *base, *locks, *([] if arguments.keyframe is None else ["--keyframe", arguments.keyframe])]

@@ -231,6 +231,8 @@ def _selection(parser: argparse.ArgumentParser) -> None:
     text = "lock a joint at an angle [deg], or a slide at a position [m]; may be given again"
     parser.add_argument("--lock", action="append", default=[], metavar="JOINT=VALUE", help=text)
     parser.add_argument("--keyframe", metavar="NAME", help='the keyframe of the home pose (default: "home")')
+    text = "joints that get a motor within their effort limits (commas between names), where the model has no actuators"
+    parser.add_argument("--drive", metavar="NAMES", help=text)
 
 
 def _transfer(parser: argparse.ArgumentParser) -> None:

@@ -149,8 +149,8 @@ def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dic
 
 
 def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
-    """Return the keys of the [mechanism] table that --keep, --fix-base, --lock and --keyframe set."""
-    table: dict[str, object] = {"keep": _names(arguments.keep), "fix_base": arguments.fix_base}
+    """Return the keys of the [mechanism] table that --keep, --fix-base, --lock, --keyframe and --drive set."""
+    table: dict[str, object] = {key: _names(key, getattr(arguments, key)) for key in ("keep", "drive")}
     locks = {}
     for text in arguments.lock:
         name, _, value = text.rpartition("=")
@@ -158,15 +158,16 @@ def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
             locks[name.strip()] = float(value)
         except ValueError:
             raise ProblemError(f"--lock takes JOINT=VALUE, in degrees or metres, got '{text}'") from None
-    table |= {"lock": locks, "keyframe": arguments.keyframe}
+    table |= {"lock": locks, "keyframe": arguments.keyframe, "fix_base": arguments.fix_base}
     return {key: value for key, value in table.items() if value}
 
 
-def _names(text: str | None) -> list[str]:
-    """Return the names of --keep, with commas between them."""
+def _names(key: str, text: str | None) -> list[str]:
+    """Return the names of --keep or --drive, with commas between them."""
     names = [name.strip() for name in (text or "").split(",")]
     if text is not None and not all(names):
-        raise ProblemError(f"--keep takes names of bodies or joints with commas between them, got '{text}'")
+        of = "joints" if key == "drive" else "bodies or joints"
+        raise ProblemError(f"--{key} takes names of {of} with commas between them, got '{text}'")
     return [] if text is None else names
 
 

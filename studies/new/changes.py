@@ -14,7 +14,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, UnassembledError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.contacts import Meeting
+from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables
@@ -59,7 +59,16 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             "rods spin while all other joints rest, which nothing drives and which moves nothing else: a hinge of each is"
             f" locked (mechanism.lock: {said})"
         )
+    if mechanism.dof and (pairs := _overlapping_at_home(mechanism)):
+        mechanism = _assembled(with_exclusions(table, pairs))
+        notes.append(overlap_sentence(pairs))
     return mechanism, tuple(notes)
+
+
+def with_exclusions(table: Mapping[str, object], pairs: Sequence[list[str]]) -> dict[str, object]:
+    """Return a [mechanism] table that also excludes the contacts of pairs of bodies."""
+    given = table.get("exclude_contacts")
+    return {**table, "exclude_contacts": [*(given if isinstance(given, list) else []), *pairs]}
 
 
 def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
@@ -107,6 +116,12 @@ def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
         "links overlap at home, or on a pin that they share, and would push each other off in simulation: the contacts of"
         f" {', '.join(f'{first} and {second}' for first, second in pairs)} are excluded (mechanism.exclude_contacts)"
     )
+
+
+def _overlapping_at_home(mechanism: Mechanism) -> list[list[str]]:
+    """Return the pairs of bodies that overlap at home, where a motion may begin; contacts with the world are kept."""
+    pairs = dict.fromkeys(pair.bodies for pair in contact_pairs(mechanism, mechanism.home[None]))
+    return [list(pair) for pair in pairs if "world" not in pair]
 
 
 def _pressed(mechanism: Mechanism) -> dict[str, float]:

@@ -30,12 +30,14 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.rungs import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
+from linkplan.studies.check.drives import motors_hint
 from linkplan.studies.new.changes import (
     changed_mechanism,
     overlap_sentence,
     overlapping_bodies,
     raised_limits,
     raised_notes,
+    with_exclusions,
 )
 from linkplan.studies.new.hanging import (
     at_gravity_equilibrium,
@@ -146,7 +148,7 @@ def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
     pairs = overlapping_bodies(() if plan.certificate is None else plan.certificate.contacts)
     if not pairs or plan.certificate is None:
         return found
-    tables = found.tables | {"mechanism": found.tables["mechanism"] | {"exclude_contacts": pairs}}
+    tables = found.tables | {"mechanism": with_exclusions(found.tables["mechanism"], pairs)}
     mechanism = mechanism_from_tables(tables)
     left = tuple(meeting for meeting in plan.certificate.contacts if list(meeting.bodies) not in pairs)
     plan = replace(
@@ -238,8 +240,8 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
         unusable = "".join(f"; {item.text}" for item in audit(mechanism.model))
         joints = ", ".join(j.name for j in mechanism.joints)
         raise ProblemError(
-            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; add for example {line} to its"
-            f" model, with the effort that the drive has; joints are {joints}{unusable}"
+            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
+            f" or add for example {line} to its model, with the effort that the drive has; joints are {joints}{unusable}"
         )
     if not len(driven_columns(mechanism)):
         raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")

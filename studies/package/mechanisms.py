@@ -38,6 +38,7 @@ def load_mechanism(
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
     exclude_contacts: Sequence[Sequence[str]] = (),
+    drive: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
@@ -61,6 +62,7 @@ def load_mechanism(
         lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
+        drive: names of joints that get a motor, within the effort limit that the joint has; a URDF often names none.
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -78,6 +80,7 @@ def load_mechanism(
         "lock": lock,
         "keyframe": keyframe,
         "exclude_contacts": exclude_contacts or None,
+        "drive": drive,
     }
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": plain(table)})

@@ -1,5 +1,6 @@
 """The bodies of an animation: pins, solid shapes and sites, flat in the mechanism's plane or in space."""
 
+import functools
 from dataclasses import dataclass
 
 import mujoco
@@ -103,17 +104,30 @@ def _shape(drawing: Drawing, solid: Solid) -> Shape:
     points = _flattened(drawing, solid.body, solid.points)
     if drawing.flat:
         return Shape(points=rounded(outline(points).reshape(1, -1))[0], radius=solid.radius, look=solid.kind)
-    return Shape(points=rounded(points.reshape(1, -1))[0], radius=solid.radius, faces=faces(points), look=solid.kind)
+    return Shape(points=rounded(points.reshape(1, -1))[0], radius=solid.radius, faces=_faces(solid), look=solid.kind)
+
+
+@functools.lru_cache(maxsize=1024)
+def _faces(solid: Solid) -> list[list[int]]:
+    """Return the faces of a solid, which every animation of a page draws."""
+    return faces(solid.points)
+
+
+@functools.lru_cache(maxsize=8)
+def _at_home(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the bodies' places (n_body, 3) and rotations (n_body, 3, 3) at home, and the pins' places (n, 3)."""
+    places, turns = body_frames(mechanism, mechanism.home[None])
+    anchors = [stick.places[0] for stick in sticks(mechanism, mechanism.home[None])]
+    return places[0], turns[0], np.vstack(anchors or [np.zeros((0, 3))])
 
 
 def _sites(drawing: Drawing, root: int) -> list[tuple[str, Numbers]]:
     """Return the sites of a body that are apart from its pins."""
     mechanism = drawing.mechanism
-    places, turns = body_frames(mechanism, mechanism.home[None])
-    anchors = np.vstack([stick.places[0] for stick in sticks(mechanism, mechanism.home[None])] or [np.zeros((0, 3))])
+    places, turns, anchors = _at_home(mechanism)
     found = []
     for site in visible_sites(mechanism):
-        place = places[0, site.body] + turns[0, site.body] @ site.point
+        place = places[site.body] + turns[site.body] @ site.point
         if site.body == root and np.linalg.norm(anchors - place, axis=1).min(initial=np.inf) > 1e-4 * mechanism.extent_m:
             found.append((site.name, rounded(_flattened(drawing, root, site.point[None]))[0]))
     return found
@@ -126,11 +140,9 @@ def _depth(drawing: Drawing, own: list[Solid], pins: np.ndarray) -> float:
     towards = np.cross(*drawing.frame)
     if not own:
         return float(np.mean(pins @ towards)) if pins.size else 0.0
-    data = body_frames(drawing.mechanism, drawing.mechanism.home[None])
+    places, turns, _ = _at_home(drawing.mechanism)
     depths = [
-        np.mean((data[0][0, solid.body] + solid.points @ data[1][0, solid.body].T) @ towards)
-        for solid in own
-        if solid.kind == "geom"
+        np.mean((places[solid.body] + solid.points @ turns[solid.body].T) @ towards) for solid in own if solid.kind == "geom"
     ]
     return float(f"{np.mean(depths) if depths else 0.0:.4g}")
 

@@ -14,16 +14,17 @@ from linkplan.studies.report.animation import animation, frames_of
 def check_sections(whole: WholeCheck, *, depth: int = 1) -> list[Section]:
     """Return the sections of a check."""
     first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(whole.found), depth=depth)
-    several = len(whole.paths) > MAX_COORDINATES_DRAWN
-    return [first, *(path_section(path, whole.name, depth=depth + 1, folded=several) for path in whole.paths)]
+    n = len(whole.paths)
+    return [first, *(path_section(path, whole.name, depth=depth + 1, of=n) for path in whole.paths)]
 
 
-def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, folded: bool = False) -> Section:
-    """Return the section of a path: an animation, a table, and plots of ratios, inertias, efforts and forces."""
+def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, of: int = 1) -> Section:
+    """Return the section of one `of` several paths: an animation, a table, plots of ratios, inertias, efforts and forces."""
     axis, x = over(path)
     group = f"path:{name}:{path.title}"
     order = rising_order(x)
-    frames = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), frames_of(path.mechanism))).astype(int))]
+    most = frames_of(path.mechanism, of)
+    frames = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), most)).astype(int))]
     moving = animation(
         path.mechanism,
         f"{name} along {path.title}",
@@ -35,4 +36,4 @@ def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, folded: 
         unit=axis.unit,
     )
     blocks = [moving, *path_blocks(path), *path_plots(path, group)]
-    return Section(title=f"Along {path.title}, at rest", blocks=blocks, depth=depth, folded=folded)
+    return Section(title=f"Along {path.title}, at rest", blocks=blocks, depth=depth, folded=of > MAX_COORDINATES_DRAWN)

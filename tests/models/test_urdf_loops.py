@@ -197,3 +197,23 @@ def test_sdf_is_refused_with_its_converter(tmp_path):
     for source in (model, model.read_text(encoding="utf-8")):
         with pytest.raises(LinkplanError, match="is SDF, and models are MJCF or URDF: sdf2mjcf"):
             linkplan.load_mechanism(source)
+
+
+def test_a_urdf_without_motors_gets_those_that_the_problem_names(tmp_path, capsys):
+    """Exporters write every joint with an effort limit, passive ones too."""
+    frames = FRAMES.replace("end_A", "closing_pin_1").replace("end_B", "closing_pin_2")
+    path = written(tmp_path, robot(FOUR_BAR, frames))
+    assert main(["check", path]) == 1
+    said = capsys.readouterr().out
+    assert 'mechanism.drive = ["motor"] puts motors' in said
+    asked = said.split("--drive ")[1].split(" ")[0]
+    mechanism = linkplan.load_mechanism(path, drive=asked.split(","))
+    assert_four_bar(mechanism)
+    assert "motors added (mechanism.drive): motor" in mechanism.notes
+    assert not any("names no actuators" in note for note in mechanism.notes)
+    main(["check", path, "--drive", asked])
+    said = capsys.readouterr().out
+    assert "no actuator" not in said
+    assert f"--drive {asked} -o problem.toml" in said
+    with pytest.raises(LinkplanError, match="no joint is named 'moter'; joints are motor, A, C"):
+        linkplan.load_mechanism(path, drive=["moter"])

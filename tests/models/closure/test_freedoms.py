@@ -100,6 +100,15 @@ def test_a_bent_rod_that_gravity_turns_is_not_idle():
     assert mechanism.passive_dofs == ()
 
 
+@pytest.mark.parametrize(("mass", "idle"), [(1e-3, True), (0.1, False)])
+def test_a_bent_rod_is_idle_where_its_weight_is_nothing_beside_the_mechanism_s(mass, idle):
+    rod = f'<inertial pos="0.125 0.04 0.033" mass="{mass}" diaginertia="{mass * 6e-3} {mass * 6e-3} {mass * 6e-3}"/>'
+    bent = replaced(RSSR, '<geom type="capsule" fromto="0 0 0 0.25 0.08 0.06"/>', rod)
+    heavy = bent.replace('fromto="0 0 0 0.02 0.01 0.1"', 'mass="1" fromto="0 0 0 0.02 0.01 0.1"')
+    mechanism = load_mechanism(heavy.replace('fromto="0 0 0 -0.03 0.04 0.16"', 'mass="1" fromto="0 0 0 -0.03 0.04 0.16"'))
+    assert bool(mechanism.passive_dofs) == idle
+
+
 def test_a_path_that_leaves_a_chart_is_refused_by_joint():
     mechanism = load_mechanism(PSSR)
     spin = np.linspace(mechanism.home[mechanism.independent[1]], 6.5, 200)

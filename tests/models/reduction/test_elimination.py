@@ -102,3 +102,37 @@ def test_expressions_grow_no_faster_than_the_loops():
         assert (mechanism.dof, len(mechanism.dependent)) == (1, 2 * n_loops)
         sizes.append(mechanism.dynamics.acceleration.n_instructions())
     assert sizes[2] - sizes[1] < 1.1 * 2 * (sizes[1] - sizes[0])
+
+
+def loops_that_share_joints(n_loops: int) -> ca.SX:
+    """Return a matrix of loops of four rows, each with three columns of its own and all with `n_loops` shared ones."""
+    there = np.zeros((4 * n_loops, 4 * n_loops), dtype=bool)
+    there[:, :n_loops] = True
+    for loop in range(n_loops):
+        there[4 * loop : 4 * loop + 4, n_loops + 3 * loop : n_loops + 3 * loop + 3] = True
+    symbol, matrix = ca.SX.sym("a", *there.shape), ca.SX(*there.shape)
+    for i, j in zip(*np.nonzero(there), strict=True):
+        matrix[int(i), int(j)] = symbol[int(i), int(j)]
+    return matrix
+
+
+def operations(*outputs: ca.SX) -> int:
+    return ca.Function("f", ca.symvar(ca.veccat(*outputs)), list(outputs)).n_instructions()
+
+
+def test_loops_that_share_joints_are_solved_in_as_few_operations_in_any_order_of_joints():
+    matrix, right = loops_that_share_joints(4), ca.SX.sym("b", 16)
+    joints = np.random.default_rng(0).permutation(16).tolist()
+    asked, best = (operations(factorise(matrix[:, order])(right)) for order in (joints, [*range(4, 16), *range(4)]))
+    assert asked < 1.1 * best
+
+
+def test_the_determinant_of_loops_in_a_mixed_order_takes_as_few_operations():
+    matrix = loops_that_share_joints(4)
+    rows = np.random.default_rng(0).permutation(16).tolist()
+    numbers = np.random.default_rng(1).normal(size=(16, 16))
+    mixed, given = matrix[rows, :], ca.symvar(matrix)
+    function = ca.Function("f", given, [determinant(mixed)])
+    exact = ca.Function("g", given, [mixed])(*numbers.ravel()[: len(given)])
+    assert function(*numbers.ravel()[: len(given)]) == pytest.approx(np.linalg.det(np.array(exact)), rel=1e-9)
+    assert operations(determinant(mixed)) < 1.1 * operations(determinant(matrix))

@@ -6,6 +6,8 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.kinematic_loop_report import thinned
 from linkplan.studies.check.whole_check import check_whole
+from linkplan.studies.output.document import Animation
+from linkplan.studies.report.check_sections import check_sections
 
 
 def chain(n):
@@ -21,7 +23,7 @@ def chain(n):
 
 @pytest.fixture(scope="module")
 def wholes():
-    return {n: check_whole(load_mechanism(chain(n)), None) for n in (3, 8)}
+    return {n: check_whole(load_mechanism(chain(n)), None) for n in (3, 9)}
 
 
 def test_of_few_coordinates_all_quantities_are_said(wholes):
@@ -31,9 +33,9 @@ def test_of_few_coordinates_all_quantities_are_said(wholes):
 
 
 def test_of_many_each_has_its_own(wholes):
-    text = wholes[8].text()
+    text = wholes[9].text()
     assert "the same at every pose" not in text
-    assert "of 8 coordinates each has its own quantities above" in text
+    assert "of 9 coordinates each has its own quantities above" in text
     own = next(part for part in text.split("\n\n") if part.startswith("along the reach of j7"))
     head = own.splitlines()[1]
     assert "weight alone j7 [N.m]" in head
@@ -43,16 +45,23 @@ def test_of_many_each_has_its_own(wholes):
 
 
 def test_what_it_says_is_what_the_whole_record_has(wholes):
-    path = next(p for p in wholes[8].paths if p.coordinate == 7)
-    own = wholes[8].text().split("along the reach of j7")[1].splitlines()
+    path = next(p for p in wholes[9].paths if p.coordinate == 7)
+    own = wholes[9].text().split("along the reach of j7")[1].splitlines()
     assert f"{path.holding_effort[0, 7]:.4g}" in next(line for line in own if line.startswith("-60 "))
     assert np.abs(path.holding_effort[0, 7]) > 0
 
 
-def test_paths_of_many_coordinates_are_thinned_so_that_their_matrices_have_room():
+def test_paths_of_many_coordinates_are_thinned_so_that_their_matrices_have_room(wholes):
     poses = np.arange(361.0)[:, None]
-    assert len(thinned(poses, 6)) == 361
-    few = thinned(poses, 40)
+    assert len(thinned(poses, wholes[3].found.mechanism)) == 361
+    few = thinned(poses, load_mechanism(chain(20)))
     assert few[0] == 0
     assert few[-1] == 360
-    assert len(few) * 40**3 <= 2_000_000
+    assert len(few) * 20**2 * 60 <= 1_000_000
+
+
+def test_the_animations_of_many_coordinates_have_as_many_numbers_as_one(wholes):
+    blocks = [block for section in check_sections(wholes[9]) for block in section.blocks]
+    frames = [len(block.times) for block in blocks if isinstance(block, Animation)]
+    assert len(frames) == 9
+    assert 41 * 9 < sum(frames) * wholes[9].found.mechanism.model.nbody * 13 <= 120_000

@@ -114,3 +114,24 @@ def test_a_drive_that_holds_its_weight_keeps_its_limit():
     strong, notes = changed_mechanism({"model": ARM.format(effort=1.1 * WEIGHT_N_M)})
     assert raised_limits(strong) == {}
     assert notes == ()
+
+
+def test_links_that_overlap_at_home_pass_through_each_other_but_not_through_the_ground():
+    """An overlap that deepens on the way was an obstacle to every motion."""
+    overlapping = (
+        '<mujoco><worldbody><geom type="box" size="1 1 0.1" pos="0 0 -0.1"/>{one}{other}</worldbody>'
+        '<actuator><motor name="drive" joint="one"/></actuator></mujoco>'
+    )
+    bodies = {
+        name: f'<body name="{name}" pos="{x} 0 0"><joint name="{name}" axis="0 1 0"/>'
+        '<geom size="0.1" pos="0 0 0.09"/></body>'
+        for name, x in (("one", 0.0), ("other", 0.15))
+    }
+    text = overlapping.format(**bodies)
+    mechanism, notes = changed_mechanism({"model": text, "exclude_contacts": []})
+    assert mechanism.source["exclude_contacts"] == [["one", "other"]]
+    assert mechanism.model.nexclude == 1
+    (note,) = notes
+    assert "one and other are excluded" in note
+    apart, notes = changed_mechanism({"model": text.replace('pos="0.15 0 0"', 'pos="0.25 0 0"')})
+    assert (apart.model.nexclude, notes) == (0, ())
