@@ -91,7 +91,18 @@ def _block_solver(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
         adjugate, det = _adjugate(A), _minor(A)
         return lambda b: (adjugate @ b) / det
     Q, R = ca.qr(A)
-    return lambda b: ca.solve(R, Q.T @ b)
+    columns = ca.horzsplit(Q)
+
+    def solve(b: ca.SX) -> ca.SX:
+        # CasADi's Q, by modified Gram-Schmidt, is not quite orthogonal: Q^T b, taken one column after another from what the
+        # columns before leave of b, is as exact as the last column of a factorised [A, b] (Bjoerck, BIT 7, 1967).
+        parts = []
+        for column in columns:
+            parts.append(column.T @ b)
+            b = b - column @ parts[-1]
+        return ca.solve(R, ca.vertcat(*parts))
+
+    return solve
 
 
 def _adjugate(A: ca.SX) -> ca.SX:
