@@ -150,7 +150,11 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     if parquet:
         about = {"linkplan": metadata.version("linkplan"), "plan": plan.problem.name}
         (folder / "trajectory.parquet").write_bytes(parquet_bytes(table.columns(), about))
-    again = _certified(folder, read_plan_record(folder), read_trajectory(folder / "trajectory.npz"), plan.problem)
+    read = read_trajectory(folder / "trajectory.npz")
+    known = (
+        plan.certificate if all(np.array_equal(getattr(read, name), getattr(trajectory, name)) for name in ARRAYS) else None
+    )
+    again = _certified(folder, read_plan_record(folder), read, plan.problem, known)
     if plan.passed and not again.passed:
         raise CertificateError(f"the plan is not saved, since its files could not be used: {again.message}")
 
@@ -239,8 +243,10 @@ def _read(
     return saved, trajectory, problem
 
 
-def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem: Problem) -> Plan:
-    """Return the plan in a folder's files with a new certificate; its status is "failed" if it does not pass.
+def _certified(
+    folder: Path, saved: PlanRecord, trajectory: Trajectory, problem: Problem, known: Certificate | None = None
+) -> Plan:
+    """Return the plan in a folder's files with its known or a new certificate; its status is "failed" if it does not pass.
 
     Raises:
         PlanFileError: when the motion belongs to another mechanism.
@@ -253,7 +259,7 @@ def _certified(folder: Path, saved: PlanRecord, trajectory: Trajectory, problem:
             f" {trajectory.n_u} actuators, '{mechanism.name}' has {mechanism.dof} and {mechanism.n_u}"
         )
     try:
-        certificate = with_contacts(problem, trajectory, certify(problem, trajectory))
+        certificate = known or with_contacts(problem, trajectory, certify(problem, trajectory))
     except AssemblyError as error:
         raise PlanFileError(
             f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"

@@ -93,8 +93,18 @@ def _block_solver(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
     # Columns with few entries come first, so that Q and R of loops that share few joints stay sparse.
     order = sorted(range(A.shape[0]), key=lambda column: A[:, column].nnz())
     Q, R = ca.qr(A[:, order])
-    place = [order.index(column) for column in range(len(order))]
-    return lambda b: ca.solve(R, Q.T @ b)[place, :]
+    columns, place = ca.horzsplit(Q), [order.index(column) for column in range(len(order))]
+
+    def solve(b: ca.SX) -> ca.SX:
+        # CasADi's Q, by modified Gram-Schmidt, is not quite orthogonal: Q^T b, taken one column after another from what the
+        # columns before leave of b, is as exact as the last column of a factorised [A, b] (Bjoerck, BIT 7, 1967).
+        parts = []
+        for column in columns:
+            parts.append(column.T @ b)
+            b = b - column @ parts[-1]
+        return ca.solve(R, ca.vertcat(*parts))[place, :]
+
+    return solve
 
 
 def _adjugate(A: ca.SX) -> ca.SX:

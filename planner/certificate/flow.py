@@ -115,7 +115,8 @@ def _counted(rate: Rate, until: Deadline) -> Rate:
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
         check()
-        if next(calls) > _MAX_EVALUATIONS or until.passed:
+        call = next(calls)
+        if call > _MAX_EVALUATIONS or (call % 16 == 0 and until.passed):  # reading the clock takes as long as a small model
             raise _TooManyStepsError
         return rate(t, y)
 

@@ -19,6 +19,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.flow import called, flow, stiff_flow, strides
+from linkplan.planner.problem.instant import position_units
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
 
@@ -95,11 +96,13 @@ def _integrated_with_restarts(
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
     function, inputs = _rate(mechanism, *trajectory.effort[:, 0].shape), _inputs(trajectory)
     widths = np.diff(trajectory.breaks_s)
-    span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), np.finfo(float).tiny)
+    span = position_units(mechanism, trajectory.position)
     unit = np.concatenate([span, np.full(n_s, speed)])
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
     ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
+    if _linear_growth(mechanism, trajectory, poses, unit) < 0.1 * RESTART_GROWTH:  # 2 n_s integrations are spared
+        return None
     last, step = np.array([1.0]), 1e-6  # the finite differences' step, in shares of the motion's spans and speeds
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
@@ -129,6 +132,20 @@ def _integrated_with_restarts(
     growth = (defects * span * share / allowed).max(axis=1)
     velocity = float(errors[:, n_s:].max(initial=0.0))
     return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
+
+
+def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray, unit: np.ndarray) -> float:
+    """Return the largest growth of an error in units, linearised at intervals' first poses (n, n_q)."""
+    import scipy.linalg
+
+    n_s, carried, largest = mechanism.dof, np.eye(2 * mechanism.dof), 1.0
+    given = poses, trajectory.velocity[0], trajectory.effort[0], np.diff(trajectory.breaks_s)
+    for q, v, u, width in zip(*given, strict=True):
+        by_s, by_v, _ = mechanism.dynamics.linearisation(q, v, u)
+        slope = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [np.array(by_s), np.array(by_v)]])
+        carried = scipy.linalg.expm(width * slope * unit / unit[:, None]) @ carried
+        largest = max(largest, float(np.abs(carried).max()))
+    return largest
 
 
 def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: Deadline) -> np.ndarray:

@@ -11,7 +11,7 @@ from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.mechanics import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
-from linkplan.planner.problem.instant import Scales
+from linkplan.planner.problem.instant import Scales, position_units
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.tightening import Tightening
 from linkplan.planner.trajectory import Trajectory
@@ -41,17 +41,16 @@ def choose_scales(problem: Problem, guess: Guess) -> Scales:
     """Return units of order one: durations, spans, limits, or the guess's efforts if these are far below the limits."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     times, poses = (samples[::2] for samples in even_poses(problem, guess))
-    s = guess.position(times)
     need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times))
-    extent = mechanism.extent_m
-    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])
-    span = np.ptp(s, axis=0)
-    position = np.where(span > 1e-3 * unit, span, unit)
-    # A motion at rest in balance needs almost no effort. The unit is then 1e-6 of the effort that accelerates the inertia.
+    position = position_units(mechanism, guess.position(times))
+    # A joint at rest needs almost no effort. Its unit is the effort that moves it by its unit beside joints that move, and
+    # 1e-6 of that if all are at rest in balance.
     inertia = sampled(mechanism.dynamics.reduced_inertia, poses[:1])[0]
     maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])
-    least = 1e-6 * np.abs(inertia @ position).max() / guess.duration_s**2 / np.maximum(np.abs(maps).max(), 1e-300)
-    need = np.maximum(np.abs(need).max(axis=0), least)
+    leverage = np.maximum(np.abs(maps).max(axis=0), max(1e-3 * np.abs(maps).max(initial=0.0), 1e-300))
+    unit = (inertia.diagonal()[:, None] * position[:, None] / guess.duration_s**2 / leverage).min(axis=0)
+    need = np.abs(need).max(axis=0)
+    need = np.maximum(need, unit * np.clip((need / unit).max(initial=0.0), 1e-6, 1.0))
     largest = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=1)
     if problem.objective.has("time"):
         effort = np.where(largest > 0, largest, need)
@@ -69,7 +68,7 @@ def choose_scales(problem: Problem, guess: Guess) -> Scales:
         position=position,
         effort=effort,
         residual=np.where(spins, own, residual),
-        length_m=extent,
+        length_m=mechanism.extent_m,
     )
 
 

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.robust import Corner, corner_efforts
 
 
@@ -43,6 +44,13 @@ class Scales:
         """Return the scales as parameters of a node."""
         units = [self.length_m, self.power, self.force]
         return np.concatenate([[self.time_s], self.position, self.effort, self.residual, units])
+
+
+def position_units(mechanism: Mechanism, positions: np.ndarray) -> np.ndarray:
+    """Return the spans (n_s,) of positions (..., n_s); of joints at rest, 1 rad or the mechanism's extent [rad or m]."""
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
+    span = np.ptp(positions.reshape(-1, mechanism.dof), axis=0)
+    return np.where(span > 1e-3 * unit, span, unit)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -2,9 +2,10 @@
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
 are locked there, since a stop's force is not planned for. Of a rod that spins while all else rests, a hinge is locked:
-nothing drives the spin, and its equations are too small beside the others for the solver. Links that overlap by
-construction, as an exporter leaves them on their pins, pass through each other. A drive whose limit is below the
-weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
+nothing drives the spin, and its equations are too small beside the others for the solver. Dry friction of a robot's leg
+sets in over a wider range of speeds: joints that hardly move would have a mesh as fine as the default range asks for. Links
+that overlap by construction, as an exporter leaves them on their pins, pass through each other. A drive whose limit is below
+the weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,13 +20,14 @@ from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.check.drives import pressed_joints
+from linkplan.studies.new.pace import is_large
 
 # An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
 _HOLD_MULTIPLE = 2.0
 
 
 def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str, ...]]:
-    """Return a model's mechanism with its floating base fixed and its pressed joints locked, and sentences on both.
+    """Return a model's mechanism with what a first motion changes of it, and a sentence on each change.
 
     Args:
         table: the [mechanism] table.
@@ -60,8 +62,19 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             f" locked (mechanism.lock: {said})"
         )
     if mechanism.dof and (pairs := _overlapping_at_home(mechanism)):
-        mechanism = _assembled(with_exclusions(table, pairs))
+        table = with_exclusions(table, pairs)
+        mechanism = _assembled(table)
         notes.append(overlap_sentence(pairs))
+    rubs = max(mechanism.model.dof_frictionloss.max(initial=0.0), mechanism.model.tendon_frictionloss.max(initial=0.0)) > 0
+    if rubs and is_large(mechanism) and "friction_transition_deg_s" not in table:
+        # With the default of 2 deg/s, xArm's first motion takes 16 s of processor time. With 10 it takes 2 s, and its
+        # tracking error doubles.
+        default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
+        mechanism = _assembled({**table, "friction_transition_deg_s": wide})
+        notes.append(
+            f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
+            " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
+        )
     return mechanism, tuple(notes)
 
 

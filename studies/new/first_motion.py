@@ -51,8 +51,8 @@ from linkplan.studies.new.pace import critical_gains, is_large, many_hang, moder
 Say = Callable[[str], None]
 # The shares of the largest first motion that are tried.
 _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
-# The mesh where each digit costs seconds.
-_COARSE_MESH = {"intervals": 20, "tolerance_deg": 1e-3}
+# The mesh where each digit costs seconds: half of what a certificate allows.
+_COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
 # Processor time [s] for all motions, and the least time that a motion gets.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
 _SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=HURRIED),)
@@ -183,12 +183,11 @@ def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iter
     alone = [[column] for column in driven] if len(driven) > 1 else []
     together = [driven]
     # Several hanging joints swing in many ways: shorter motions excite them less and are tried first. One drive excites
-    # undriven springs less than all do, and a large motion of a robot's leg needs most of the time.
-    sprung = bool(sprung_freedoms(mechanism))
-    small = sprung or is_large(mechanism)
+    # undriven springs less than all do, and a large motion of a robot's leg, or one of all drives, needs most of the time.
+    small = bool(sprung_freedoms(mechanism)) or is_large(mechanism)
     shares = reversed(_SHARES) if many_hang(mechanism) else _SMALL_FIRST if small else _SHARES
     for share in shares:
-        for kind in (alone, together) if alone and sprung else (together, alone):
+        for kind in (alone, together) if alone and small else (together, alone):
             for moved, side in itertools.product(kind, (1, -1)):
                 tables = _clear_motion(mechanism, moved, share, side)
                 if isinstance(tables, str):

@@ -62,7 +62,7 @@ def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> d
 
 def is_large(mechanism: Mechanism) -> bool:
     """Tell if a mechanism has the size of a robot's leg, or loops solved by all rows: each digit then costs seconds."""
-    return mechanism.n_q > 10 or mechanism.dof > 6 or bool(mechanism.projected)
+    return mechanism.n_q > 10 or mechanism.dof > 5 or bool(mechanism.projected)
 
 
 def many_hang(mechanism: Mechanism) -> bool:

@@ -68,17 +68,18 @@ def effort_error(plan: Plan, n: int = 41) -> float:
     """Return the largest distance of a plan's inverse dynamics from G^T (M q'' + h - passive), over their peak.
 
     The columns of G span the null space of MuJoCo's constraint Jacobian, one for each independent coordinate; q'' is a
-    difference quotient of the planned speeds.
+    difference quotient of the planned speeds, away from breaks, where it jumps.
     """
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     model, dynamics = mechanism.model, mechanism.dynamics
     data, step = mujoco.MjData(model), 1e-5 * trajectory.duration_s
     times = np.linspace(0.02, 0.98, n) * trajectory.duration_s
+    times = times[np.abs(times[:, None] - trajectory.breaks_s).min(axis=1) > step]
     grid = np.sort(np.concatenate([times - step, times, times + step, [0.0]]))
     poses = follow(mechanism, trajectory.position_at(grid), trajectory.start_pose)[1:]
     speeds, accelerations = trajectory.velocity_at(grid)[1:], trajectory.acceleration_at(times)
     distance, peak = 0.0, 0.0
-    for k in range(n):
+    for k in range(len(times)):
         around = [(poses[j], speeds[j]) for j in range(3 * k, 3 * k + 3)]
         before, v, after = (mechanism.qvel_of(q, np.array(dynamics.velocity_map(q)) @ s) for q, s in around)
         q, s = around[1]

@@ -51,6 +51,16 @@ def test_an_inertia_is_inverted_as_numpy_does(n):
     assert np.abs(A @ np.array(function(A, right)).ravel() - right).max() < SOLVED * np.linalg.cond(A)
 
 
+def test_normal_equations_are_solved_to_their_condition_number():
+    """An overconstrained loop is closed by them: with the square of that number, the solver of a plan sees 1e-8 of noise."""
+    rng = np.random.default_rng(0)
+    loop = rng.normal(size=(10, 5)) @ np.diag([1.0, 1.0, 0.1, 0.03, 0.01])
+    A, exact, b = loop.T @ loop, rng.normal(size=5), ca.SX.sym("b", 5)
+    symbol = ca.SX.sym("a", 5, 5)
+    solution = np.array(ca.Function("f", [symbol, b], [factorise(symbol)(b)])(A, A @ exact)).ravel()
+    assert np.abs(solution - exact).max() < 10 * np.finfo(float).eps * np.linalg.cond(A)
+
+
 def test_an_inertia_whose_terms_cancel_on_one_side_of_the_diagonal_alone_is_inverted():
     """A welded arm's reduced inertia did so: refused as not symmetric."""
     symbol, b = ca.SX.sym("a", 5, 5), ca.SX.sym("b", 5)

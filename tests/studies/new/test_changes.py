@@ -5,6 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
+from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.changes import changed_mechanism, raised_limits
@@ -135,3 +136,29 @@ def test_links_that_overlap_at_home_pass_through_each_other_but_not_through_the_
     assert "one and other are excluded" in note
     apart, notes = changed_mechanism({"model": text.replace('pos="0.15 0 0"', 'pos="0.25 0 0"')})
     assert (apart.model.nexclude, notes) == (0, ())
+
+
+def arms(count: int, friction: float) -> str:
+    """Return arms on the world, each with a motor and dry friction [N.m]."""
+    bodies = "".join(
+        f'<body pos="{k} 0 0"><joint name="arm{k}" axis="0 1 0" frictionloss="{friction}"/><geom size="0.1"/></body>'
+        for k in range(count)
+    )
+    motors = "".join(f'<motor joint="arm{k}" ctrlrange="-9 9"/>' for k in range(count))
+    return f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>"
+
+
+def test_dry_friction_of_a_large_mechanism_sets_in_over_more_speeds_and_says_so():
+    mechanism, notes = changed_mechanism({"model": arms(7, 0.1)})
+    assert mechanism.source["friction_transition_deg_s"] == pytest.approx(np.degrees(mechanism.friction_transition))
+    assert mechanism.friction_transition > 2 * load_mechanism(arms(7, 0.1)).friction_transition
+    assert any("mechanism.friction_transition_deg_s" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    "table", [{"model": arms(7, 0.0)}, {"model": arms(2, 0.1)}, {"model": arms(7, 0.1), "friction_transition_deg_s": 3.0}]
+)
+def test_other_dry_friction_stays_as_it_is(table):
+    mechanism, notes = changed_mechanism(table)
+    assert notes == ()
+    assert np.degrees(mechanism.friction_transition) == pytest.approx(table.get("friction_transition_deg_s", 2.0))
