@@ -43,7 +43,12 @@ def _nothing_found(search: Search) -> bool:
     return not search.plans and not starts.far_too_little_time(search)
 
 
-# Starts, and the continuation of the least time: the searches within a margin to singular poses are these.
+PROGRAMMED = Rung(
+    name="dynamic programming over position, speed and time",
+    tried=starts.time_to_program,
+    climb=starts.from_dynamic_programming,
+    budget=HURRIED,
+)
 FIRST: tuple[Rung, ...] = (
     Rung(
         name="the guess given, then a smooth path",
@@ -59,6 +64,7 @@ FIRST: tuple[Rung, ...] = (
     ),
 )
 FURTHER: tuple[Rung, ...] = (
+    PROGRAMMED,
     Rung(
         name="swings",
         tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
@@ -96,7 +102,7 @@ RUNGS: tuple[Rung, ...] = (
     Rung(
         name="at a distance from singular poses",
         tried=margins.may_near_singular,
-        climb=lambda search, budget: margins.at_a_distance(search, budget, (*FIRST, *FURTHER)),
+        climb=lambda search, budget: margins.at_a_distance(search, budget, (PROGRAMMED, *FIRST, *FURTHER[1:])),
         budget=PATIENT,
     ),
     *FURTHER,
