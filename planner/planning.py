@@ -15,7 +15,7 @@ from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
-from linkplan.planner.search import attempts, continuations, starts, waiting
+from linkplan.planner.search import attempts, continuations, margins, starts, waiting
 from linkplan.planner.search.ladder import Repair, Search, climb
 from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
@@ -43,19 +43,13 @@ def _nothing_found(search: Search) -> bool:
     return not search.plans and not starts.far_too_little_time(search)
 
 
-RUNGS: tuple[Rung, ...] = (
-    Rung(
-        name="the phase plane along limits on power and pin force, its arcs held",
-        tried=starts.is_along_power,
-        climb=starts.along_power,
-        budget=HURRIED,
-    ),
-    Rung(
-        name="several starts, the best of them (multistart)",
-        tried=lambda search: search.problem.solver.starts > 1,
-        climb=starts.best_of_several,
-        budget=PATIENT,
-    ),
+PROGRAMMED = Rung(
+    name="dynamic programming over position, speed and time",
+    tried=starts.time_to_program,
+    climb=starts.from_dynamic_programming,
+    budget=HURRIED,
+)
+FIRST: tuple[Rung, ...] = (
     Rung(
         name="the guess given, then a smooth path",
         tried=starts.one_start_is_worth_it,
@@ -68,6 +62,9 @@ RUNGS: tuple[Rung, ...] = (
         climb=starts.from_the_phase_plane,
         budget=HURRIED,
     ),
+)
+FURTHER: tuple[Rung, ...] = (
+    PROGRAMMED,
     Rung(
         name="swings",
         tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
@@ -86,6 +83,29 @@ RUNGS: tuple[Rung, ...] = (
         climb=continuations.from_continuation,
         budget=PATIENT,
     ),
+)
+
+RUNGS: tuple[Rung, ...] = (
+    Rung(
+        name="the phase plane along limits on power and pin force, its arcs held",
+        tried=starts.is_along_power,
+        climb=starts.along_power,
+        budget=HURRIED,
+    ),
+    Rung(
+        name="several starts, the best of them (multistart)",
+        tried=lambda search: search.problem.solver.starts > 1,
+        climb=starts.best_of_several,
+        budget=PATIENT,
+    ),
+    *FIRST,
+    Rung(
+        name="at a distance from singular poses",
+        tried=margins.may_near_singular,
+        climb=lambda search, budget: margins.at_a_distance(search, budget, (PROGRAMMED, *FIRST, *FURTHER[1:])),
+        budget=PATIENT,
+    ),
+    *FURTHER,
     Rung(
         name="the least time, and waiting",
         tried=lambda search: not search.solved and waiting.may_wait(search),

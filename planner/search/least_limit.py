@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.errors import AssemblyError
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.problem import Problem
@@ -83,7 +84,10 @@ def least_limit(
         return None
     best, bang_efforts = None, None
     for _ in problem.solver.deadline.take(range(2)):
-        transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, bang_efforts=bang_efforts)
+        try:
+            transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, bang_efforts=bang_efforts)
+        except AssemblyError:  # the first motion leaves the reach between its nodes
+            break
         solution = solve(transcribed, problem.solver)
         record(step_of("least effort limit", transcribed, solution))
         if not solution.converged:

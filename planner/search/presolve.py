@@ -96,7 +96,7 @@ def _branches_on_the_way(problem: Problem) -> str | None:
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
         return None
-    way = _only_way(problem)
+    way = only_way(problem)
     if way is not None and all_regular(mechanism, way[::4]):
         return None
     low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
@@ -141,7 +141,7 @@ def _known(limit: SiteLimit, points: tuple[SitePoint, ...]) -> bool:
 
 def _on_the_only_way(problem: Problem) -> str | None:
     """Return the sentence on a limit on poses that is overrun between start and goal of a single freedom."""
-    poses = _only_way(problem) if _limits_poses(problem) else None
+    poses = only_way(problem) if _limits_poses(problem) else None
     if poses is None:
         return None
     beyond = (_beyond(problem, limit, poses, _PASSES) for limit in problem.limits.site)
@@ -174,7 +174,7 @@ def _extra_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
 
 
 @functools.lru_cache(maxsize=4)
-def _only_way(problem: Problem) -> np.ndarray | None:
+def only_way(problem: Problem) -> np.ndarray | None:
     """Return poses (n, n_q) between start and goal of a single freedom, all of which every motion passes; None elsewhere."""
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
@@ -221,7 +221,7 @@ def _range_on_the_only_way(problem: Problem) -> str | None:
     """Return the sentence on a joint beyond its range, or a pose too near to a singular one, on the only way; or None."""
     mechanism, limit, margin = problem.mechanism, problem.limits.position, problem.limits.singular_margin
     dependent = mechanism.dependent
-    poses = _only_way(problem) if margin or np.any(np.isfinite(limit[dependent])) else None
+    poses = only_way(problem) if margin or np.any(np.isfinite(limit[dependent])) else None
     if poses is None:
         return None
     (driven,) = mechanism.independent

@@ -13,6 +13,7 @@ from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, pertur
 from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
+from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
 from linkplan.planner.phase_plane.energy_bounds import quicker_may_exist
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import knows_pins, power_guess
@@ -175,6 +176,21 @@ def _the_legs_themselves(search: Search) -> Plan | None:
     objective = problem.objective.weight("time") * motion.duration_s
     plan = without_solving(problem, motion, objective, said, best=best)
     return plan if plan.passed else None
+
+
+def time_to_program(search: Search) -> bool:
+    """True if no plan passes, and the phase plane knows a motion to one goal in less than the given time."""
+    problem = search.problem
+    if search.solved or problem.motion.duration_s is None or problem.motion.waypoints or problem.solver.starts > 1:
+        return False
+    return search.quickest is not None and phase_plane_applies(problem) and enough_time(search)
+
+
+def from_dynamic_programming(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that a motion of little effort over a grid of states leads to."""
+    assert search.quickest is not None  # where the phase plane applies
+    guess = cheapest_guess(search.problem, search.start_pose, search.quickest)
+    return None if guess is None else plan_from(search, budget, "dynamic programming", guess)
 
 
 def from_swings(search: Search, budget: Budget) -> Plan | None:

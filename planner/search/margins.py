@@ -1,0 +1,52 @@
+"""The rung at a distance from singular poses: a search within a margin to them that was not asked for.
+
+A linkage may swing up to a dead centre, where its actuator holds or turns it the more easily the nearer it comes. No motion
+is the best then: its cost falls with the margin, down to a motion that leaves the branch. Solvers follow it and are lost.
+Within a margin there is a best motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from linkplan.models.poses.reach import reach
+from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.plan import Plan
+from linkplan.planner.search.attempts import only_feasible
+from linkplan.planner.search.ladder import Search, climb
+from linkplan.planner.search.presolve import only_way
+from linkplan.planner.search.rungs import Budget, Rung
+from linkplan.planner.search.starts import no_time, one_start_is_worth_it, other_limits
+
+
+def may_near_singular(search: Search) -> bool:
+    """True if no plan passes, the phase plane knows a motion, and its degree of freedom reaches up to a singular pose."""
+    problem = search.problem
+    if search.quickest is None or problem.limits.singular_margin or problem.guess is not None:
+        return False
+    can = reach(problem.mechanism)
+    near = "singular pose" in (can.lower.reason, can.upper.reason)
+    return near and one_start_is_worth_it(search) and not other_limits(problem) and not no_time(search)
+
+
+def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]]) -> Plan | None:
+    """Return the best plan that keeps a margin to singular poses; None if the rungs find none.
+
+    It is "feasible" where it is next to the margin, and "optimal" where it is not.
+    """
+    problem = search.within(budget)
+    way = only_way(problem)
+    if way is None:
+        return None
+    # The least |det J_z| relative to home: a quarter of it may lose the motion, more of it costs more. All poses between
+    # start and goal keep half of what they have.
+    margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
+    limits = replace(problem.limits, singular_margin=margin)
+    plan = climb(search.of_another(replace(problem, limits=limits)), rungs)
+    if plan is None or plan.status != "optimal":
+        return None
+    found = replace(plan, problem=search.problem)
+    # A margin is met within a hundredth of it.
+    if plan.certificate.singularity_ratio > 1.01 * margin:
+        return found
+    why = f"; it keeps {margin:.3g} of the home pose's distance from singular poses, nearer to them it may cost less"
+    return only_feasible(found, why)

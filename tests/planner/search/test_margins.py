@@ -1,0 +1,72 @@
+"""A linkage that swings up to a dead centre has no best motion: within a margin to singular poses it has one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.least_limit import least_limit_of_starts
+from linkplan.planner.search.margins import at_a_distance, may_near_singular
+from linkplan.planner.search.rungs import PATIENT, Rung
+from tests.bench.contradictions import weak_case
+
+
+def weak_reach(number: int, duration_s: float | str = 1.0, minimize: str = "effort", margin: float = 0.0) -> Problem:
+    """Return the reach of a weak four-bar, within a margin to singular poses."""
+    fourbar, start, goal, limit = weak_case(9001, number)
+    ends = {"start_deg": {"O": float(np.degrees(start))}, "goal_deg": {"O": float(np.degrees(goal))}}
+    tables = {
+        "mechanism": {"model": fourbar.mjcf(start, limit=limit)},
+        "motion": {"kind": "reach", **ends, "duration_s": duration_s},
+        "objective": {"minimize": minimize},
+    }
+    problem = Problem.from_tables("weak", tables)
+    return replace(problem, limits=replace(problem.limits, singular_margin=margin))
+
+
+def search_of(problem: Problem) -> Search:
+    return Search(problem=problem, start_pose=problem.start_pose())
+
+
+@pytest.mark.slow
+def test_a_swing_up_to_a_dead_centre_costs_no_more_with_more_time():
+    """At 1.01 times the least time of 0.794659 s a motion of 4.2878 was known, and none cheaper at 1.03 times."""
+    plan = plan_motion(weak_reach(18, 1.03 * 0.794659))
+    assert plan.status == "feasible", plan.message
+    assert plan.objective < 4.2878
+    assert plan.certificate.singularity_ratio >= 0.02 - 1e-6
+    assert "it keeps 0.02 of the home pose's distance" in plan.message
+
+
+def test_a_distance_is_kept_only_where_a_singular_pose_is_in_reach_and_no_margin_is_asked_for():
+    assert may_near_singular(search_of(weak_reach(18)))
+    assert not may_near_singular(search_of(weak_reach(18, margin=1e-3)))
+    # A crank that turns fully.
+    assert not may_near_singular(search_of(weak_reach(0, duration_s=2.0)))
+
+
+def test_the_margin_is_kept_by_every_pose_between_start_and_goal():
+    seen = []
+
+    def noted(search: Search, _budget: object) -> None:
+        seen.append(search.problem.limits.singular_margin)
+
+    rungs = (Rung(name="noted", climb=noted, budget=PATIENT),)
+    far = search_of(weak_reach(18))
+    assert at_a_distance(far, PATIENT, rungs) is None
+    # The dead centre is at 2.99806 rad.
+    motion = replace(far.problem.motion, goal=np.array([2.998]))
+    assert at_a_distance(search_of(replace(far.problem, motion=motion)), PATIENT, rungs) is None
+    assert seen[0] == 0.02
+    assert 0.0 < seen[1] < 0.02
+
+
+@pytest.mark.slow
+def test_a_first_motion_that_leaves_the_reach_between_its_nodes_is_no_second_start():
+    problem = weak_reach(40, "free", "time", margin=0.02)
+    search = search_of(problem)
+    least = least_limit_of_starts(problem, search.smooth)
+    assert least is None or least.factor > 0.0
