@@ -17,7 +17,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.search import attempts, continuations, margins, starts, waiting
 from linkplan.planner.search.ladder import Repair, Search, climb
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, try_in_turn
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
@@ -43,17 +43,23 @@ def _nothing_found(search: Search) -> bool:
     return not search.plans and not starts.far_too_little_time(search)
 
 
+def _first_starts(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan of the first starts: of as many as the problem asks for, or of the given guess and the smooth path."""
+    several = search.problem.solver.starts > 1
+    return (starts.best_of_several if several else _with_time_to_wait(starts.from_first_starts))(search, budget)
+
+
 PROGRAMMED = Rung(
     name="dynamic programming over position, speed and time",
     tried=starts.time_to_program,
     climb=starts.from_dynamic_programming,
     budget=HURRIED,
 )
-FIRST: tuple[Rung, ...] = (
+_FIRST: tuple[Rung, ...] = (
     Rung(
-        name="the guess given, then a smooth path",
-        tried=starts.one_start_is_worth_it,
-        climb=_with_time_to_wait(starts.from_first_starts),
+        name="the guess given, then a smooth path; or the best of several starts (multistart)",
+        tried=lambda search: search.problem.solver.starts > 1 or starts.one_start_is_worth_it(search),
+        climb=_first_starts,
         budget=PATIENT,
     ),
     Rung(
@@ -63,27 +69,29 @@ FIRST: tuple[Rung, ...] = (
         budget=HURRIED,
     ),
 )
-FURTHER: tuple[Rung, ...] = (
-    PROGRAMMED,
-    Rung(
-        name="swings",
-        tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
-        climb=_with_time_to_wait(starts.from_swings),
-        budget=HURRIED,
-    ),
-    Rung(
-        name="continuation in the duration",
-        tried=lambda search: (
-            not search.solved
-            and all(attempts.unsound(plan) for plan in search.plans[:1])
-            and not search.only_time_counts
-            and continuations.may_be_lengthened(search)
-            and not waiting.far_beyond(search)
-        ),
-        climb=continuations.from_continuation,
-        budget=PATIENT,
-    ),
+_SWINGS = Rung(
+    name="swings",
+    tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
+    climb=_with_time_to_wait(starts.from_swings),
+    budget=HURRIED,
 )
+_LONGER = Rung(
+    name="continuation in the duration",
+    tried=lambda search: (
+        not search.solved
+        and all(attempts.unsound(plan) for plan in search.plans[:1])
+        and not search.only_time_counts
+        and continuations.may_be_lengthened(search)
+        and not waiting.far_beyond(search)
+    ),
+    climb=continuations.from_continuation,
+    budget=PATIENT,
+)
+
+
+def _programmed_then_guessed(search: Search, _: Budget) -> None:
+    try_in_turn(search, (PROGRAMMED, _SWINGS))
+
 
 RUNGS: tuple[Rung, ...] = (
     Rung(
@@ -92,20 +100,15 @@ RUNGS: tuple[Rung, ...] = (
         climb=starts.along_power,
         budget=HURRIED,
     ),
-    Rung(
-        name="several starts, the best of them (multistart)",
-        tried=lambda search: search.problem.solver.starts > 1,
-        climb=starts.best_of_several,
-        budget=PATIENT,
-    ),
-    *FIRST,
+    *_FIRST,
     Rung(
         name="at a distance from singular poses",
         tried=margins.may_near_singular,
-        climb=lambda search, budget: margins.at_a_distance(search, budget, (PROGRAMMED, *FIRST, *FURTHER[1:])),
+        climb=lambda search, budget: margins.at_a_distance(search, budget, (PROGRAMMED, *_FIRST, _SWINGS, _LONGER)),
         budget=PATIENT,
     ),
-    *FURTHER,
+    Rung(name="swings, by dynamic programming, then guessed", climb=_programmed_then_guessed, budget=HURRIED),
+    _LONGER,
     Rung(
         name="the least time, and waiting",
         tried=lambda search: not search.solved and waiting.may_wait(search),

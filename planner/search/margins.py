@@ -21,11 +21,12 @@ from linkplan.planner.search.starts import no_time, one_start_is_worth_it, other
 def may_near_singular(search: Search) -> bool:
     """True if no plan passes, the phase plane knows a motion, and its degree of freedom reaches up to a singular pose."""
     problem = search.problem
-    if search.quickest is None or problem.limits.singular_margin or problem.guess is not None:
+    if not one_start_is_worth_it(search) or problem.limits.singular_margin or problem.guess is not None:
+        return False
+    if search.quickest is None or other_limits(problem) or no_time(search):
         return False
     can = reach(problem.mechanism)
-    near = "singular pose" in (can.lower.reason, can.upper.reason)
-    return near and one_start_is_worth_it(search) and not other_limits(problem) and not no_time(search)
+    return "singular pose" in (can.lower.reason, can.upper.reason)
 
 
 def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]]) -> Plan | None:

@@ -146,8 +146,8 @@ def test_diagnoses_never_return_a_motion():
     assert all(plan.trajectory is None and plan.status != "optimal" for plan in plans)
 
 
-def test_names_of_rungs_are_their_own():
-    assert len({rung.name for rung in RUNGS}) == len(RUNGS)
+def test_rungs_are_few_and_their_names_are_their_own():
+    assert len({rung.name for rung in RUNGS}) == len(RUNGS) <= 8
 
 
 def test_continuation_goes_to_the_end_by_equal_factors():
