@@ -254,3 +254,12 @@ def test_two_bodies_pass_through_each_other_when_their_contacts_are_excluded():
         assert data.ncon == contacts
     with pytest.raises(LinkplanError, match=r"exclude_contacts: no body is named 'link c'.*link a, link b"):
         linkplan.load_mechanism(text, exclude_contacts=[("link a", "link c")])
+
+
+@pytest.mark.parametrize("wrong", ["link a", ["link a", "link b"], [["link a"]], [["link a", 1]]])
+def test_pairs_of_another_form_are_answered_with_an_example(wrong):
+    tables = {"mechanism": {"model": "five-bar", "exclude_contacts": wrong}, "motion": {"kind": "reach"}}
+    with pytest.raises(
+        LinkplanError, match=r'exclude_contacts.* a list of pairs of names of bodies, such as \[\["base", "rod"\]\]'
+    ):
+        linkplan.Problem.from_tables("wrong", tables)
