@@ -17,7 +17,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.search import attempts, continuations, margins, starts, waiting
 from linkplan.planner.search.ladder import Repair, Search, climb
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, try_in_turn
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
@@ -49,12 +49,6 @@ def _first_starts(search: Search, budget: Budget) -> Plan | None:
     return (starts.best_of_several if several else _with_time_to_wait(starts.from_first_starts))(search, budget)
 
 
-PROGRAMMED = Rung(
-    name="dynamic programming over position, speed and time",
-    tried=starts.time_to_program,
-    climb=starts.from_dynamic_programming,
-    budget=HURRIED,
-)
 _FIRST: tuple[Rung, ...] = (
     Rung(
         name="the guess given, then a smooth path; or the best of several starts (multistart)",
@@ -63,7 +57,7 @@ _FIRST: tuple[Rung, ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="the phase plane, its bang efforts fixed",
+        name="the phase plane: dynamic programming, then bang efforts",
         tried=starts.phase_plane_may_help,
         climb=starts.from_the_phase_plane,
         budget=HURRIED,
@@ -88,11 +82,6 @@ _LONGER = Rung(
     budget=PATIENT,
 )
 
-
-def _programmed_then_guessed(search: Search, _: Budget) -> None:
-    try_in_turn(search, (PROGRAMMED, _SWINGS))
-
-
 RUNGS: tuple[Rung, ...] = (
     Rung(
         name="the phase plane along limits on power and pin force, its arcs held",
@@ -104,10 +93,10 @@ RUNGS: tuple[Rung, ...] = (
     Rung(
         name="at a distance from singular poses",
         tried=margins.may_near_singular,
-        climb=lambda search, budget: margins.at_a_distance(search, budget, (PROGRAMMED, *_FIRST, _SWINGS, _LONGER)),
+        climb=lambda search, budget: margins.at_a_distance(search, budget, (*_FIRST, _SWINGS, _LONGER)),
         budget=PATIENT,
     ),
-    Rung(name="swings, by dynamic programming, then guessed", climb=_programmed_then_guessed, budget=HURRIED),
+    _SWINGS,
     _LONGER,
     Rung(
         name="the least time, and waiting",

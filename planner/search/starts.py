@@ -87,15 +87,13 @@ def enough_time(search: Search) -> bool:
 
 
 def _swings_may_be_better(search: Search) -> bool:
-    """True if a plan between start and goal meets its effort limits, and the motion of least time swings beyond them."""
+    """True if a plan between start and goal meets its effort limits, and the motion of least time swings."""
     problem = search.problem
     if problem.solver.starts > 1 or problem.guess is not None or not phase_plane_applies(problem):
         return False
-    plan, limits = search.best, problem.limits.effort
-    position = plan.trajectory.position_at(plan.trajectory.dense_times(10))
-    swings = np.ptp(position) > 1.001 * abs(position[-1, 0] - position[0, 0])  # by more than a thousandth of the way
-    weak = np.any(plan.certificate.peak_effort > 0.999 * np.abs(limits).max(axis=1))  # a limit is met within a thousandth
-    return bool(weak) and not swings and search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
+    # A limit is met within a thousandth.
+    weak = np.any(search.best.certificate.peak_effort > 0.999 * np.abs(problem.limits.effort).max(axis=1))
+    return bool(weak) and search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
 
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
@@ -116,6 +114,9 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     problem, quickest = search.problem, search.quickest
     assert quickest is not None  # where the phase plane applies
+    cheap = _cheapest(search)
+    if cheap is not None:
+        yield "dynamic programming", cheap
     if quickest.swings > 1 and quickest.boundaries_s is None and not search.only_time_counts:
         swung = least_time_motion(search, budget)
         if swung is not None:
@@ -178,19 +179,13 @@ def _the_legs_themselves(search: Search) -> Plan | None:
     return plan if plan.passed else None
 
 
-def time_to_program(search: Search) -> bool:
-    """True if no plan passes, and the phase plane knows a motion to one goal in less than the given time."""
-    problem = search.problem
-    if search.solved or problem.motion.duration_s is None or problem.motion.waypoints or problem.solver.starts > 1:
-        return False
-    return search.quickest is not None and phase_plane_applies(problem) and enough_time(search)
-
-
-def from_dynamic_programming(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that a motion of little effort over a grid of states leads to."""
-    assert search.quickest is not None  # where the phase plane applies
-    guess = cheapest_guess(search.problem, search.start_pose, search.quickest)
-    return None if guess is None else plan_from(search, budget, "dynamic programming", guess)
+def _cheapest(search: Search) -> Guess | None:
+    """Return dynamic programming's motion to one goal in more than the phase plane's least time; None where it has none."""
+    problem, motion = search.problem, search.problem.motion
+    if motion.duration_s is None or motion.waypoints or not enough_time(search):
+        return None
+    assert search.quickest is not None  # there is enough time for it
+    return cheapest_guess(problem, search.start_pose, search.quickest)
 
 
 def from_swings(search: Search, budget: Budget) -> Plan | None:
@@ -234,7 +229,7 @@ def _better_plan(search: Search, budget: Budget) -> Plan | None:
         _, guess = judged_by_the_phase_plane(search)
     else:
         assert search.quickest is not None  # a swing of it may be better
-        guess = phase_plane_guess(search.problem, search.start_pose, search.quickest)
+        guess = _cheapest(search) or phase_plane_guess(search.problem, search.start_pose, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
     plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, mended=False)

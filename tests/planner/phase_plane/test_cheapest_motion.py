@@ -6,7 +6,7 @@ import pytest
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
-from linkplan.planner.planning import PROGRAMMED, plan_motion
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from tests.bench.contradictions import weak_case
 
@@ -48,17 +48,21 @@ def test_a_pendulum_too_weak_to_be_lifted_is_swung_up_within_its_torque():
 
 
 @pytest.mark.slow
-def test_a_weak_four_bar_with_half_more_than_the_least_time_is_planned():
-    """A solver lost it from every other start; 1.1 times the least time costs 0.743."""
-    fourbar, start, goal, limit = weak_case(9001, 16)
+@pytest.mark.parametrize(
+    ("seed", "number", "least_s", "most"),
+    [
+        (9001, 16, 2.643277, 0.743),  # the cost at 1.1 times the least time; a solver lost it from every other start
+        (9200, 32, 2.046093, 1.0),  # 7.74 at 1.1 times; the smooth path leads to 21.6
+    ],
+)
+def test_a_weak_four_bar_with_half_more_than_the_least_time_costs_little(seed, number, least_s, most):
+    fourbar, start, goal, limit = weak_case(seed, number)
     ends = {"start_deg": {"O": float(np.degrees(start))}, "goal_deg": {"O": float(np.degrees(goal))}}
-    motion = {"kind": "reach", **ends, "duration_s": 1.5 * 2.643277}
     tables = {
         "mechanism": {"model": fourbar.mjcf(start, limit=limit)},
-        "motion": motion,
+        "motion": {"kind": "reach", **ends, "duration_s": 1.5 * least_s},
         "objective": {"minimize": "effort"},
     }
-    problem = Problem.from_tables("weak", tables)
-    plan = plan_motion(problem, rungs=(PROGRAMMED,))
+    plan = plan_motion(Problem.from_tables("weak", tables))
     assert plan.status == "optimal", plan.message
-    assert plan.objective < 0.743
+    assert plan.objective < most
