@@ -154,7 +154,7 @@ def test_switch_times_that_their_windows_hold_are_freed_on_the_way():
     problem = Problem.from_tables("held", tables)
     search = Search(problem=problem, start_pose=problem.start_pose())
     quick = least_time_motion(search, PATIENT)
-    reached = continued(problem, quick, 80, KnownMotions())
+    reached = continued(problem, quick, 40, KnownMotions())
     assert reached is not None
     assert not reached.lost
     assert reached.longest_s == pytest.approx(1.15 * case.shortest)
