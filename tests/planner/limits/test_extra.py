@@ -142,7 +142,9 @@ def test_a_periodic_motion_keeps_an_extra_limit(knee):
     free = linkplan.plan(Problem.periodic(knee, reference=SINE)).require()
     assert np.radians(free.sample().speed_deg_s["O"]).max() > 4.2
     limit = speed_limit(4.0, -4.0)
-    plan = linkplan.plan(Problem.periodic(knee, reference=SINE, extra_limits=[limit], mesh={"tolerance_deg": 1e-3})).require()
+    plan = linkplan.plan(
+        Problem.periodic(knee, reference=SINE, extra_limits=[limit], mesh={"tolerance_deg": 1e-3})
+    ).require()
     assert np.abs(np.radians(plan.sample().speed_deg_s["O"])).max() <= 4.0 + EXTRA_LIMIT
 
 

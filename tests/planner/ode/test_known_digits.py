@@ -13,7 +13,6 @@ from linkplan.planner.ode.plan import OdePlan, known_digits, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.search import first_solutions, refined_motion
 from linkplan.planner.ode.solve_ocp import plan_ode
-from linkplan.planner.problem.settings import MeshSettings
 from tests.support.ode import (
     FREE_EFFORT,
     FREE_STATE,

@@ -13,8 +13,8 @@ from tests.support.five_bar_reach import five_bar_reach
 
 # A force may exceed its limit by what rounding makes of it, as a share.
 ROUNDING = 1e-6
-# A duration [s] near the least within 13 N, 0.382 s, which takes minutes to find; with rows at nodes alone a motion of 0.594 s
-# was the quickest that passed. How far from the rating the largest force may stay.
+# A duration [s] near the least within 13 N, 0.382 s, which takes minutes to find. With rows at nodes alone one of 0.594 s
+# was the quickest that passed. How far below the rating the largest force may stay.
 DURATION_S, CLOSE = 0.42, 1e-4
 
 
