@@ -1,5 +1,6 @@
 """Imperfections of the plant against what Newton's laws say of them, and that no tracker is told."""
 
+import copy
 from functools import cache
 
 import mujoco
@@ -14,12 +15,13 @@ from linkplan.controllers.imperfections.imperfections import (
     Push,
     Start,
 )
-from linkplan.controllers.imperfections.plant import plant
+from linkplan.controllers.imperfections.plant import closed_pose, plant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import steps_of
+from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import BODY_NAME, SHANK
 from linkplan.planner.trajectory import Trajectory
@@ -226,3 +228,30 @@ def test_no_imperfection_of_the_machine_is_told_to_the_tracker(kind):
     for k in range(reference.n):
         effort, memory = law.step(k, found.pose[k][:, mechanism.independent], found.velocity[k], memory)
         np.testing.assert_array_equal(effort, found.commanded[k])
+
+
+@pytest.mark.parametrize(("apart_m", "closes"), [(4e-10, True), (3e-9, False)])
+def test_a_loop_that_cannot_close_by_more_than_a_nanometre_is_refused(apart_m, closes):
+    """A site of the closure is moved out of the plane, along the hinges: no pose closes it there."""
+    mechanism = load_mechanism("optimus-knee")
+    model = copy.deepcopy(mechanism.model)
+    model.site_pos[model.eq_obj1id[0], 1] += apart_m
+    data = mujoco.MjData(model)
+    if closes:
+        assert closed_pose(model, data, mechanism, mechanism.home) == pytest.approx(mechanism.home, abs=1e-6)
+    else:
+        with pytest.raises(AssemblyError, match="does not close"):
+            closed_pose(model, data, mechanism, mechanism.home)
+
+
+def test_positions_of_a_turning_motion_go_on_from_turn_to_turn():
+    """A turn in 4 periods, sampled for 10: the third turn begins two turns further on."""
+    mechanism = load_mechanism(HINGE)
+    turn = Trajectory(
+        breaks_s=np.array([0.0, 4 * PERIOD]), position=np.array([0.0, 2 * np.pi]).reshape(2, 1, 1),
+        velocity=np.full((1, 1, 1), 2 * np.pi / (4 * PERIOD)), effort=np.zeros((1, 1, 1)), start_pose=np.zeros(1),
+        periodic=True,
+    )  # fmt: skip
+    reference = sample(mechanism, turn, PERIOD, 10 * PERIOD)
+    assert reference.position_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)
+    assert reference.pose_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)

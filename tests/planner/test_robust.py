@@ -103,10 +103,9 @@ def test_the_price_is_what_the_machine_as_modelled_does_better():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["knee-sprint", "knee-sine-shank"])
-def test_a_plan_with_a_reserve_is_tracked_with_a_fifth_more_payload_and_a_period_of_delay(name):
-    """By lqr and mpc within 0.5 deg; and no tracker opens the loop."""
-    plan = planned(name, *HEAVY, "limits.reserve=0.05")
+def test_a_plan_with_a_reserve_is_tracked_with_a_fifth_more_payload_and_a_period_of_delay():
+    """By lqr and mpc within 0.5 deg; and no tracker opens the loop. docs/choose-a-tracker.md has a periodic motion, too."""
+    plan = planned("knee-sprint", *HEAVY, "limits.reserve=0.05")
     problem = plan.problem
     reference = sample(problem.mechanism, plan.trajectory, 1e-4, 2 * plan.trajectory.duration_s)
     loop = ControlLoop(effort_limit=problem.limits.actuators_effort, mass_factor=1.2, delay_periods=1)
@@ -188,7 +187,7 @@ def test_a_motion_within_a_reserve_is_one_of_weaker_motors_too_where_they_move_o
 
 @pytest.mark.slow
 def test_weaker_motors_of_an_underactuated_mechanism_are_planned_for():
-    plan = planned("cart-pole-swing-up", "robust.torque_constant_factor=[0.6, 1.0]")
+    plan = planned("cart-pole-swing-up", "robust.torque_constant_factor=[0.6, 1.0]", "mesh.tolerance_deg=1e-3")
     assert plan.status == "optimal"
     assert plan.certificate.peak_effort[0] == pytest.approx(12.0, rel=1e-4)
 

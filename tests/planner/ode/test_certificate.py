@@ -60,6 +60,20 @@ def test_the_margin_of_a_state_is_its_least_distance_to_its_limits(limit, margin
     assert certificate.passed == (margin > 0)
 
 
+@pytest.mark.parametrize(("limit", "margin"), [([-1.0, 10.0], 1.0), ([-5.0, 8.0], 2.0), ([0.0, 5.5], -0.5)])
+def test_the_margin_of_a_path_quantity_is_its_least_distance_to_its_limits(limit, margin):
+    certificate = judged(path=lambda x, u, p, t: x[0], path_limit=[limit])  # noqa: ARG005
+    assert certificate.path_margin[0] == pytest.approx(margin, abs=1e-9)
+    assert any("path quantity 0 leaves its limits" in failure for failure in certificate.failures) == (margin < 0)
+
+
+@pytest.mark.parametrize(("share", "leaves"), [(5e-9, False), (1e-7, True)])
+def test_a_state_that_is_integrated_without_error_may_leave_its_limits_by_rounding_alone(share, leaves):
+    certificate = judged(state_limit=[[-1.0, SPEED * DURATION_S * (1 - share)]])
+    assert certificate.integration_error < 1e-10
+    assert certificate.leaves_states == leaves
+
+
 @pytest.mark.parametrize(
     ("limits", "excess"),
     [([[-1.0, 10.0]], 0.0), ([[-5.0, 2.5]], 0.5), ([[3.25, 9.0]], 0.25), ([[-1.0, 10.0], [0.5, 1.0]], 0.5)],

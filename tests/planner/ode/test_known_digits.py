@@ -13,7 +13,6 @@ from linkplan.planner.ode.plan import OdePlan, known_digits, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.search import first_solutions, refined_motion
 from linkplan.planner.ode.solve_ocp import plan_ode
-from linkplan.planner.problem.settings import MeshSettings
 from tests.support.ode import (
     FREE_EFFORT,
     FREE_STATE,
@@ -204,25 +203,6 @@ def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
 
 
 # Plans that fail.
-
-
-def test_a_plan_that_failed_has_neither_objective_nor_duration():
-    """A mesh of two intervals of degree one misses the pull of sin 5x."""
-    plan = plan_ode(
-        OdeProblem(
-            name="missed",
-            rate=lambda x, u, p, t: [x[1], u[0] - ca.sin(5 * x[0])],  # noqa: ARG005
-            start=[0, 0],
-            goal=[1, 0],
-            effort_limit=FREE_EFFORT,
-            duration_s=2.0,
-            running_cost=squared_effort,
-            mesh=MeshSettings(scheme="radau-1", intervals=2, refine="intervals"),
-        )
-    )
-    assert plan.status == "failed", plan.message
-    assert plan.trajectory is not None  # a motion that does not do is shown, not claimed
-    assert (plan.objective, plan.objective_error, plan.duration_s) == (None, None, None)
 
 
 def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():

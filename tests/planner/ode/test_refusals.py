@@ -211,6 +211,8 @@ def test_an_integrated_state_that_misses_its_tolerance_is_said():
     )
     assert plan.status == "failed"
     assert "integrated state" in plan.message
+    assert plan.trajectory is not None  # a motion that does not do is shown, not claimed
+    assert (plan.objective, plan.objective_error, plan.duration_s) == (None, None, None)
 
 
 @pytest.mark.slow

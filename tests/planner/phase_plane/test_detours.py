@@ -46,6 +46,17 @@ def test_bounds_of_legs_are_below_their_times_and_near_them(effort):
     assert np.median(share) > 0.99
 
 
+def test_the_least_detour_is_the_quickest_chain_of_two_legs_or_more():
+    """From 0 to 3: 0 3 is left out, 0 1 3 takes 9, 0 2 3 takes 8, and 0 1 2 3 takes 7."""
+    times = np.full((4, 4), np.inf)
+    for (a, b), time in {(0, 1): 3.0, (1, 3): 6.0, (0, 2): 5.0, (1, 2): 1.0, (2, 3): 3.0, (0, 3): 1.0}.items():
+        times[a, b] = time
+    assert energy_bounds._least_detour(times, 0, 3) == 7.0
+    times[1, 2] = np.inf
+    assert energy_bounds._least_detour(times, 0, 3) == 8.0
+    assert energy_bounds._least_detour(times, 3, 0) == np.inf
+
+
 @pytest.mark.parametrize("number", NUMBERS)
 def test_what_is_ruled_out_is_not_there(number):
     case = random_case(1, number)

@@ -207,6 +207,14 @@ def test_turns_that_cannot_be_are_refused_in_a_line(model, turns, words):
     assert "\n" not in str(refused.value)
 
 
+def test_a_spring_whose_joint_is_back_after_a_turn_winds_nothing_up():
+    springy = replaced(built_in_text("slider-crank"), 'ref="0.2"', 'ref="0.2" stiffness="30" springref="0.1"')
+    problem = linkplan.Problem.periodic(springy, turns={"O": 1}, duration_s=1.0)
+    pull = np.array(problem.mechanism.dynamics.passive(problem.start_pose(), np.zeros(3)))
+    assert np.abs(pull).max() > 0.1
+    assert problem.motion.turns.tolist() == [1.0]
+
+
 def test_a_joint_that_is_back_after_two_turns_turns_twice():
     assert linkplan.Problem.periodic(geared(0.5), turns={"O": 2}, duration_s=1.0).motion.turns.tolist() == [2.0]
 

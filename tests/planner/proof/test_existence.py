@@ -54,6 +54,7 @@ def test_the_radius_of_a_hinge_with_a_known_error_is_the_distance_in_closed_form
     assert position.answer == speed.answer == "proved"
     away = np.degrees(error / HINGE_INERTIA)
     assert 0.5 * away <= position.bound == pytest.approx(0.5 * away, rel=0.05)
+    assert position.margin == pytest.approx(position.mark - position.bound, rel=1e-12)
     assert away <= speed.bound == pytest.approx(away, rel=0.05)
 
 

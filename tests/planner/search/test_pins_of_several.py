@@ -13,20 +13,19 @@ from tests.support.five_bar_reach import five_bar_reach
 
 # A force may exceed its limit by what rounding makes of it, as a share.
 ROUNDING = 1e-6
-# The least time [s] within 13 N on a mesh of 100 intervals before limits are tightened; with rows at nodes alone a motion of
-# 0.594 s was the best that passed. How far off an answer may be.
-LEAST_S, CLOSE = 0.3820984, 1e-4
+# A duration [s] near the least within 13 N, 0.382 s, which takes minutes to find. With rows at nodes alone one of 0.594 s
+# was the quickest that passed. How far below the rating the largest force may stay.
+DURATION_S, CLOSE = 0.42, 1e-4
 
 
-def five_bar(newton: float) -> dict:
-    return five_bar_reach({"closure_force": {"E2": newton}})
+def five_bar(newton: float, **motion) -> dict:
+    return five_bar_reach({"closure_force": {"E2": newton}}, **motion)
 
 
 @pytest.mark.slow
-def test_a_pin_of_a_five_bar_is_kept_within_its_rating_at_every_instant_in_the_least_time():
-    plan = plan_motion(Problem.from_tables("five-bar", five_bar(13.0)))
-    assert plan.passed, plan.message
-    assert plan.objective == pytest.approx(LEAST_S, rel=CLOSE)
+def test_a_pin_of_a_five_bar_is_kept_within_its_rating_at_every_instant_of_a_quick_motion():
+    plan = plan_motion(Problem.from_tables("five-bar", five_bar(13.0, duration_s=DURATION_S)))
+    assert plan.status == "optimal", plan.message
     motion, mechanism = plan.trajectory, plan.problem.mechanism
     times = np.linspace(0.0, motion.duration_s, 4001)
     s, v, a, u = (of(times) for of in (motion.position_at, motion.velocity_at, motion.acceleration_at, motion.effort_at))

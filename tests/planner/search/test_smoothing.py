@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.search.attempts import REPORTED_CHANGE
 from tests.support.plans import optimal
 
@@ -20,6 +21,11 @@ def squared_error(plan) -> float:
     times = begins[:, None] + widths[:, None] * (1 + nodes) / 2
     error = trajectory.position_at(times.ravel()) - reference.derivative(times.ravel())
     return float(widths @ (np.square(error).sum(axis=1).reshape(times.shape) @ weights) / 2)
+
+
+def test_a_swing_over_the_whole_limit_in_a_tenth_of_the_motion_is_smoothed_at_the_cost_of_a_small_error():
+    """The integral of the squared rate is 2^2 / 0.1, in units of the limit and the motion: an error of 3e-4 of the span."""
+    assert np.sqrt(SMOOTHING_WEIGHT * 2.0**2 / 0.1) == pytest.approx(3e-4, rel=0.1)
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():
     motion = {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}, "duration_s": 0.6}
     waypoints = [{"at": {"foot": {"x": 0.45}}, "time_s": 0.3}]
     limits = {"foot": {"x": [0.1, 0.5]}}
-    plan = plan_of(arm_of(UPPER, LOWER), motion | {"waypoints": waypoints}, limits)
+    plan = plan_of(arm_of(UPPER, LOWER), motion | {"waypoints": waypoints}, limits, mesh={"tolerance_deg": 1e-3})
     axes = next(axes for axes in plan_figure(plan).axes if axes.get_xlabel() == "x [m]")
     lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
     path = places_along(plan, per_interval=10)[:, [0, 2]]
