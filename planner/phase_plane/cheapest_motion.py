@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess
-from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
 from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem
@@ -89,7 +88,7 @@ def cheapest_guess(problem: Problem, start_pose: np.ndarray, quickest: Guess) ->
     grid = grid_of(problem, part.places, start_pose, 800, graded=False)
     if grid is None:
         return None
-    plane = plane_of(problem, *_regular(problem, *grid, part.places[0]), problem.limits.effort)
+    plane = plane_of(problem, *grid, problem.limits.effort)
     # The more steps, the more the interpolation after each of them costs.
     root, n_steps = np.sqrt(plane.inertia), 40
     x = np.concatenate([[0.0], np.cumsum(0.5 * plane.cells * (root[1:] + root[:-1]))])
@@ -108,17 +107,6 @@ def cheapest_guess(problem: Problem, start_pose: np.ndarray, quickest: Guess) ->
     share = np.linspace(0.0, 1.0, n_steps + 1)
     path[:, 0] += (goal[0] - path[-1, 0]) * share**2 * (3 - 2 * share)  # the goal is missed by a cell or so
     return _guess(part, duration, np.interp(path[:, 0], x, plane.s), path[:, 1] / np.interp(path[:, 0], x, root), start_pose)
-
-
-def _regular(problem: Problem, s: np.ndarray, poses: np.ndarray, start: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions (n,) around a start, and poses (2 n - 1, n_q), that keep the margin to singular poses."""
-    margin = problem.limits.singular_margin
-    if not margin:
-        return s, poses
-    near = np.flatnonzero(singularity_ratios(problem, poses[::2]) < 1.1 * margin)
-    at = int(np.argmin(np.abs(s - start)))
-    first, end = near[near < at].max(initial=-1) + 1, near[near > at].min(initial=len(s))
-    return s[first:end], poses[2 * first : 2 * end - 1]
 
 
 def _least_costs(steps: _Steps, states: _States, goal: np.ndarray, n_steps: int) -> list[np.ndarray]:

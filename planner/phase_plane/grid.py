@@ -12,6 +12,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
+from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 
 # How far a crank that turns fully may go beyond start and goal [rad].
@@ -124,23 +125,39 @@ def grid_of(
         low, high = max(low, ends[0] - beyond), min(high, ends[1] + beyond)
     else:
         low, high = max(low, can.lower.position), min(high, can.upper.position)
-    # The distance of the grid from the ends of the reach, as a share of the reach.
-    room = 1e-3 * (high - low)
+    # The distance of the grid from the ends of the reach, as a share of the reach. The least time of a motion that turns
+    # back next to a singular pose falls by a third from a thousandth of the reach to a hundred-thousandth.
+    room = 1e-5 * (high - low)
     s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), n_cells + 1)
     gridded = _followed(problem, s, places, start_pose)
     if gridded is None:
         return None
     s, poses = gridded
-    # The part around the start in which every joint keeps its range.
-    inside = np.all((poses >= limits.position[:, 0]) & (poses <= limits.position[:, 1]), axis=1)
-    begin, out = 2 * int(np.argmin(np.abs(s - places[0]))), np.flatnonzero(~inside)
-    first = int(out[out < begin].max(initial=-1)) + 1
-    last = int(out[out > begin].min(initial=len(poses))) - 1
-    first, last = (first + 1) // 2, last // 2
-    s, poses = s[first : last + 1], poses[2 * first : 2 * last + 1]
-    if len(s) < 3 or not s[0] <= ends[0] <= ends[1] <= s[-1]:
+    within = np.all((poses >= limits.position[:, 0]) & (poses <= limits.position[:, 1]), axis=1)
+    s, poses = _around(places[0], s, poses, within)
+    if not _holds(s, ends):
         return None
-    return _followed(problem, _graded(problem, s, poses[::2]), places, start_pose) if graded else (s, poses)
+    if graded:
+        gridded = _followed(problem, _graded(problem, s, poses[::2]), places, start_pose)
+        if gridded is None:
+            return None
+        s, poses = gridded
+    if limits.singular_margin:
+        s, poses = _around(places[0], s, poses, singularity_ratios(problem, poses) >= limits.singular_margin)
+    return (s, poses) if _holds(s, ends) else None
+
+
+def _around(place: float, s: np.ndarray, poses: np.ndarray, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the part of a grid around a place in which all poses are `within` (2 n - 1,) what is allowed."""
+    begin, out = 2 * int(np.argmin(np.abs(s - place))), np.flatnonzero(~within)
+    first = (int(out[out < begin].max(initial=-1)) + 2) // 2
+    last = (int(out[out > begin].min(initial=len(poses))) - 1) // 2
+    return s[first : last + 1], poses[2 * first : 2 * last + 1]
+
+
+def _holds(s: np.ndarray, ends: np.ndarray) -> bool:
+    """Return True if a grid has cells, and the lowest and the highest place that a motion passes."""
+    return len(s) >= 3 and bool(s[0] <= ends[0] <= ends[1] <= s[-1])
 
 
 def _followed(problem: Problem, s: np.ndarray, places: np.ndarray, start_pose: np.ndarray):
