@@ -49,9 +49,11 @@ def _fastest_feedback(problem: Problem) -> float:
 def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> dict:
     """Return PD gains for a duration: critically damped with the inertia at the start, zero for undriven coordinates.
 
-    The natural frequency has eight cycles in the duration, or fewer if the simulation admits no feedback that quick.
+    The natural frequency has eight cycles in the duration, or fewer if the simulation admits no feedback that quick. The
+    inertia is what a drive moves while all others are free, 1 / (M^-1)_ii: with M_ii, at which all others are locked, the
+    loops of a leg with six parallel drives would be several times as quick, and unstable.
     """
-    inertia = np.array(mechanism.dynamics.reduced_inertia(problem.start_pose())).diagonal()
+    inertia = 1.0 / np.linalg.inv(np.array(mechanism.dynamics.reduced_inertia(problem.start_pose()))).diagonal()
     inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
     frequency = min(_eight_cycles(duration), _fastest_feedback(problem))
     gains = {"kp": inertia * frequency**2, "kd": 2 * inertia * frequency}
