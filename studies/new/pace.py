@@ -1,5 +1,6 @@
 """The pace of a first motion: its duration, and feedback gains that the model's own simulation can follow."""
 
+import mujoco
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
@@ -49,17 +50,43 @@ def _fastest_feedback(problem: Problem) -> float:
 def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> dict:
     """Return PD gains for a duration: critically damped with the inertia at the start, zero for undriven coordinates.
 
-    The natural frequency has eight cycles in the duration, or fewer if the simulation admits no feedback that quick. The
-    inertia is what a drive moves while all others are free, 1 / (M^-1)_ii: with M_ii, at which all others are locked, the
-    loops of a leg with six parallel drives would be several times as quick, and unstable.
+    The natural frequency has eight cycles in the duration, or fewer if the simulation admits no feedback that quick.
     """
-    inertia = 1.0 / np.linalg.inv(np.array(mechanism.dynamics.reduced_inertia(problem.start_pose()))).diagonal()
+    inertia = felt_inertia(mechanism, problem.start_pose())
     inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
     frequency = min(_eight_cycles(duration), _fastest_feedback(problem))
     gains = {"kp": inertia * frequency**2, "kd": 2 * inertia * frequency}
     names = [joint.name for joint in mechanism.independent_joints]
     found = {key: [float(f"{value:.2g}") for value in values] for key, values in gains.items()}
     return {key: v[0] if len(v) == 1 else dict(zip(names, v, strict=True)) for key, v in found.items()}
+
+
+def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
+    """Return what the model's own simulation lets a force on each independent coordinate accelerate (n_s,) [kg.m2 or kg].
+
+    All other coordinates are free, as between two control instants. Loops that are closed exactly leave 1 / (M^-1)_ii; behind
+    a soft loop, a drive at first moves little more than its own link, and feedback for the whole leg would be unstable. With
+    the rows J and the regularisation R of MuJoCo's equality constraints, a force f accelerates by
+    (M^-1 - M^-1 J^T (J M^-1 J^T + R)^-1 J M^-1) f (MuJoCo, "Computation", constraint model).
+    """
+    model = mechanism.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = mechanism.qpos_of(pose)
+    mujoco.mj_forward(model, data)
+    mass, rows = np.zeros((model.nv, model.nv)), np.zeros((data.nefc, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    if mujoco.mj_isSparse(model):
+        mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    else:
+        rows[:] = data.efc_J.reshape(rows.shape)
+    rows, free = rows[: data.ne], np.linalg.inv(mass)
+    held = free @ rows.T @ np.linalg.solve(rows @ free @ rows.T + np.diag(data.efc_R[: data.ne]), rows @ free)
+    found = np.empty(mechanism.dof)
+    for column, index in enumerate(mechanism.independent.tolist()):
+        unit = np.zeros(mechanism.n_q)
+        unit[index] = 1.0
+        found[column] = 1.0 / mechanism.rates_of(pose, (free - held) @ mechanism.qvel_of(pose, unit))[index]
+    return found
 
 
 def is_large(mechanism: Mechanism) -> bool:
