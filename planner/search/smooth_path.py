@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.planner.certificate.saved import objective_value
 from linkplan.planner.closed_chain.guess import even_poses
 from linkplan.planner.closed_chain.prescribed import motion_along
@@ -19,9 +19,6 @@ from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import without_solving
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.solving import first_mesh
-
-# Efforts that miss no more than this share of the largest effort carry a path: far below what a certificate allows.
-_CARRIED_SHARE = 1e-6
 
 
 def along_smooth_path(search: Search) -> Plan | None:
@@ -61,4 +58,6 @@ def _is_carried(problem: Problem, search: Search) -> bool:
     effort, missing = needed_effort(problem.mechanism, poses, v, a)
     low, high = problem.limits.effort.T
     largest = np.abs(effort).max(initial=0.0)
-    return bool(np.all((effort >= low) & (effort <= high)) and np.abs(missing).max(initial=0.0) <= _CARRIED_SHARE * largest)
+    return bool(
+        np.all((effort >= low) & (effort <= high)) and np.abs(missing).max(initial=0.0) <= HOLDING_TOLERANCE * largest
+    )

@@ -28,9 +28,6 @@ from linkplan.studies.check.softness import STIFF_KEY, held_gap
 from linkplan.studies.new.hanging import hanging_columns
 from linkplan.studies.new.pace import is_large
 
-# Loops that open by more than this share of the size under the weight alone let go of what they hold, as loops of links
-# without mass do: MuJoCo scales their stiffness by the inertia of their bodies.
-_CARRIED_GAP_SHARE = 0.01
 # An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
 _HOLD_MULTIPLE = 2.0
 
@@ -85,11 +82,12 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
             " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
         )
-    if "solref" not in table and (gap := _held_gap(mechanism)) > _CARRIED_GAP_SHARE * mechanism.extent_m:
+    # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
+    if "solref" not in table and _held_gap(mechanism) > 0.01 * mechanism.extent_m:
         mechanism = _assembled({**table, "solref": STIFF})
         notes.append(
             "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
-            f" {_CARRIED_GAP_SHARE:.0%} of its size at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
+            f" 1 % of its size at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
             f" leaves {1e3 * _held_gap(mechanism):.2g} mm"
         )
     return mechanism, tuple(notes)
@@ -197,7 +195,7 @@ def _is_spin(mechanism: Mechanism, column: int) -> bool:
 
 
 def _held_gap(mechanism: Mechanism) -> float:
-    """Return the largest closure gap [m] in MuJoCo while the actuators hold the weight at home; 0 without loops or drives."""
+    """Return the largest closure gap [m] in MuJoCo while the drives hold the weight at home; 0 without loops or drives."""
     if not mechanism.closures or not mechanism.n_u or not mechanism.dof:
         return 0.0
     still = np.zeros((1, mechanism.dof))

@@ -53,9 +53,8 @@ Say = Callable[[str], None]
 _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
 # The mesh where each digit costs seconds: half of what a certificate allows.
 _COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
-# Processor time [s] for all motions, the least time that a motion gets, and the most of a first try: a small mechanism's
-# motion may be hard, a large one's smooth path is mostly a motion itself.
-_TIME_BUDGET_S, _MIN_SOLVE_S, _FIRST_TRY_S, _LARGE_FIRST_TRY_S = 40.0, 1.0, 12.0, 5.0
+# Processor time [s] for all motions, and the least time that a motion gets.
+_TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
 _SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=HURRIED),)
 _IN_BRIEF = (solver_stopped, nothing_found)  # another motion is tried next: why one was not found does not matter yet
 _SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
@@ -125,8 +124,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 return found
             if rungs is _SMOOTH:
                 tried.append((moving, tables))
-            first = _LARGE_FIRST_TRY_S if is_large(moving) else _FIRST_TRY_S
-            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, first)
+            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, _first_try_s(moving))
             hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, most)}}
             try:
                 problem = Problem.from_tables(moving.name, hurried, mechanism=moving)
@@ -145,15 +143,21 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     return found
 
 
+def _first_try_s(mechanism: Mechanism) -> float:
+    """Return the time [s] of a first try: an easy motion needs no more, and a large robot's smooth path is mostly one."""
+    return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
+
+
 def _with_brief_search(found: FirstMotion, plan: Plan) -> FirstMotion:
     """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan."""
     if plan.solved is not None or not is_large(found.mechanism):
         return found
+    limit = _first_try_s(found.mechanism)
     note = (
-        f"the solver finds no better motion than the smooth path within {_LARGE_FIRST_TRY_S:g} s of work: planning"
+        f"the solver finds no better motion than the smooth path within {limit:g} s of work: planning"
         " searches no longer (solver.max_time_s)"
     )
-    tables = found.tables | {"solver": {"max_time_s": _LARGE_FIRST_TRY_S}}
+    tables = found.tables | {"solver": {"max_time_s": limit}}
     return replace(found, tables=tables, changes=(*found.changes, note))
 
 

@@ -64,9 +64,9 @@ def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> d
 def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
     """Return what the model's own simulation lets a force on each independent coordinate accelerate (n_s,) [kg.m2 or kg].
 
-    All other coordinates are free, as between two control instants. Loops that are closed exactly leave 1 / (M^-1)_ii; behind
-    a soft loop, a drive at first moves little more than its own link, and feedback for the whole leg would be unstable. With
-    the rows J and the regularisation R of MuJoCo's equality constraints, a force f accelerates by
+    All other coordinates are free, as between two control instants. Loops that are closed exactly leave 1 / (M^-1)_ii.
+    Behind a soft loop, a drive at first moves little more than its own link, and feedback for the whole leg would be
+    unstable. With the rows J and the regularisation R of MuJoCo's equality constraints, a force f accelerates by
     (M^-1 - M^-1 J^T (J M^-1 J^T + R)^-1 J M^-1) f (MuJoCo, "Computation", constraint model).
     """
     model = mechanism.model

@@ -1,6 +1,5 @@
 """What `new` changes of a model that has no first motion as it is, and says."""
 
-import re
 import tomllib
 
 import numpy as np
@@ -12,7 +11,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.changes import changed_mechanism, raised_limits
 from linkplan.studies.new.hanging import hanging_columns
 from tests.support.data import DATA
-from tests.support.parallel_ankle import ankle_text
+from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 # A chassis that slides and pitches in a plane, with a wheel-leg of five bars whose motors are on the chassis.
 WHEEL_LEG = """<mujoco><option timestep="0.001"/><compiler angle="degree" autolimits="true"/>
@@ -131,13 +130,6 @@ def test_a_rod_that_swings_about_its_own_line_is_locked_too():
 def test_a_pendulum_that_hangs_on_a_driven_cart_is_not_locked():
     mechanism, notes = changed_mechanism({"model": "cart-pole"})
     assert (mechanism.dof, notes) == (2, ())
-
-
-def soft_ankle(mass: float) -> str:
-    """Return the ankle with its left rod of some mass [kg], on the model's default softness."""
-    soft = ankle_text().replace(' solref="0.0002 1" solimp="0.999 0.999 0.001"', "").replace('timestep="0.0001"', "")
-    light = f'<inertial mass="{mass}" pos="\\1" diaginertia="{mass:g} {mass:g} {mass:g}"/>'
-    return re.sub(r'<inertial mass="0.08" pos="([^"]*)"[^>]*/>', light, soft)
 
 
 def test_loops_that_let_go_of_the_weight_are_made_stiff():

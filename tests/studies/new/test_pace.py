@@ -6,8 +6,7 @@ import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.studies.new.pace import felt_inertia
-from tests.studies.new.test_changes import soft_ankle
-from tests.support.parallel_ankle import ankle_text
+from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 
 def rigid(mechanism: Mechanism) -> np.ndarray:
