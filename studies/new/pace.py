@@ -73,13 +73,7 @@ def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(pose)
     mujoco.mj_forward(model, data)
-    mass, rows = np.zeros((model.nv, model.nv)), np.zeros((data.nefc, model.nv))
-    mujoco.mj_fullM(model, data, mass)
-    if mujoco.mj_isSparse(model):
-        mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
-    else:
-        rows[:] = data.efc_J.reshape(rows.shape)
-    rows, free = rows[: data.ne], np.linalg.inv(mass)
+    rows, free = equality_rows(model, data)
     held = free @ rows.T @ np.linalg.solve(rows @ free @ rows.T + np.diag(data.efc_R[: data.ne]), rows @ free)
     found = np.empty(mechanism.dof)
     for column, index in enumerate(mechanism.independent.tolist()):
@@ -87,6 +81,17 @@ def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
         unit[index] = 1.0
         found[column] = 1.0 / mechanism.rates_of(pose, (free - held) @ mechanism.qvel_of(pose, unit))[index]
     return found
+
+
+def equality_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows J (n, nv) of MuJoCo's equality constraints, and M^-1 (nv, nv), at the pose of a forward pass."""
+    mass, rows = np.zeros((model.nv, model.nv)), np.zeros((data.nefc, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    if mujoco.mj_isSparse(model):
+        mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    else:
+        rows[:] = data.efc_J.reshape(rows.shape)
+    return rows[: data.ne], np.linalg.inv(mass)
 
 
 def is_large(mechanism: Mechanism) -> bool:
