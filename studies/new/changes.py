@@ -218,8 +218,8 @@ def _held_gap(mechanism: Mechanism) -> float:
 def _joint_efforts(mechanism: Mechanism, effort: np.ndarray) -> np.ndarray:
     """Return the forces (nv,) on MuJoCo's degrees of freedom by the actuators' efforts (n_u,) at home."""
     on_joints = np.array(mechanism.dynamics.effort_matrix(mechanism.home)).reshape(mechanism.n_q, -1) @ effort
-    units = np.eye(mechanism.n_q)
-    return sum(force * mechanism.qvel_of(mechanism.home, unit) for force, unit in zip(on_joints, units, strict=True))
+    units = np.array([mechanism.qvel_of(mechanism.home, unit) for unit in np.eye(mechanism.n_q)])
+    return units.T @ on_joints
 
 
 def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
