@@ -6,6 +6,7 @@ whose certificate fails, before the next rung. Diagnoses give the reason why the
 rung is one function, `(Search, Budget) -> Plan | None`, and one row.
 """
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from linkplan.planner.refinement.history import Say, progress, recorded, recordi
 from linkplan.planner.search import attempts, continuations, margins, starts, waiting
 from linkplan.planner.search.ladder import Repair, Search, climb
 from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
+from linkplan.planner.search.smooth_path import along_smooth_path
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
@@ -180,9 +182,18 @@ def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagno
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose)
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
-    return (
-        reasons.contradicted(search) or reasons.too_short(search) or _climbed(search, rungs) or _diagnosed(search, diagnoses)
-    )
+    excluded = reasons.contradicted(search) or reasons.too_short(search)
+    return excluded or _climbed_or_smooth(search, rungs) or _diagnosed(search, diagnoses)
+
+
+def _climbed_or_smooth(search: Search, rungs: Sequence[Rung]) -> Plan | None:
+    """Return the plan of the rungs; if it does not pass, the smooth path itself if that does; or None."""
+    plan = _climbed(search, rungs)
+    if plan is not None and plan.passed:
+        return plan
+    with contextlib.suppress(OutOfTimeError):
+        plan = along_smooth_path(search) or plan
+    return plan
 
 
 def _climbed(search: Search, rungs: Sequence[Rung]) -> Plan | None:

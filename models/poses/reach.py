@@ -41,8 +41,7 @@ class End:
 class Reach:
     """The interval of one independent joint while the other independent joints stay at home.
 
-    `poses` (n, n_q) samples the interval, ends included. `toggles` are pairs (dependent joint, independent position) at
-    which a dependent joint reverses, its dead centres. `singular` are positions where J_z loses rank: det J_z crosses zero
+    `poses` (n, n_q) samples the interval, ends included. `singular` are positions where J_z loses rank: det J_z crosses zero
     at an end or touches zero on the way. `branching` are pairs (position, rank of the closure) at singular positions where J
     loses rank as well, so that the mechanism may branch. At the other singular positions only the coordinate is at a dead
     centre. `single` are branching positions through which only one motion passes to second order.
@@ -55,7 +54,6 @@ class Reach:
     singular: tuple[float, ...]
     branching: tuple[tuple[float, int], ...]
     single: tuple[float, ...]
-    toggles: tuple[tuple[int, float], ...]
 
     @property
     def turns_fully(self) -> bool:
@@ -82,7 +80,6 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
         singular=tuple(float(pose[index]) for pose in singular),
         branching=tuple((float(pose[index]), closure_rank(mechanism, pose)) for pose in lost),
         single=tuple(float(pose[index]) for pose in lost if has_single_motion(mechanism, pose)),
-        toggles=_toggles(mechanism, coordinate, poses) if turns else (),
     )
 
 
@@ -256,9 +253,12 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
     return pose if close and np.abs(system(solution.x)).max() < max(1e-8, mechanism.closed_m) else np.array(near)
 
 
-def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[tuple[int, float], ...]:
-    """Return the dead centres (joint, independent position) of the dependent joints, where their rates change sign."""
-    index = mechanism.independent[coordinate]
+@functools.lru_cache(maxsize=64)
+def toggles(mechanism: Mechanism, coordinate: int = 0) -> tuple[tuple[int, float], ...]:
+    """Return the dead centres (joint, independent position) in a reach: where rates of dependent joints change sign."""
+    index, poses = mechanism.independent[coordinate], reach(mechanism, coordinate).poses
+    if not in_loops(mechanism)[coordinate]:
+        return ()
 
     def rate(pose: np.ndarray, joint: int) -> float:
         return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])

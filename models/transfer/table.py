@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.errors import ModelError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.inverse_kinematics import ARRIVED_SHARE
-from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.transfer.grid import Grid, adaptive_grid
 from linkplan.models.transfer.output_map import OutputMap, transmission
 from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, KnownPoses
@@ -131,7 +131,7 @@ def _dead_centres(outputs: OutputMap, found: Reach, ends: tuple[End, End]) -> tu
     motors = {actuator.joint: place for place, actuator in enumerate(outputs.actuators)}
     return tuple(
         (motors[joint], position)
-        for joint, position in found.toggles
+        for joint, position in toggles(outputs.mechanism, found.coordinate)
         if joint in motors and ends[0].position < position < ends[1].position
     )
 

@@ -1,11 +1,12 @@
-"""Prescribed motions: a reference followed exactly, with the effort that it needs."""
+"""Prescribed motions: a reference or a smooth path followed exactly, with the effort that it needs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.closed_chain.guess import Guess, first_guess, poses_along
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import is_whole
 from linkplan.planner.trajectory import Trajectory
@@ -48,33 +49,47 @@ def _figure(value: float) -> str:
 
 def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     """Return the reference as a trajectory with efforts by inverse dynamics."""
-    mechanism, reference = problem.mechanism, problem.reference
-    duration = problem.motion.duration_s or reference.period_s
-    n = max(8, int(np.ceil(problem.mesh.intervals * duration / reference.period_s)))
-    breaks = np.linspace(0.0, duration, n + 1)
-    h = np.diff(breaks)[:, None]
+    guess, period_s = first_guess(problem, start_pose), problem.reference.period_s
+    n = max(8, int(np.ceil(problem.mesh.intervals * guess.duration_s / period_s)))
+    motion = motion_along(problem, guess, np.linspace(0.0, guess.duration_s, n + 1))
+    return replace(motion, periodic=is_whole(guess.duration_s / period_s))
+
+
+def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajectory:
+    """Return a guess as a trajectory with efforts by inverse dynamics.
+
+    Args:
+        problem: of the motion.
+        guess: whose accelerations are smooth between breaks.
+        breaks_s: the intervals' ends (n + 1,) [s], from 0 to the guess's duration.
+
+    Raises:
+        AssemblyError: if its loops cannot close.
+        OutOfTimeError: if the problem's deadline passes meanwhile.
+    """
+    mechanism, n, h = problem.mechanism, len(breaks_s) - 1, np.diff(breaks_s)[:, None]
     tau = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_REFERENCE_DEGREE + 1) + 0.5) / (_REFERENCE_DEGREE + 1))
     to_bernstein = np.linalg.inv(bernstein_matrix(_REFERENCE_DEGREE, tau))
-    time = (breaks[:-1, None] + h * tau).ravel()
-    s, v, a = (reference.derivative(time, order) for order in range(3))
-    poses = follow(mechanism, s, start_pose, problem.solver.deadline)
+    time = (breaks_s[:-1, None] + h * tau).ravel()
+    v, a = guess.velocity(time), guess.acceleration(time)
+    poses = poses_along(mechanism, guess, time, problem.solver.deadline)
     effort, _ = needed_effort(mechanism, poses, v, a)
 
     def coefficients(values: np.ndarray) -> np.ndarray:
         return np.einsum("pj,kjs->pks", to_bernstein, values.reshape(n, _REFERENCE_DEGREE + 1, -1))
 
-    s0, v0 = reference.derivative(breaks[:-1], 0), reference.derivative(breaks[:-1], 1)
+    s0, v0 = guess.position(breaks_s[:-1]), guess.velocity(breaks_s[:-1])
     first = np.einsum("pj,jks->pks", bernstein_integral(_REFERENCE_DEGREE), coefficients(a))
     velocity = v0 + h * first
     second = np.einsum("pj,jks->pks", bernstein_integral(_REFERENCE_DEGREE + 1), first)
     steps = (np.arange(_REFERENCE_DEGREE + 3) / (_REFERENCE_DEGREE + 2))[:, None, None]
     return Trajectory(
-        breaks_s=breaks,
+        breaks_s=breaks_s,
         position=s0 + steps * h * v0 + h**2 * second,
         velocity=velocity,
         effort=coefficients(effort),
-        start_pose=start_pose,
-        periodic=is_whole(duration / reference.period_s),
+        start_pose=guess.start_pose,
+        periodic=False,
     )
 
 

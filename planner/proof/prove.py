@@ -197,7 +197,7 @@ class _Sweep:
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval; return where the branch is at its end."""
         asked = [_NEAR_PLAN] if self.near else list(range(len(self.claims)))
-        stack = _boxes(self.depth, asked)
+        stack = _boxes(0 if self.until.passed else self.depth, asked)
         coarsest = _MAX_HALVINGS
         most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
         while stack:

@@ -1,7 +1,7 @@
 """Marks of the poses at which a mechanism turns, in the panels of its figures."""
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.reach import Reach
+from linkplan.models.poses.reach import Reach, toggles
 from linkplan.studies.output.drawing import GREY, RED
 
 
@@ -12,7 +12,7 @@ def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:
     labelled = set()
     for words, colour, positions in (
         ("singular pose", RED, can.singular),
-        ("a joint turns back", GREY, [position for _, position in can.toggles]),
+        ("a joint turns back", GREY, [position for _, position in toggles(mechanism, can.coordinate)]),
     ):
         for position in positions:
             if left <= joint.shown(position) <= right:  # only one turn of a joint is drawn

@@ -12,7 +12,7 @@ from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.reduction.reduced import linearised
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.sites import site_names
@@ -274,7 +274,9 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     joint = mechanism.joints[mechanism.independent[can.coordinate]]
     turn = 2 * np.pi if can.turns_fully and joint.kind == "hinge" else np.inf
     by_joint: dict[int, list[float]] = {}
-    for other, position in can.toggles:  # for a joint that turns fully: each pose once in a turn, to a microradian
+    for other, position in toggles(
+        mechanism, can.coordinate
+    ):  # for a joint that turns fully: each pose once in a turn, to a microradian
         found = by_joint.setdefault(other, [])
         known = [abs((position - one + turn / 2) % turn - turn / 2) if np.isfinite(turn) else np.inf for one in found]
         if min(known, default=np.inf) > 1e-6:
@@ -367,7 +369,7 @@ def _reach_record(found: Inspection) -> dict:
         "reach_ends": {joint.name: [can.lower.reason, can.upper.reason] for joint, can in reaches},
         "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
         "branching_deg": [joint.shown(position) for joint, can in hinges for position, _ in can.branching],
-        "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
+        "toggle_deg": [joint.shown(x) for joint, can in hinges for _, x in toggles(found.mechanism, can.coordinate)],
     }
 
 

@@ -151,7 +151,11 @@ def gap_sentence(mechanism: Mechanism, gap_m: float, gap_rad: float = 0.0, error
     Small is below `NOTED_GAP_SHARE` of the extent, or of a radian. `error` is the text of `softness_error`.
     """
     angles = f"angles that closures tie are off by up to {gap_rad:.3g} rad" if gap_rad > NOTED_GAP_SHARE else ""
-    means = f"{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as stiff as the timestep admits"
+    stiff = "solref" in mechanism.source
+    remedy = (
+        "only a shorter timestep makes them stiffer" if stiff else f"{STIFF_KEY} makes them as stiff as the timestep admits"
+    )
+    means = f"{error}; plans and predictions are of closed loops; {remedy}"
     if not gap_m > NOTED_GAP_SHARE * mechanism.extent_m:
         return f"soft closures: in MuJoCo {angles}{means}" if angles else None
     share = 100 * gap_m / mechanism.extent_m

@@ -10,17 +10,23 @@ the weight at home, as exporters write who do not know the motor, gets twice the
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import mujoco
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Meeting, contact_pairs
+from linkplan.models.poses.continuation import in_loops
 from linkplan.models.selection import floating_joints
+from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.check.drives import pressed_joints
-from linkplan.studies.new.pace import is_large
+from linkplan.studies.check.softness import STIFF_KEY
+from linkplan.studies.new.hanging import hanging_columns
+from linkplan.studies.new.pace import equality_rows, is_large
 
 # An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
 _HOLD_MULTIPLE = 2.0
@@ -58,8 +64,8 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         mechanism = _assembled(table)
         said = ", ".join(f"{name} = {value:g}" for name, value in spins.items())
         notes.append(
-            "rods spin while all other joints rest, which nothing drives and which moves nothing else: a hinge of each is"
-            f" locked (mechanism.lock: {said})"
+            "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked"
+            f" (mechanism.lock: {said})"
         )
     if mechanism.dof and (pairs := _overlapping_at_home(mechanism)):
         table = with_exclusions(table, pairs)
@@ -70,10 +76,19 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         # With the default of 2 deg/s, xArm's first motion takes 16 s of processor time. With 10 it takes 2 s, and its
         # tracking error doubles.
         default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
-        mechanism = _assembled({**table, "friction_transition_deg_s": wide})
+        table = {**table, "friction_transition_deg_s": wide}
+        mechanism = _assembled(table)
         notes.append(
             f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
             " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
+        )
+    # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
+    if "solref" not in table and _held_gap(mechanism) > 0.01:
+        mechanism = _assembled({**table, "solref": STIFF})
+        notes.append(
+            "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
+            f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
+            f" leaves {_held_gap(mechanism):.1g} of its size or rad"
         )
     return mechanism, tuple(notes)
 
@@ -143,14 +158,77 @@ def _pressed(mechanism: Mechanism) -> dict[str, float]:
 
 
 def _spins(mechanism: Mechanism) -> dict[str, float]:
-    """Return the home positions [deg or m] of the independent hinges that are passive freedoms, by name."""
-    passive = [int(index) for index, steered in zip(mechanism.independent, mechanism.steered, strict=True) if not steered]
-    joints = {index: mechanism.joints[index] for index in passive}
+    """Return the home positions [deg or m] of the independent hinges about which undriven rods spin, by name."""
+    swings = [column for column in hanging_columns(mechanism) if _is_spin(mechanism, column)]
+    spins = [*np.flatnonzero(~mechanism.steered).tolist(), *swings]
+    joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
     return {
         joint.name: float(f"{joint.shown(mechanism.home[index]):.9g}")
         for index, joint in joints.items()
         if joint.chart is None and joint.kind == "hinge"
     }
+
+
+def _is_spin(mechanism: Mechanism, column: int) -> bool:
+    """Tell if the bodies that an independent coordinate of a loop moves at home all turn about one line, as one rod.
+
+    Bodies of less than a thousandth of the moving mass, as the crosses of universal joints, do not count.
+    """
+    if not in_loops(mechanism)[column]:
+        return False
+    model = mechanism.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = mechanism.qpos_of(mechanism.home)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    qvel = mechanism.qvel_of(mechanism.home, np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column])
+    rows, twists = np.zeros((6, model.nv)), np.zeros((model.nbody, 6))
+    for body in range(1, model.nbody):
+        mujoco.mj_jac(model, data, rows[:3], rows[3:], np.zeros(3), body)  # of the point at the world's origin
+        twists[body] = rows @ qvel
+    moves = np.abs(twists).max(axis=1) > ROUNDING_SHARE * np.abs(twists).max()
+    heavy = twists[moves & (model.body_mass > 1e-3 * model.body_mass[moves].sum())]
+    speed, turn = heavy[0, :3], heavy[0, 3:]
+    same = np.abs(heavy - heavy[0]).max() < ROUNDING_SHARE * np.abs(heavy).max()
+    about = abs(float(speed @ turn)) <= ROUNDING_SHARE * np.linalg.norm(turn) * np.linalg.norm(speed)  # and not along it
+    return bool(same and about and turn.any())
+
+
+def _held_gap(mechanism: Mechanism) -> float:
+    """Return the largest closure gap in MuJoCo while the drives hold the weight at home; 0 without loops or drives.
+
+    It is a share of the mechanism's extent, or an angle [rad]. At rest the law a + R f = -K d r of a row (MuJoCo,
+    "Constraint model") gives r = R f / (K d), with the forces f that keep the rows J q'' at zero.
+    """
+    if not mechanism.closures or not mechanism.n_u or not mechanism.dof:
+        return 0.0
+    model, still = mechanism.model, np.zeros((1, mechanism.dof))
+    hold = needed_effort(mechanism, mechanism.home[None], still, still)[0][0]
+    data = mujoco.MjData(model)
+    data.qpos[:] = mechanism.qpos_of(mechanism.home)
+    mujoco.mj_forward(model, data)
+    rows, free = equality_rows(model, data)
+    pushed = rows @ free @ (data.qfrc_passive - data.qfrc_bias + _joint_efforts(mechanism, hold))
+    force = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
+    stiffness, _, impedance, _ = data.efc_KBIP.reshape(-1, 4)[: data.ne].T
+    gap = np.abs(data.efc_R[: data.ne] * force / (stiffness * impedance))
+    return float(np.max(gap / np.where(_are_lengths(model, data), mechanism.extent_m, 1.0), initial=0.0))
+
+
+def _joint_efforts(mechanism: Mechanism, effort: np.ndarray) -> np.ndarray:
+    """Return the forces (nv,) on MuJoCo's degrees of freedom by the actuators' efforts (n_u,) at home."""
+    on_joints = np.array(mechanism.dynamics.effort_matrix(mechanism.home)).reshape(mechanism.n_q, -1) @ effort
+    units = np.array([mechanism.qvel_of(mechanism.home, unit) for unit in np.eye(mechanism.n_q)])
+    return units.T @ on_joints
+
+
+def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return a mask of the equality rows whose gaps are lengths [m]: those of connects, and the first three of welds."""
+    owner = np.array(data.efc_id[: data.ne])
+    number = np.array([np.sum(owner[:k] == owner[k]) for k in range(data.ne)], dtype=int)
+    kind = model.eq_type[owner]
+    weld, connect = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT
+    return (kind == connect) | ((kind == weld) & (number < 3))
 
 
 def _with_locks(table: Mapping[str, object], locks: Mapping[str, float]) -> dict[str, object]:

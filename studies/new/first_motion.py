@@ -124,7 +124,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 return found
             if rungs is _SMOOTH:
                 tried.append((moving, tables))
-            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, 0.3 * _TIME_BUDGET_S)  # an easy motion needs less
+            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, _first_try_s(moving))
             hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, most)}}
             try:
                 problem = Problem.from_tables(moving.name, hurried, mechanism=moving)
@@ -137,10 +137,28 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:
-                return _without_contacts(found, answer)
+                return _without_contacts(_with_brief_search(found, answer), answer)
     if not tried and obstacles:
         found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
+
+
+def _first_try_s(mechanism: Mechanism) -> float:
+    """Return the time [s] of a first try: an easy motion needs no more, and a large robot's smooth path is mostly one."""
+    return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
+
+
+def _with_brief_search(found: FirstMotion, plan: Plan) -> FirstMotion:
+    """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan."""
+    if plan.solved is not None or not is_large(found.mechanism):
+        return found
+    limit = _first_try_s(found.mechanism)
+    note = (
+        f"the solver finds no better motion than the smooth path within {limit:g} s of work: planning"
+        " searches no longer (solver.max_time_s)"
+    )
+    tables = found.tables | {"solver": {"max_time_s": limit}}
+    return replace(found, tables=tables, changes=(*found.changes, note))
 
 
 def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.files.json_record import read_record
 from linkplan.studies.output.document import Report
 from linkplan.studies.report.render import document_json, write_report
@@ -23,4 +24,4 @@ def read_document(path: Path) -> Report:
     Raises:
         PlanFileError: if the file is not a document, or a block lacks a value or has a value of another type.
     """
-    return read_record(path, Report)
+    return read_record(path, Report, MAX_FILE_BYTES)  # a robot with forty joints has ten megabytes

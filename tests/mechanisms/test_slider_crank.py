@@ -8,7 +8,7 @@ import pytest
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
-from linkplan.models.poses.reach import reach
+from linkplan.models.poses.reach import reach, toggles
 from tests.support.mechanism_checks import (
     acceleration,
     lagrangian_acceleration,
@@ -77,8 +77,9 @@ def test_the_slider_turns_back_at_both_dead_centres_and_the_crank_turns_fully():
     assert can.turns_fully
     assert can.singular == ()
     # Home itself is one of them: a sample at which the slider rests, between two of either sign.
-    assert [mechanism_of(NAME).joints[j].name for j, _ in can.toggles] == ["B", "B", "B"]
-    assert np.abs(np.array([at for _, at in can.toggles]) - [-np.pi, 0.0, np.pi]).max() < BRACKET_RAD
+    turning = toggles(mechanism_of(NAME))
+    assert [mechanism_of(NAME).joints[j].name for j, _ in turning] == ["B", "B", "B"]
+    assert np.abs(np.array([at for _, at in turning]) - [-np.pi, 0.0, np.pi]).max() < BRACKET_RAD
 
 
 @pytest.mark.slow

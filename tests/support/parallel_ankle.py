@@ -5,6 +5,8 @@ motor, the crank's tip at c(a) = r (-cos a, 0, sin a), and |D - c|^2 = l^2 is so
 follows from (D - c) . (dD - dc) = 0.
 """
 
+import re
+
 import numpy as np
 
 CRANK_M = 0.05
@@ -72,6 +74,13 @@ def ankle_text() -> str:
   </actuator>
 </mujoco>
 """
+
+
+def soft_ankle(mass: float) -> str:
+    """Return the ankle with its left rod of some mass [kg], on the model's default softness."""
+    soft = ankle_text().replace(' solref="0.0002 1" solimp="0.999 0.999 0.001"', "").replace('timestep="0.0001"', "")
+    light = f'<inertial mass="{mass}" pos="\\1" diaginertia="{mass:g} {mass:g} {mass:g}"/>'
+    return re.sub(r'<inertial mass="0.08" pos="([^"]*)"[^>]*/>', light, soft)
 
 
 def motor_angle(side: int, pitch: float, roll: float) -> float:

@@ -7,7 +7,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import sampled, sampled_where_moving
 from linkplan.models.poses.assembly import advance, follow
 from linkplan.models.poses.continuation import in_loops
-from linkplan.models.poses.reach import reach
+from linkplan.models.poses.reach import reach, toggles
 
 # Rounding: sums are the same, in another order.
 ROUNDING = 1e-14
@@ -73,4 +73,4 @@ def test_what_moves_outside_the_loops_leaves_them_alone(arm, swept):
 def test_the_reach_of_a_joint_outside_the_loops_is_its_range(arm):
     can = reach(arm, 1)
     assert np.degrees([can.lower.position, can.upper.position]) == pytest.approx([-60, 60])
-    assert (can.singular, can.toggles) == ((), ())
+    assert (can.singular, toggles(arm, 1)) == ((), ())

@@ -12,7 +12,7 @@ from linkplan.models.payload import SHANK
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.contacts import contact_pairs
-from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.poses.skeleton import sticks
 from tests.support.data import KNEE_TABLE as REFERENCE
 from tests.support.mechanisms import FourBar, stated_gap_mm
@@ -151,7 +151,7 @@ def test_the_pose_at_the_end_of_the_reach_has_a_at_90_degrees_or_o_at_minus_90(n
 
 @both_models
 def test_joint_c_turns_back_at_the_toggle(name):
-    ((joint, position),) = knee_reach(name).toggles
+    ((joint, position),) = toggles(knee(name))
     assert knee(name).joints[joint].name == "C"
     assert abs(position - np.radians(REFERENCE["toggle_q_A_zero_q_O_deg"])) < BRACKET_RAD
 

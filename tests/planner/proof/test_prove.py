@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.models.deadline import NO_DEADLINE
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.planning import plan_motion
@@ -13,6 +13,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.finding import Proof
+from linkplan.planner.proof.prove import _Sweep
 from linkplan.planner.proof.prove import prove as prove_all
 from linkplan.planner.trajectory import Trajectory
 from tests.support.linkages import RSSR
@@ -199,3 +200,19 @@ def test_a_proof_whose_time_is_up_examines_no_box():
     assert {"the loops close, on one branch without a singular pose", "planned effort of act_O"} <= {
         finding.name for finding in proof.of("undecided")
     }
+
+
+def test_a_proof_whose_time_is_up_leaves_whole_intervals():
+    plan = optimal("knee-reach")
+    clock = iter([0.0] * 400)  # then it is one second
+
+    def now() -> float:
+        return next(clock, 1.0)
+
+    problem = plan.problem
+    shared = {"problem": problem, "trajectory": plan.trajectory, "blocks": blocks_of(problem.mechanism), "order": 12}
+    sweep = _Sweep(claims=[], until=Deadline(at_s=0.5, clock=now), depth=12, **shared)
+    sweep.run()
+    assert next(clock, None) is None, "the deadline passes within the first interval"
+    first = [end for _, end in sweep.closure.undecided if end <= plan.trajectory.breaks_s[1]]
+    assert len(sweep.closure.undecided) - len(first) == plan.intervals - 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.models.poses.reach import reach
+from linkplan.models.poses.reach import reach, toggles
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import measure
 from linkplan.studies.check.path_plots import inspection_figure, path_plots
@@ -50,6 +50,6 @@ def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():
     mechanism = mechanism_of("optimus-knee")
     found = inspect(mechanism, [])
     assert len(found.reaches[0].singular)
-    assert found.reaches[0].toggles
+    assert toggles(mechanism)
     axes = inspection_figure(found).axes[1]
     assert [text.get_text() for text in axes.get_legend().get_texts()][-2:] == ["singular pose", "a joint turns back"]

@@ -9,8 +9,9 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.changes import changed_mechanism, raised_limits
+from linkplan.studies.new.hanging import hanging_columns
 from tests.support.data import DATA
-from tests.support.parallel_ankle import ankle_text
+from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 # A chassis that slides and pitches in a plane, with a wheel-leg of five bars whose motors are on the chassis.
 WHEEL_LEG = """<mujoco><option timestep="0.001"/><compiler angle="degree" autolimits="true"/>
@@ -109,6 +110,34 @@ def test_the_spin_of_a_push_rod_is_locked_and_nothing_else():
     (locked,) = mechanism.selection.lock
     assert locked.startswith("rod_")
     assert "a hinge of each is locked" in notes[0]
+
+
+def test_a_rod_that_swings_about_its_own_line_is_locked_too():
+    """The rod's centre of mass lies 2 cm beside its line: a pendulum that nothing drives, in a loop."""
+    swinging = ankle_text().replace(
+        '<joint name="rod_roll_left"', '<joint name="rod_spin_left" axis="0 0 1"/><joint name="rod_roll_left"'
+    )
+    middle = swinging[swinging.index('<inertial mass="0.08" pos="') :].split('"')[3]
+    bent = " ".join(str(float(x) + offset) for x, offset in zip(middle.split(), (0.0, 0.02, 0.0), strict=True))
+    bent_rod = {"model": swinging.replace(f'mass="0.08" pos="{middle}"', f'mass="0.08" pos="{bent}"', 1)}
+    as_it_is = load_mechanism(bent_rod["model"])
+    assert (as_it_is.dof, len(hanging_columns(as_it_is))) == (3, 1), "it is no spin without a weight"
+    mechanism, notes = changed_mechanism(bent_rod)
+    assert mechanism.dof == 2
+    assert "rods spin about a line" in notes[0]
+
+
+def test_a_pendulum_that_hangs_on_a_driven_cart_is_not_locked():
+    mechanism, notes = changed_mechanism({"model": "cart-pole"})
+    assert (mechanism.dof, notes) == (2, ())
+
+
+def test_loops_that_let_go_of_the_weight_are_made_stiff():
+    mechanism, notes = changed_mechanism({"model": soft_ankle(1e-6)})
+    assert mechanism.source["solref"] == "stiff"
+    assert "too soft to carry its weight" in notes[-1]
+    kept, notes = changed_mechanism({"model": soft_ankle(0.08)})
+    assert "solref" not in kept.source, notes
 
 
 def test_a_drive_that_holds_its_weight_keeps_its_limit():

@@ -1,0 +1,63 @@
+"""The smooth path itself as an answer: a motion with the efforts that it needs, which no solver has improved.
+
+Large robots with a drive for each freedom move along almost any slow path. The solver may still run out of time on their
+programs of ten thousand unknowns, or stall next to an optimum that no digit of the objective shows.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
+from linkplan.planner.certificate.saved import objective_value
+from linkplan.planner.closed_chain.guess import even_poses
+from linkplan.planner.closed_chain.prescribed import motion_along
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.history import progress
+from linkplan.planner.search.attempts import without_solving
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.solving import first_mesh
+
+
+def along_smooth_path(search: Search) -> Plan | None:
+    """Return the smooth path from start to goal as a "feasible" plan; None if its certificate does not pass.
+
+    Raises:
+        OutOfTimeError: if the deadline for judging motions passes.
+    """
+    asked = search.problem
+    if asked.motion.kind != "reach" or search.verdicts:
+        return None
+    # A search that is out of time has this motion at hand: it is judged until the deadline of every found motion.
+    problem = replace(asked, solver=replace(asked.solver, deadline=asked.solver.judging_deadline))
+    problem.solver.deadline.require_time()
+    try:
+        if not _is_carried(problem, search):
+            return None
+        progress("the smooth path itself")
+        mesh, durations = first_mesh(problem, search.smooth)
+        motion = motion_along(problem, search.smooth, mesh.breaks(durations))
+        objective, _ = objective_value(problem, motion)
+        within = f" within {asked.solver.max_time_s:g} s" if search.stopped else ""
+        said = (
+            f"motion of {motion.duration_s:.6g} s along the smooth path, which keeps every limit; the solver found no"
+            f" better one{within}"
+        )
+        plan = without_solving(problem, motion, objective, said)
+    except AssemblyError:
+        return None
+    return plan if plan.passed else None
+
+
+def _is_carried(problem: Problem, search: Search) -> bool:
+    """Tell if the actuators carry the smooth path within their limits at its samples."""
+    times, poses = even_poses(problem, search.smooth)
+    v, a = search.smooth.velocity(times), search.smooth.acceleration(times)
+    effort, missing = needed_effort(problem.mechanism, poses, v, a)
+    low, high = problem.limits.effort.T
+    largest = np.abs(effort).max(initial=0.0)
+    return bool(
+        np.all((effort >= low) & (effort <= high)) and np.abs(missing).max(initial=0.0) <= HOLDING_TOLERANCE * largest
+    )

@@ -1,0 +1,61 @@
+"""The smooth path itself as an answer, where the solver finds none: a motion of large robots that is not optimised."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.diagnosis.reasons import nothing_found
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
+from tests.support.plans import optimal
+
+STRONG = "limits.effort={ act_O1 = [-3.0, 3.0], act_O2 = [-3.0, 3.0] }"
+
+
+def unsolved(problem) -> Plan:
+    """Return the plan of a problem that no rung is tried on."""
+    return plan_motion(problem, rungs=(), diagnoses=(nothing_found,))
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    return unsolved(load_problem("five-bar-reach", [STRONG]))
+
+
+def test_the_smooth_path_answers_where_no_rung_finds_a_motion(smooth):
+    assert smooth.status == "feasible", smooth.message
+    assert smooth.certificate.passed
+    assert "along the smooth path" in smooth.message
+    assert "found no better one" in smooth.message
+    best = optimal("five-bar-reach", STRONG)
+    assert smooth.trajectory.duration_s == pytest.approx(best.trajectory.duration_s)
+    assert smooth.objective > 1.01 * best.objective, "a path that is not optimised costs more"
+
+
+def test_it_is_a_quintic_in_the_independent_joints(smooth):
+    motion, trajectory = smooth.problem.motion, smooth.trajectory
+    share = np.linspace(0.0, 1.0, 41)[:, None]
+    asked = motion.start + (10 * share**3 - 15 * share**4 + 6 * share**5) * (motion.goal - motion.start)
+    assert np.abs(trajectory.position_at(share[:, 0] * trajectory.duration_s) - asked).max() < 1e-12
+
+
+def test_its_efforts_are_those_of_inverse_dynamics_and_its_objective_is_their_integral(smooth):
+    trajectory, mechanism = smooth.trajectory, smooth.problem.mechanism
+    time = np.linspace(0.0, trajectory.duration_s, 2001)
+    poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
+    needed, _ = needed_effort(mechanism, poses, trajectory.velocity_at(time), trajectory.acceleration_at(time))
+    assert np.abs(needed - trajectory.effort_at(time)).max() < 1e-8 * np.abs(needed).max()
+    integral = float(np.trapezoid((needed**2).sum(axis=1), time))
+    assert smooth.objective == pytest.approx(integral, rel=1e-5)
+
+
+def test_it_is_no_answer_if_its_efforts_exceed_their_limits():
+    plan = unsolved(load_problem("five-bar-reach"))
+    assert plan.status == "failed"
+    assert "times its limit" in plan.message
+
+
+def test_it_is_no_answer_if_a_joint_has_no_drive():
+    assert not unsolved(load_problem("cart-pole-swing-up")).passed
