@@ -17,14 +17,15 @@ from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, Wanted, evaluated
 # Search range of the natural frequency, in units of the required bandwidth, and of the damping ratio.
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
 _DAMPING_RATIO_RANGE = (0.15, 8.0)
-# Grid points along each axis, also the fewer ones for LQR, which solves a Riccati equation for every candidate and pose,
-# and for several joints, whose loops are all judged for every candidate.
-_GRID_POINTS, _FEW_GRID_POINTS = 17, 9
+# Grid points along each axis; half as many for LQR, which solves a Riccati equation for every candidate and pose, and for
+# several joints, whose loops are all judged for every candidate.
+_GRID_POINTS = 17
 _GRID_LEVELS = 4
 # The search uses approximate margins, so it requires this factor more than the user.
 _SEARCH_RESERVE = 1.005
-# Rounds through the joints of several freedoms: each joint's gains are searched again with the others' last ones.
-_MAX_JOINT_ROUNDS = 4
+# Rounds of searching gains: with the worst poses of a line added (at most two were needed in practice), and through the
+# joints of several freedoms, each joint's gains again with the others' last ones.
+MAX_ROUNDS = 5
 
 
 def found_gains(
@@ -49,7 +50,7 @@ def found_gains(
     first = {name: {joint.name: 0.0 for joint in joints} for name in ("kp", "kd")}  # spins have no gains
     settings = _refined(points, wanted, replace(settings, **first), timing, effort_limit, law, channels, say)
     best = evaluated(points, settings, wanted, timing, effort_limit, law)
-    for number in range(_MAX_JOINT_ROUNDS):
+    for number in range(MAX_ROUNDS):
         if best.shortfall == 0.0:
             break
         for channel in channels:
@@ -79,7 +80,7 @@ def _refined(
     centre, half = ends.mean(axis=1), 0.5 * np.diff(ends, axis=1).ravel()
     best: tuple[float, float, Tracking] | None = None
     several = law == "lqr" or len(points[0].mechanism.channels) > 1
-    count = _FEW_GRID_POINTS if several else _GRID_POINTS
+    count = (_GRID_POINTS + 1) // 2 if several else _GRID_POINTS
     for level in range(_GRID_LEVELS):
         say(f"gains, grid {level + 1} of {_GRID_LEVELS}" + ("" if best is None else f", shortfall {best[0]:.3g}"))
         axis = np.linspace(-1.0, 1.0, count)

@@ -23,10 +23,7 @@ from linkplan.studies.bode.scan import Line, judge_of
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, operating_point
 from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, EvaluatedGains, Wanted, evaluated, shortfall
-from linkplan.studies.tune.search import found_gains
-
-# Rounds of searching gains and adding the worst poses of a line (at most two were needed in practice).
-_MAX_ROUNDS = 5
+from linkplan.studies.tune.search import MAX_ROUNDS, found_gains
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -82,7 +79,7 @@ def tune(
             f" control period of {timing.period_s:g} s"
         )
     points = list(points)
-    for last in [*[False] * (_MAX_ROUNDS - 1), True]:
+    for last in [*[False] * (MAX_ROUNDS - 1), True]:
         settings_found = found_gains(points, wanted, settings, timing, effort_limit, law, say)
         best = evaluated(points, settings_found, wanted, timing, effort_limit, law)
         if line is None or best.shortfall or last:

@@ -5,7 +5,11 @@ motor, the crank's tip at c(a) = r (-cos a, 0, sin a), and |D - c|^2 = l^2 is so
 follows from (D - c) . (dD - dc) = 0.
 """
 
+import re
+
 import numpy as np
+
+import linkplan
 
 CRANK_M = 0.05
 # Each side: motor's place and foot's rod end [m] in the frames of shin and foot, both with the ankle as origin.
@@ -15,6 +19,7 @@ TIPS = MOTORS + np.array([-CRANK_M, 0.0, 0.0])
 RODS = np.linalg.norm(TIPS - FEET, axis=1)
 ARMATURE, DAMPING, FRICTION = 0.012, 0.03, 0.2
 NAMES = ("left", "right")
+HINGES = r'<joint name="rod_pitch_(\w+)" axis="0 1 0"/>\s*<joint name="rod_roll_\w+" axis="1 0 0"/>'
 
 
 def _side(name: str, motor: np.ndarray, tip: np.ndarray, foot: np.ndarray) -> str:
@@ -105,3 +110,9 @@ def _turned(pitch: float, roll: float) -> np.ndarray:
 
 def _offset(side: int, pitch: float, roll: float) -> np.ndarray:
     return _turned(pitch, roll) @ FEET[side] - MOTORS[side]
+
+
+def ankle(*, balls: bool) -> linkplan.Mechanism:
+    """Return an ankle without dry friction, with two motors and two rods, on universal or on ball joints."""
+    text = re.sub(r'\s*frictionloss="[\d.]+"', "", ankle_text())
+    return linkplan.load_mechanism(re.sub(HINGES, r'<joint name="\1" type="ball" damping="5e-4"/>', text) if balls else text)

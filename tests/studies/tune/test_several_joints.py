@@ -18,7 +18,7 @@ from linkplan.studies.tune.draw_tune import tune_figure
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
 from linkplan.studies.tune.tune_report import tracking_table, tracking_values, tune_record, tune_text
-from tests.studies.bode.test_push_rods import ankle
+from tests.support.parallel_ankle import ankle
 from tests.support.tolerances_loops import MARGIN
 
 PERIOD_S = 1e-3
