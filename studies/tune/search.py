@@ -17,9 +17,6 @@ from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, Wanted, evaluated
 # Search range of the natural frequency, in units of the required bandwidth, and of the damping ratio.
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
 _DAMPING_RATIO_RANGE = (0.15, 8.0)
-# Grid points along each axis; half as many for LQR, which solves a Riccati equation for every candidate and pose, and for
-# several joints, whose loops are all judged for every candidate.
-_GRID_POINTS = 17
 _GRID_LEVELS = 4
 # The search uses approximate margins, so it requires this factor more than the user.
 _SEARCH_RESERVE = 1.005
@@ -80,7 +77,9 @@ def _refined(
     centre, half = ends.mean(axis=1), 0.5 * np.diff(ends, axis=1).ravel()
     best: tuple[float, float, Tracking] | None = None
     several = law == "lqr" or len(points[0].mechanism.channels) > 1
-    count = (_GRID_POINTS + 1) // 2 if several else _GRID_POINTS
+    # Grid points along each axis: fewer for LQR, which solves a Riccati equation for every candidate and pose, and for
+    # several joints, whose loops are all judged for every candidate.
+    count = 9 if several else 17
     for level in range(_GRID_LEVELS):
         say(f"gains, grid {level + 1} of {_GRID_LEVELS}" + ("" if best is None else f", shortfall {best[0]:.3g}"))
         axis = np.linspace(-1.0, 1.0, count)
