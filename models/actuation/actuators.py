@@ -20,7 +20,7 @@ import numpy as np
 from linkplan.models.actuation.transmission import KINDS, TRN_SITE, TRN_TENDON, attachment, gear_of, has_length, moment
 from linkplan.models.tree.coordinates import HINGE, SLIDE, joint_label
 from linkplan.models.tree.dynamics import Tree
-from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, wraps
+from linkplan.models.tree.tendons import UNWRAPPED, is_fixed, tendon_joints, tendon_label, wraps
 
 # Coefficients on 1, length and speed.
 Triple = tuple[float, float, float]
@@ -151,7 +151,7 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
     if has_length(model, index) and kind != TRN_SITE and gear_of(model, index)[0] == 0.0:
         return "the first number of its gear is zero, and on a hinge, slide or tendon only that number counts"
     if kind == TRN_TENDON and wraps(model, int(model.actuator_trnid[index, 0])):
-        return "its tendon wraps around a geom"
+        return f"its tendon wraps around a geom: {UNWRAPPED}"
     if _moves(model, index) and not has_length(model, index):
         return "it is a servo on a rotation, whose length MuJoCo wraps to one turn"
     return None

@@ -17,6 +17,8 @@ HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
+# The remedy for a tendon that wraps around a geom.
+UNWRAPPED = "lead it through sites, or make it a fixed tendon with the pulley's radius as the joint's coefficient"
 
 
 def tendon_label(model: mujoco.MjModel, tendon: int) -> str:

@@ -19,7 +19,7 @@ from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables
-from linkplan.studies.check.drives import pressed_joints
+from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.new.pace import is_large
 
 # An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
@@ -50,7 +50,7 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         mechanism = _assembled(table)
         said = ", ".join(f"{name} = {value:g}" for name, value in pressed.items())
         notes.append(
-            f"weight and springs press joints onto their stops at home: they are locked there (mechanism.lock: {said});"
+            f"weight and springs press joints onto their stops: they are locked there (mechanism.lock: {said});"
             " a motion on which they would leave their stops is another mechanism's"
         )
     if mechanism.dof and mechanism.n_u and (spins := _spins(mechanism)):
@@ -138,8 +138,9 @@ def _overlapping_at_home(mechanism: Mechanism) -> list[list[str]]:
 
 
 def _pressed(mechanism: Mechanism) -> dict[str, float]:
-    """Return the positions [deg or m] of the pressed hinges and slides by name."""
-    return {joint.name: joint.shown(x) + 0.0 for joint, x in pressed_joints(mechanism) if joint.chart is None}
+    """Return the positions [deg or m] of the hinges and slides that rest on their stops, by name."""
+    resting = [*pressed_joints(mechanism), *sprung_stops(mechanism)]
+    return {joint.name: joint.shown(x) + 0.0 for joint, x in resting if joint.chart is None}
 
 
 def _spins(mechanism: Mechanism) -> dict[str, float]:
