@@ -20,7 +20,7 @@ from linkplan.models.closure.equations import equality_name
 from linkplan.models.tree.coordinates import BALL, FREE, joint_label
 from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.passive import compensates, disabled, limits_off, spans_branches, tendon_armatures
-from linkplan.models.tree.tendons import tendon_label, wraps
+from linkplan.models.tree.tendons import LACKING, lacks_length, tendon_label
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ def _tendons(model: mujoco.MjModel):
         name = tendon_label(model, tendon)
         if model.tendon_springyield[tendon] > 0:
             yield f"springyield of tendon {name}"
-        if wraps(model, tendon):
+        if lacks_length(model, tendon):
             limited = model.tendon_limited[tendon] and not limits_off(model)
             forces = [
                 ("limit", limited),
@@ -67,7 +67,8 @@ def _tendons(model: mujoco.MjModel):
                 ("armature", armatures[tendon] > 0),
                 ("frictionloss", model.tendon_frictionloss[tendon] > 0),
             ]
-            yield from (f"{what} of tendon {name}, which wraps around a geom" for what, present in forces if present)
+            of = f"of tendon {name}, which {LACKING}"
+            yield from (f"{what} {of}" for what, present in forces if present)
         elif armatures[tendon] > 0 and (length := lengths[tendon]) is not None and spans_branches(model, length, q):
             yield f"armature of tendon {name}: it couples two branches of the tree, which the simulator's inertia leaves out"
 

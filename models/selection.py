@@ -182,6 +182,8 @@ def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
             found.add(int(model.jnt_bodyid[element]))
         elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
             found.add(int(model.site_bodyid[element]))
+        elif kind in (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER)):
+            found.add(int(model.geom_bodyid[element]))
     return found
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from linkplan.models.actuation.transmission import KINDS, TRN_SITE, TRN_TENDON, attachment, gear_of, has_length, moment
 from linkplan.models.tree.coordinates import HINGE, SLIDE, joint_label
 from linkplan.models.tree.dynamics import Tree
-from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, wraps
+from linkplan.models.tree.tendons import LACKING, is_fixed, lacks_length, tendon_joints, tendon_label
 
 # Coefficients on 1, length and speed.
 Triple = tuple[float, float, float]
@@ -150,8 +150,8 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
         return "its gear is zero"
     if has_length(model, index) and kind != TRN_SITE and gear_of(model, index)[0] == 0.0:
         return "the first number of its gear is zero, and on a hinge, slide or tendon only that number counts"
-    if kind == TRN_TENDON and wraps(model, int(model.actuator_trnid[index, 0])):
-        return "its tendon wraps around a geom"
+    if kind == TRN_TENDON and lacks_length(model, int(model.actuator_trnid[index, 0])):
+        return f"its tendon {LACKING}"
     if _moves(model, index) and not has_length(model, index):
         return "it is a servo on a rotation, whose length MuJoCo wraps to one turn"
     return None
@@ -211,9 +211,9 @@ def has_passive_terms(model: mujoco.MjModel, index: int) -> bool:
 
 
 def passive_terms_modelled(model: mujoco.MjModel, index: int) -> bool:
-    """Return True if the tree includes the actuator's own damping and armature: on a hinge, slide or unwrapped tendon."""
+    """Return True if the tree includes the actuator's own damping and armature: on a hinge, slide or most tendons."""
     if int(model.actuator_trntype[index]) == int(TRN_TENDON):
-        return not wraps(model, int(model.actuator_trnid[index, 0]))
+        return not lacks_length(model, int(model.actuator_trnid[index, 0]))
     on_joint = attachment(model, index)
     return on_joint.dof is not None
 

@@ -7,7 +7,7 @@ null space springs and gravity balance:
     N^T tau(s, 0, 0) = 0,   N^T R = 0.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.tree.joints import Joint
 
 
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
@@ -68,6 +69,40 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
     s = base.copy()
     s[columns] = found.x
     return s
+
+
+def rests_on_stops(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int, ...]) -> dict[int, float]:
+    """Return the ends of ranges [rad or m] by column onto which springs and weight press unnamed coordinates at rest.
+
+    The coordinate whose equilibrium lies farthest beyond its range is held at the range's end, and the equilibrium of the
+    others is found again. The arguments are those of `spring_equilibrium`.
+    """
+    held: dict[int, float] = {}
+    joints, limited = mechanism.independent_joints, []
+    for column in unnamed:
+        limited += [column] if np.isfinite([joints[column].lower, joints[column].upper]).any() else []
+    while limited:
+        s = spring_equilibrium(mechanism, {**named, **held}, tuple(c for c in unnamed if c not in held))
+        if s is None:
+            break
+        ends = {c: float(np.clip(s[c], joints[c].lower, joints[c].upper)) for c in limited}
+        column = max(limited, key=lambda c: abs(s[c] - ends[c]))
+        if abs(s[column] - ends[column]) < 1e-8:  # rounding of the equilibrium [rad or m]
+            break
+        held[column] = ends[column]
+        limited.remove(column)
+    return held
+
+
+def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
+    """Return the sentence on joints that weight and springs press onto their stops [rad or m], with the remedy."""
+    names = ", ".join(f"{joint.name} ({joint.said(x, 4)} {joint.unit})" for joint, x in stops)
+    locks = ", ".join(f"{joint.name} = {joint.shown(x) + 0.0:.6g}" for joint, x in stops)
+    return (
+        f"{when} weight and springs press {names} onto {'its stop' if len(stops) == 1 else 'their stops'}, against which"
+        f" no actuator holds: a stop's force is not planned for; mechanism.lock = {{ {locks} }} holds them there,"
+        " as linkplan.new does by itself"
+    )
 
 
 def _stiffness(mechanism: Mechanism) -> np.ndarray:

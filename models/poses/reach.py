@@ -1,6 +1,7 @@
 """The reach of a mechanism: the interval of an independent joint on the home branch, and the reasons for its ends."""
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,6 +11,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import advance, continue_to, step_sizes
+from linkplan.models.poses.ball_angles import beyond_balls
 from linkplan.models.poses.continuation import in_loops
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
@@ -33,8 +35,8 @@ class End:
     """An end of the reach: the independent position there [rad or m] and the reason."""
 
     position: float
-    reason: str  # "range of A", "end of rod_rx's chart", "singular pose", "full turn"
-    joint: int | None  # the joint whose range ends the reach
+    reason: str  # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose", "full turn"
+    joint: int | None  # the coordinate whose range ends the reach
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -63,7 +65,10 @@ class Reach:
 
 @functools.lru_cache(maxsize=64)
 def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
-    """Return the reach of an independent joint on the home branch, up to a joint's range, a singular pose or a turn."""
+    """Return the reach of an independent joint on the home branch.
+
+    It ends at the range of a joint or a ball joint, at a singular pose, or after a turn.
+    """
     down, lower, singular_down = _walk(mechanism, coordinate, -1)
     up, upper, singular_up = _walk(mechanism, coordinate, +1)
     poses = np.array([*down[::-1], mechanism.home, *up])
@@ -84,7 +89,7 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
 
 
 def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
-    """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a joint's range.
+    """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a range.
 
     The steps are those of `reach`, but the check is much faster. Results are cached.
     """
@@ -98,7 +103,7 @@ def _is_open(mechanism: Mechanism, s: tuple[float, ...]) -> bool:
     if poses is None:
         return False
     kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
-    return bool(np.all(kept))
+    return bool(np.all(kept) and np.all(beyond_balls(mechanism, poses) <= RANGE_ROUNDING))
 
 
 def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray | None:
@@ -162,7 +167,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
             stop = _range_stop(mechanism, q, trial, coordinate) if leaves.any() else None
             if stop is not None:
                 poses.append(stop[0])
-                return poses, End(position=float(stop[0][index]), reason=_end_of(stop[1]), joint=stop[2]), []
+                return poses, End(position=float(stop[0][index]), reason=stop[1], joint=stop[2]), []
             poses.append(trial)
             q = trial
         if arrived < len(path[begin : begin + n]):
@@ -178,29 +183,39 @@ def _end_of(joint: Joint) -> str:
 
 
 def _leaves_ranges(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return a mask (n, n_z) of the dependent joints outside their ranges at poses (n, n_q)."""
+    """Return a mask (n, n_z + n_balls) of dependent joints and ball joints outside their ranges at poses (n, n_q)."""
     ranges = [(mechanism.joints[i].lower, mechanism.joints[i].upper) for i in mechanism.dependent]
     low, high = np.array(ranges).reshape(-1, 2).T
     z = poses[:, mechanism.dependent]
-    return np.maximum(z - high, low - z) > RANGE_ROUNDING
+    return np.hstack([np.maximum(z - high, low - z), beyond_balls(mechanism, poses)]) > RANGE_ROUNDING
 
 
 def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int):
-    """Return the pose, joint and index where the first dependent joint leaves its range between two poses, or None."""
-    first = None
+    """Return the pose where the first range is left between two poses, the reason and the joint's index, or None."""
     (out,) = _leaves_ranges(mechanism, trial[None])
-    for i in mechanism.dependent[out]:
-        joint = mechanism.joints[i]
-        for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
-            outward = trial[i] - q[i] if limit == joint.upper else q[i] - trial[i]
-            # A joint that does not move with the coordinate, or returns into its range, is no stop.
-            if not outside > RANGE_ROUNDING or not outward > ROUNDING_SHARE * step_sizes(mechanism)[i]:
-                continue
-            pose = _pose_where(mechanism, [q], trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
-            distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
-            if first is None or distance < first[3]:
-                first = (pose, joint, int(i), distance)
+    joints, stops = mechanism.dependent, []
+    for i in joints[out[: len(joints)]]:
+        stops.append((*_joint_end(mechanism, trial, i), _end_of(mechanism.joints[i]), int(i)))
+    for k in np.flatnonzero(out[len(joints) :]):
+        reason = f"range of ball joint {mechanism.balls[k].name}"
+        stops.append((lambda p, k=k: float(beyond_balls(mechanism, p[None])[0, k]), 1.0, reason, None))
+    first, index = None, mechanism.independent[coordinate]
+    for beyond, unit, reason, joint in stops:
+        # What does not move with the coordinate, or returns into its range, is no stop.
+        if not beyond(trial) - beyond(q) > ROUNDING_SHARE * unit:
+            continue
+        pose = _pose_where(mechanism, [q], trial, coordinate, beyond)
+        distance = abs(pose[index] - q[index])
+        if first is None or distance < first[3]:
+            first = (pose, reason, joint, distance)
     return first if first is None else first[:3]
+
+
+def _joint_end(mechanism: Mechanism, trial: np.ndarray, i: int) -> tuple[Callable[[np.ndarray], float], float]:
+    """Return how far a pose is beyond the end of a joint's range that `trial` has left, as a function, and its unit."""
+    upper, lower = mechanism.joints[i].upper, mechanism.joints[i].lower
+    above = trial[i] > upper
+    return (lambda p: float(p[i] - upper if above else lower - p[i])), float(step_sizes(mechanism)[i])
 
 
 def _pose_where(mechanism: Mechanism, known: list[np.ndarray], trial: np.ndarray, coordinate: int, function) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Tendon lengths as expressions of the coordinates.
 
 A fixed tendon's length is a linear combination of joint positions. A spatial tendon's length is the length of its path
-through sites, with each branch divided by its pulley's divisor. A path that wraps around a geom has no expression here.
+through sites and around geoms, with each branch divided by its pulley's divisor.
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,17 @@ import mujoco
 
 from linkplan.models.errors import ModelError
 from linkplan.models.tree.passive import limits_off
+from linkplan.models.tree.wrapping import CYLINDER, SPHERE, side_of, wrapped_length
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
+# Why a tendon's length has no expression, with the remedy.
+LACKING = (
+    "passes through the inside of a geom, or around a sphere with a side site: lead it through sites, around the outside of"
+    " a cylinder, or make it a fixed tendon with the pulley's radius as the joint's coefficient"
+)
 
 
 def tendon_label(model: mujoco.MjModel, tendon: int) -> str:
@@ -37,7 +43,24 @@ def is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
 
 def wraps(model: mujoco.MjModel, tendon: int) -> bool:
     """Return True if a tendon's path goes around or through a geom."""
-    return any(int(model.wrap_type[k]) not in (JOINT, PULLEY, SITE) for k in path_of(model, tendon))
+    return bool(_geoms_of(model, tendon))
+
+
+def lacks_length(model: mujoco.MjModel, tendon: int) -> bool:
+    """Return True if a tendon's length has no expression (`models.tree.wrapping`)."""
+    return wraps(model, tendon) and None in _sides(model, tendon).values()
+
+
+def _geoms_of(model: mujoco.MjModel, tendon: int) -> list[int]:
+    """Return the geoms of a tendon's path as indices in the model's list of wrap objects."""
+    return [k for k in path_of(model, tendon) if int(model.wrap_type[k]) in (CYLINDER, SPHERE)]
+
+
+def _sides(model: mujoco.MjModel, tendon: int) -> dict[int, str | None]:
+    """Return the side of the rope at each geom of a tendon's path, at the model's reference pose."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return {k: side_of(model, data, k) for k in _geoms_of(model, tendon)}
 
 
 def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
@@ -65,12 +88,12 @@ class TendonRange:
 
 
 def limited_tendons(model: mujoco.MjModel) -> tuple[TendonRange, ...]:
-    """Return a model's tendon limits, except for tendons that wrap around a geom."""
+    """Return a model's tendon limits, except for tendons whose length has no expression."""
     if limits_off(model):
         return ()
     found = []
     for tendon in range(model.ntendon):
-        if not model.tendon_limited[tendon] or wraps(model, tendon):
+        if not model.tendon_limited[tendon] or lacks_length(model, tendon):
             continue
         name, margin = tendon_label(model, tendon), float(model.tendon_margin[tendon])
         low, high = (float(end) for end in model.tendon_range[tendon])
@@ -88,7 +111,7 @@ def limited_tendons(model: mujoco.MjModel) -> tuple[TendonRange, ...]:
 
 
 def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int) -> ca.SX | None:
-    """Return a tendon's length [m], or None where its path wraps around a geom.
+    """Return a tendon's length [m], or None if it has no expression.
 
     Args:
         model: the compiled model.
@@ -96,19 +119,24 @@ def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int
         q: the coordinates (n_q,).
         tendon: the tendon's index.
     """
-    if wraps(model, tendon):
+    if lacks_length(model, tendon):
         return None
     if is_fixed(model, tendon):
         return sum((c * q[dof] for dof, c in tendon_joints(model, tendon).items()), ca.SX(0))
+    sides = _sides(model, tendon) if wraps(model, tendon) else {}
     length, divisor, before = ca.SX(0), 1.0, None
     for k in path_of(model, tendon):
         if int(model.wrap_type[k]) == PULLEY:
             divisor, before = float(model.wrap_prm[k]), None
             continue
+        if k in sides:
+            continue
         site = int(model.wrap_objid[k])
         frame = frames[int(model.site_bodyid[site])]
         point = frame.p_world_B + frame.R_world_B @ ca.DM(model.site_pos[site])
-        if before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):
+        if (side := sides.get(k - 1)) is not None and before is not None:
+            length += wrapped_length(model, frames, k - 1, side, (before[1], point)) / divisor
+        elif before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):
             length += float(ca.norm_2(ca.DM(model.site_pos[site] - model.site_pos[before[0]]))) / divisor
         elif before is not None:
             # MuJoCo's least length (mjMINVAL) makes the derivative zero, and not 0 / 0, where two sites coincide.

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
+from linkplan.models.poses.equilibrium import rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
 from linkplan.planner.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
@@ -292,6 +292,13 @@ def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> d
         names = ", ".join(joints[int(mechanism.independent[c])].name for c in unnamed)
         raise ProblemError(
             f"{where} names no value for {names}, and no equilibrium of springs and weight was found near home"
+        )
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in mechanism.independent_joints]).T
+    outside = np.any((s < lower - 1e-8) | (s > upper + 1e-8))  # rounding of the equilibrium [rad or m]
+    if outside and (stops := rests_on_stops(mechanism, named, unnamed)):
+        resting = [(mechanism.independent_joints[column], x) for column, x in stops.items()]
+        raise ProblemError(
+            stop_sentence(resting, f"{where} names no value for {', '.join(joint.name for joint, _ in resting)}:")
         )
     return values | {int(mechanism.independent[c]): joints[int(mechanism.independent[c])].shown(s[c]) for c in unnamed}
 

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
@@ -116,18 +116,23 @@ def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:
     ]
 
 
-def pressed_stops(mechanism: Mechanism) -> str | None:
-    """Return the sentence on joints that weight and springs press onto their stops at home, or None."""
-    pressed = pressed_joints(mechanism)
-    if not pressed:
-        return None
-    names = ", ".join(f"{joint.name} ({joint.said(x, 4)} {joint.unit})" for joint, x in pressed)
-    locks = ", ".join(f"{joint.name} = {joint.shown(x) + 0.0:.6g}" for joint, x in pressed)
-    return (
-        f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which"
-        f" no actuator holds: a stop's force is not planned for; mechanism.lock = {{ {locks} }} holds them there,"
-        " as linkplan.new does by itself"
-    )
+def sprung_stops(mechanism: Mechanism) -> list[tuple[Joint, float]]:
+    """Return the joints, with their stops [rad or m], that are off their stops at home but rest on them.
+
+    Their equilibrium of weight and springs, with the other joints at home, lies beyond their range.
+    """
+    sprung, home = sprung_freedoms(mechanism), mechanism.home[mechanism.independent]
+    others = {column: float(x) for column, x in enumerate(home) if column not in sprung}
+    stops = rests_on_stops(mechanism, others, sprung) if sprung else {}
+    joints = mechanism.independent_joints
+    return [(joints[k], x) for k, x in stops.items() if abs(x - home[k]) > RANGE_END_TOLERANCE]
+
+
+def pressed_stops(mechanism: Mechanism) -> list[str]:
+    """Return the sentences on joints that weight and springs press onto their stops, at home or from it."""
+    pressed, sprung = pressed_joints(mechanism), sprung_stops(mechanism)
+    sentences = [stop_sentence(pressed, "at home")] if pressed else []
+    return [*sentences, *([stop_sentence(sprung, "at rest")] if sprung else [])]
 
 
 def feeble_drives(mechanism: Mechanism) -> list[str]:

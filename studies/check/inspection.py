@@ -10,6 +10,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.ball_angles import ball_angles
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach, toggles
@@ -199,8 +200,11 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
             problems.append(
                 f"joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
             )
-    pressed = pressed_stops(mechanism)
-    problems += [] if pressed is None else [pressed]
+    for ball, angle in zip(mechanism.balls, ball_angles(mechanism, mechanism.home[None])[0], strict=True):
+        if angle > ball.largest + RANGE_END_TOLERANCE:
+            by, most = np.degrees([angle, ball.largest])
+            problems.append(f"ball joint {ball.name} is turned by {by:.4g} deg at home, beyond its range of {most:.4g} deg")
+    problems += pressed_stops(mechanism)
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
     soft = softness_note(mechanism)

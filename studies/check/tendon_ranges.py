@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.reach import Reach
-from linkplan.models.tree.tendons import SITE, is_fixed, path_of, tendon_label, wraps
+from linkplan.models.tree.tendons import SITE, is_fixed, lacks_length, path_of, tendon_label
 
 # The fields of MuJoCo's model that make a tendon exert a force.
 _PULLS = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss", "limited")
@@ -63,7 +63,7 @@ def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
     kinds, on = model.actuator_trntype, model.actuator_trnid[:, 0]
     driven = np.any((kinds == int(mujoco.mjtTrn.mjTRN_TENDON)) & (on == tendon))
     pulls = driven or any(np.any(getattr(model, f"tendon_{field}")[tendon]) for field in _PULLS)
-    return bool(pulls) and not is_fixed(model, tendon) and not wraps(model, tendon)
+    return bool(pulls) and not is_fixed(model, tendon) and not lacks_length(model, tendon)
 
 
 def _crossings(x: np.ndarray, values: np.ndarray) -> list[float]:

@@ -143,9 +143,9 @@ def build_parser() -> Parser:
         help="analyse the tracked motion of the problem: margins at frozen instants, Floquet multipliers",
     )
 
-    tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle", report=True)
+    tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst pose", report=True)
     _loop(tune)
-    tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of the closed loop at -3 dB, at least")
+    tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of each closed loop (-3 dB), at least")
     tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
     tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
     tune.add_argument("--settling-s", type=float, metavar="T", help="longest settling to 2 %% (default: 5 / bandwidth)")

@@ -96,7 +96,8 @@ def run_tune(arguments: argparse.Namespace) -> int:
     from linkplan.controllers.sampling import sampling
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.feedback_loops import operating_point
-    from linkplan.studies.tune.tune import LEAST_DAMPING_RATIO, Wanted, tune
+    from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
+    from linkplan.studies.tune.tune import refuse_weights_of_several, tune
     from linkplan.studies.tune.tune_report import tune_record, tune_text
 
     choose("tracker", arguments.tracker, LINEAR, ProblemError)
@@ -109,8 +110,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
         phase_margin_deg=arguments.phase_margin_deg,
         sensitivity_peak=np.inf if arguments.sensitivity_peak is None else arguments.sensitivity_peak,
     )
-    if mechanism.dof != 1:
-        raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
+    refuse_weights_of_several(mechanism, arguments.tracker)
     looked = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
     note = looked.note
     points = [operating_point(mechanism, position, limit) for position in looked.positions]

@@ -201,22 +201,18 @@ class FeedbackLoop:
     @property
     def matrix(self) -> np.ndarray:
         """The closed loop's matrix (M, M), without passive spins. A sampled loop's state includes the past commands."""
-        return closed(*self._steered(), self._steered_gain)
+        return closed(*self.steered_matrices(), self.gain[:, self.steered_entries])
 
-    def _steered(self) -> tuple[np.ndarray, np.ndarray]:
+    def steered_matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """Return A (M, M) and B (M, n_u) of the open loop without passive spins."""
-        kept = self._kept
+        kept = self.steered_entries
         A, B, late = self.A[np.ix_(kept, kept)], self.B[kept], self.B_late[kept]
         return (A, B) if self.kind == CONTINUOUS else augmented(A, B, late, self.timing)
 
     @property
-    def _kept(self) -> np.ndarray:
+    def steered_entries(self) -> np.ndarray:
         """The indices of the state's entries that belong to steered coordinates."""
         return np.flatnonzero(np.tile(self.point.mechanism.steered, 2))
-
-    @property
-    def _steered_gain(self) -> np.ndarray:
-        return self.gain[:, self._kept]
 
     @property
     def radius(self) -> float | None:
@@ -230,27 +226,29 @@ class FeedbackLoop:
             return bool(np.all(np.linalg.eigvals(self.matrix).real < 0))
         return self.radius < 1.0
 
-    @property
-    def stiffness_at_rest(self) -> float:
-        """The steady effort on the joint of a single freedom over the steady error that it causes [N.m/rad or N/m].
+    def stiffness_at_rest(self, channel: int = 0) -> float:
+        """Return the steady effort on a coordinate over the steady error that it causes [N.m/rad or N/m].
 
-        It is the gain on the position's error with the stiffness of weight and springs about the point.
+        With the gains on the positions' errors and the stiffness of weight and springs about the point, K, it is
+        1 / (K^-1)_ii: the other coordinates' loops are closed and free to give way.
         """
-        point = self.point
+        point, n_s, steered = self.point, self.point.mechanism.dof, list(self.point.mechanism.channels)
         A, B = (m[0] for m in linearise(point.mechanism, point.pose[None], point.velocity[None], point.hold[None]))
-        return float(point.inertia[0, 0] * (B[1] @ self.gain[:, 0] - A[1, 0]))
+        K = point.inertia @ (B[n_s:] @ self.gain[:, :n_s] - A[n_s:, :n_s])
+        unit = np.eye(len(steered))[steered.index(channel)]
+        return float(1.0 / np.linalg.solve(K[np.ix_(steered, steered)], unit)[steered.index(channel)])
 
     def system(self) -> control.StateSpace:
         """Return the open loop from commands to K x as python-control's state space."""
-        A, B = self._steered()
+        A, B = self.steered_matrices()
         C = np.zeros((len(self.gain), len(A)))
-        C[:, : len(self._kept)] = self._steered_gain
+        C[:, : len(self.steered_entries)] = self.gain[:, self.steered_entries]
         return control.StateSpace(A, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
 
     def closed_system(self) -> control.StateSpace:
         """Return the closed loop from commands added to the law's to the state x, as python-control's state space."""
-        A, B = self._steered()
-        C = np.eye(len(self._kept), len(A))
+        A, B = self.steered_matrices()
+        C = np.eye(len(self.steered_entries), len(A))
         return control.StateSpace(self.matrix, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
 
     def plant(self, frequency_hz: np.ndarray) -> np.ndarray:

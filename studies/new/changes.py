@@ -23,7 +23,7 @@ from linkplan.models.selection import floating_joints
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables
-from linkplan.studies.check.drives import pressed_joints
+from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.check.softness import STIFF_KEY
 from linkplan.studies.new.hanging import hanging_columns
 from linkplan.studies.new.pace import equality_rows, is_large
@@ -56,7 +56,7 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         mechanism = _assembled(table)
         said = ", ".join(f"{name} = {value:g}" for name, value in pressed.items())
         notes.append(
-            f"weight and springs press joints onto their stops at home: they are locked there (mechanism.lock: {said});"
+            f"weight and springs press joints onto their stops: they are locked there (mechanism.lock: {said});"
             " a motion on which they would leave their stops is another mechanism's"
         )
     if mechanism.dof and mechanism.n_u and (spins := _spins(mechanism)):
@@ -153,8 +153,9 @@ def _overlapping_at_home(mechanism: Mechanism) -> list[list[str]]:
 
 
 def _pressed(mechanism: Mechanism) -> dict[str, float]:
-    """Return the positions [deg or m] of the pressed hinges and slides by name."""
-    return {joint.name: joint.shown(x) + 0.0 for joint, x in pressed_joints(mechanism) if joint.chart is None}
+    """Return the positions [deg or m] of the hinges and slides that rest on their stops, by name."""
+    resting = [*pressed_joints(mechanism), *sprung_stops(mechanism)]
+    return {joint.name: joint.shown(x) + 0.0 for joint, x in resting if joint.chart is None}
 
 
 def _spins(mechanism: Mechanism) -> dict[str, float]:

@@ -15,6 +15,7 @@ from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, Pro
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.ball_angles import beyond_balls
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
@@ -326,6 +327,9 @@ def _obstacle(problem: Problem) -> str | None:
     outside = np.any((poses < ranges[:, 0] - rounding) | (poses > ranges[:, 1] + rounding), axis=0)
     if outside.any():
         return f"joint {mechanism.joints[int(np.argmax(outside))].name} is outside its range"
+    turned = np.any(beyond_balls(mechanism, poses) > rounding, axis=0)
+    if turned.any():
+        return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
     if np.min(singularity_ratios(problem, poses)) < 0.25:
         return "a singular pose is near"
     still = np.zeros((len(poses), mechanism.dof))

@@ -28,6 +28,7 @@ from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
+from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
 from linkplan.subjects import Subject, poses_of, subject_of, tracking_table
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def bode(
     subject: Subject,
     *,
     tracker: str = "pd",
-    tracking: Mapping[str, float] | None = None,
+    tracking: Mapping[str, float | Mapping[str, float]] | None = None,
     at_deg: Sequence[Mapping[str, float]] = (),
     at_m: Sequence[Mapping[str, float]] = (),
     measure: str | None = "sinestream",
@@ -100,18 +101,20 @@ def tune(
     phase_margin_deg: float = 60.0,
     sensitivity_peak: float | None = None,
     settling_s: float | None = None,
-    damping_ratio: float = tuning.LEAST_DAMPING_RATIO,
+    damping_ratio: float = LEAST_DAMPING_RATIO,
     tracker: str = "pd",
-    tracking: Mapping[str, float] | None = None,
+    tracking: Mapping[str, float | Mapping[str, float]] | None = None,
     at_deg: Sequence[Mapping[str, float]] = (),
     at_m: Sequence[Mapping[str, float]] = (),
     progress: Progress | None = None,
 ) -> TuneResult:
     """Return gains that meet the requirements at the worst pose, or the nearest ones with the reason why none do.
 
+    With several degrees of freedom every joint has PD gains of its own, found one loop at a time with the others closed.
+
     Args:
-        subject: a mechanism of one degree of freedom, a `Problem` of one, or the name or path of either.
-        bandwidth_hz: least bandwidth of the closed loop [Hz], at -3 dB of the complementary sensitivity.
+        subject: a mechanism with one actuator for each degree of freedom, a `Problem` of one, or the name or path of either.
+        bandwidth_hz: least bandwidth of every joint's closed loop [Hz], at -3 dB of the complementary sensitivity.
         phase_margin_deg: least phase margin [deg].
         sensitivity_peak: the largest sensitivity; by default any.
         settling_s: the longest time [s] in which an error settles to 2 %; by default 5 over the bandwidth.
@@ -123,7 +126,8 @@ def tune(
         progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: for a bandwidth above half the sampling rate, several degrees of freedom, or an invalid argument.
+        LinkplanError: for a bandwidth above half the sampling rate, LQR with several degrees of freedom, or an
+            invalid argument.
 
     Example:
         gains = linkplan.tune("optimus-knee", bandwidth_hz=10.0)
@@ -132,7 +136,7 @@ def tune(
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
     peak = np.inf if sensitivity_peak is None else number(plain(sensitivity_peak), "sensitivity_peak", positive=True)
-    wanted = tuning.Wanted(
+    wanted = Wanted(
         bandwidth_hz=number(plain(bandwidth_hz), "bandwidth_hz", positive=True),
         phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", at_least_zero=True),
         sensitivity_peak=peak,
@@ -140,8 +144,7 @@ def tune(
         damping_ratio=number(plain(damping_ratio), "damping_ratio", at_least_zero=True),
     )
     mechanism, problem, settings, limit = _loop_of(subject, tracking)
-    if mechanism.dof != 1:
-        raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
+    tuning.refuse_weights_of_several(mechanism, tracker)
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
@@ -304,7 +307,7 @@ class TuneResult:
         return self.tuning.message
 
     @property
-    def tracking(self) -> dict[str, float]:
+    def tracking(self) -> dict[str, float | dict[str, float]]:
         """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
         return tune_report.tracking_values(self.tuning)
 

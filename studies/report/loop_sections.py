@@ -8,8 +8,9 @@ from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.bode.bode_blocks import margins_along, nyquist, responses, sensitivities, summary
 from linkplan.studies.output.document import Axis, Block, Code, Facts, Limit, Plot, Section, Series, table_of
 from linkplan.studies.output.numbers import rounded
+from linkplan.studies.tune.judged import JudgedLoop
 from linkplan.studies.tune.tune import Tuning
-from linkplan.studies.tune.tune_report import motor_gains, tracking_table
+from linkplan.studies.tune.tune_report import gain_lines, places, tracking_table, tuned_joints
 
 
 def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool = True) -> list[Section]:
@@ -37,8 +38,7 @@ def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool 
 
 def tune_sections(found: Tuning) -> list[Section]:
     """Return the sections of gains for requirements."""
-    mechanism, wanted, settings = found.mechanism, found.wanted, found.best.settings
-    joint = mechanism.independent_joints[0]
+    mechanism, wanted, joints = found.mechanism, found.wanted, tuned_joints(found)
     rows = [
         ("mechanism", mechanism.name),
         ("tracker", found.law),
@@ -49,44 +49,51 @@ def tune_sections(found: Tuning) -> list[Section]:
     if np.isfinite(wanted.sensitivity_peak):
         rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
     if found.law != "lqr":
-        motor, stiff = motor_gains(found), "N.m/rad" if joint.kind == "hinge" else "N/m"
-        damping = "N.m.s/rad" if joint.kind == "hinge" else "N.s/m"
-        rows.append(("gains at the joint", f"kp = {settings.kp:.5g} {stiff}, kd = {settings.kd:.5g} {damping}"))
-        own = f"its own effort [{mechanism.actuators[0].unit}] over its own motion"
-        at_motor = f"kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g}, {own}"
-        rows.append((f"gains at the motor, gear {motor['gear']:g}", at_motor))
-    heads = ["stable", "bandwidth [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
-    cells = [
-        [joint.shown(p.state[0]), m.stable, m.bandwidth_hz, m.phase_margin_deg, m.gain_margin_db, m.sensitivity_peak]
-        for p, m in zip(found.points, found.best.bounds, strict=True)
-    ]
-    blocks: Sequence[Block] = [
+        rows += [(f"gains {where}", gains) for where, gains in gain_lines(found)]
+    blocks: list[Block] = [
         Facts(rows=rows),
         Code(title="Gains as the [tracking] table of a problem file", text=tracking_table(found)),
-        table_of("At every position looked at", [(joint.name, joint.unit), *heads], cells),
-        *_tuned_plots(found, joint),
     ]
+    heads = ["stable", "bandwidth [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
+    for channel, joint in zip(mechanism.channels, joints, strict=True):
+        loops = [loop for loop in found.best.loops if loop.channel == channel]
+        of = "" if len(joints) == 1 else f", loop of {joint.name}"
+        cells = [
+            [
+                *(one.shown(loop.point.state[k]) for k, one in zip(mechanism.channels, joints, strict=True)),
+                loop.margins.stable,
+                loop.margins.bandwidth_hz,
+                loop.margins.phase_margin_deg,
+                loop.margins.gain_margin_db,
+                loop.margins.sensitivity_peak,
+            ]
+            for loop in loops
+        ]
+        positions = [(one.name, one.unit) for one in joints]
+        blocks += [
+            table_of(f"At every position looked at{of}", [*positions, *heads], cells),
+            *_tuned_plots(found, loops, of),
+        ]
     return [Section(title=f"Gains for {mechanism.name}", blocks=blocks)]
 
 
-def _tuned_plots(found: Tuning, joint) -> list[Plot]:
-    """Return bandwidth and phase margin over the position, with the requirements."""
-    order = np.argsort([float(point.state[0]) for point in found.points])
-    at = np.array([joint.shown(found.points[k].state[0]) for k in order])
-    shown = []
+def _tuned_plots(found: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plot]:
+    """Return bandwidth and phase margin of one joint's loops over the position or the pose, with the requirements."""
+    at, place, place_unit = places(found, loops)
+    order, shown = np.argsort(at), []
     for name, what, unit, wanted in (
         ("bandwidth_hz", "bandwidth", "Hz", found.wanted.bandwidth_hz),
         ("phase_margin_deg", "phase margin", "deg", found.wanted.phase_margin_deg),
     ):
-        bounds = [getattr(found.best.bounds[k], name) for k in order]
+        bounds = [getattr(loops[k].margins, name) for k in order]
         values = rounded(np.array([np.nan if value is None else value for value in bounds]))
         shown.append(
             Plot(
-                title=f"{what[:1].upper()}{what[1:]} over the position",
+                title=f"{what[:1].upper()}{what[1:]} over the {place if of else 'position'}{of}",
                 group="along:tune",
-                x_axis=Axis(label=joint.name, unit=joint.unit),
+                x_axis=Axis(label=place, unit=place_unit),
                 y_axis=Axis(label=what, unit=unit),
-                x=rounded(at),
+                x=rounded(at[order]),
                 series=[
                     Series(name=what, y=values),
                     Series(name="looked at", y=values, look="points"),

@@ -1,29 +1,72 @@
 """The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, and a text table."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from linkplan.models.tree.joints import Joint
+from linkplan.planner.files.tables import inline
 from linkplan.studies.output.tables import table
+from linkplan.studies.tune.judged import JudgedLoop
 from linkplan.studies.tune.tune import Tuning
 
 
+def tuned_joints(tuning: Tuning) -> list[Joint]:
+    """Return the joints with a feedback loop."""
+    return [tuning.mechanism.independent_joints[channel] for channel in tuning.mechanism.channels]
+
+
+def joint_gains(tuning: Tuning) -> dict[str, tuple[float, float]]:
+    """Return kp and kd of every joint with a loop, by its name."""
+    settings, joints = tuning.best.settings, tuning.mechanism.independent_joints
+    gains = np.array(settings.gains(joints)).T
+    return {
+        joints[channel].name: (float(gains[channel, 0]), float(gains[channel, 1])) for channel in tuning.mechanism.channels
+    }
+
+
 def motor_gains(tuning: Tuning) -> dict:
-    """Return PD gains on the motor's side of the transmission: the motor's effort over the motor's position."""
-    actuator = tuning.mechanism.actuators[0]
-    settings = tuning.best.settings
-    return {"gear": actuator.gear, "kp": settings.kp / actuator.gear**2, "kd": settings.kd / actuator.gear**2}
+    """Return a single loop's PD gains on the motor's side of the transmission: its effort over its position."""
+    actuator, (kp, kd) = tuning.mechanism.actuators[0], next(iter(joint_gains(tuning).values()))
+    return {"gear": actuator.gear, "kp": kp / actuator.gear**2, "kd": kd / actuator.gear**2}
+
+
+def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
+    """Return PD gains as pairs of a heading and a text, with units: at each joint, and at the motor of a single loop."""
+    lines = []
+    for joint in tuned_joints(tuning):
+        (kp, kd), per = joint_gains(tuning)[joint.name], ("N.m/rad", "N.m.s/rad")
+        per = per if joint.kind == "hinge" else ("N/m", "N.s/m")
+        where = "the joint" if len(tuning.mechanism.channels) == 1 else joint.name
+        lines.append((f"at {where}", f"kp = {kp:.5g} {per[0]}, kd = {kd:.5g} {per[1]}"))
+    if len(lines) == 1:
+        actuator, motor = tuning.mechanism.actuators[0], motor_gains(tuning)
+        own = f"its own effort [{actuator.unit}] over its own motion"
+        lines.append(
+            (
+                f"at the motor {actuator.name}, gear {motor['gear']:g}",
+                f"kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g}, {own}",
+            )
+        )
+    return lines
+
+
+def places(tuning: Tuning, loops: Sequence[JudgedLoop]) -> tuple[np.ndarray, str, str]:
+    """Return the places (n,) of one joint's loops on an axis, its name and unit: the position, or the pose's number."""
+    joints = tuned_joints(tuning)
+    if len(joints) > 1:
+        return np.arange(1.0, len(loops) + 1), "pose", ""
+    at = [joints[0].shown(loop.point.state[loop.channel]) for loop in loops]
+    return np.array(at), joints[0].name, joints[0].unit
 
 
 def tune_record(tuning: Tuning) -> dict:
     """Return the JSON record of `linkplan tune`."""
-    settings, best = tuning.best.settings, tuning.best
-    joint = tuning.mechanism.independent_joints[0]
     gains: dict = {"period_s": tuning.timing.period_s, "delay_s": tuning.timing.delay_s}
-    if tuning.law == "lqr":
-        unit = "deg" if joint.kind == "hinge" else "m"
-        position, velocity = (float(weight[0]) for weight in settings.lqr_errors([joint]))
-        gains |= {f"lqr_position_{unit}": joint.shown(position), f"lqr_velocity_{unit}_s": joint.shown(velocity)}
-    else:
-        gains |= {"kp": settings.kp, "kd": settings.kd, "motor_side": motor_gains(tuning)}
+    values, joints = tracking_values(tuning), tuned_joints(tuning)
+    gains |= {key: value for key, value in values.items() if key not in ("period_s", "delay_periods")}
+    if tuning.law != "lqr" and len(joints) == 1:
+        gains |= {"motor_side": motor_gains(tuning)}
     return {
         "mechanism": tuning.mechanism.name,
         "tracker": tuning.law,
@@ -38,19 +81,30 @@ def tune_record(tuning: Tuning) -> dict:
         },
         "gains": gains,
         "points": [
-            {f"position_{joint.unit}": joint.shown(point.state[0]), **bounds.record(), "stiffness_at_rest": stiffness}
-            for point, bounds, stiffness in zip(tuning.points, best.bounds, best.stiffness, strict=True)
+            _place(loop, joints) | loop.margins.record() | {"stiffness_at_rest": loop.stiffness}
+            for loop in tuning.best.loops
         ],
     }
 
 
+def _place(loop: JudgedLoop, joints: Sequence[Joint]) -> dict:
+    """Return where a loop was judged: the position of a single joint, or the joint of the loop and all positions."""
+    own = loop.point.mechanism.independent_joints[loop.channel]
+    if len(joints) == 1:
+        return {f"position_{own.unit}": own.shown(loop.point.state[loop.channel])}
+    at = dict(zip(loop.point.mechanism.channels, joints, strict=True))
+    hinges = {joint.name: joint.shown(loop.point.state[k]) for k, joint in at.items() if joint.kind == "hinge"}
+    slides = {joint.name: float(loop.point.state[k]) for k, joint in at.items() if joint.kind != "hinge"}
+    return {"joint": own.name, "position_deg": hinges, "position_m": slides}
+
+
 def tracking_values(tuning: Tuning) -> dict:
-    """Return the gains under the keys of the [tracking] table of a problem file."""
-    settings, joint = tuning.best.settings, tuning.mechanism.independent_joints[0]
-    values = {"kp": settings.kp, "kd": settings.kd}
+    """Return the gains under the keys of the [tracking] table of a problem file; with several loops by joint."""
+    settings, joints = tuning.best.settings, tuned_joints(tuning)
+    values: dict = {"kp": settings.kp, "kd": settings.kd}
     if tuning.law == "lqr":
-        position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
-        values = {f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity}
+        position, velocity = (joints[0].shown(float(weight[0])) for weight in settings.lqr_errors(joints))
+        values = {f"lqr_position_{joints[0].unit}": position, f"lqr_velocity_{joints[0].unit}_s": velocity}
     values |= {"period_s": settings.period_s}
     if settings.delay_periods and float(settings.delay_periods).is_integer():
         values |= {"delay_periods": int(settings.delay_periods)}
@@ -59,45 +113,51 @@ def tracking_values(tuning: Tuning) -> dict:
 
 def tracking_table(tuning: Tuning) -> str:
     """Return the gains as the text of the [tracking] table of a problem file."""
-    values = tracking_values(tuning)
-    lines = [f"# {tuning.message}", "[tracking]", *(f"{key} = {value:.6g}" for key, value in values.items())]
+    lines = [f"# {tuning.message}", "[tracking]"]
+    for key, value in tracking_values(tuning).items():
+        rounded = {name: float(f"{gain:.6g}") for name, gain in value.items()} if isinstance(value, dict) else None
+        lines.append(f"{key} = {value:.6g}" if rounded is None else f"{key} = {inline(rounded, key)}")
     return "\n".join(lines) + "\n"
 
 
 def tune_text(tuning: Tuning) -> str:
-    """Return the gains in the joint's and the motor's units, and the margins at every pose, as text."""
-    mechanism, settings = tuning.mechanism, tuning.best.settings
-    joint, actuator = mechanism.independent_joints[0], mechanism.actuators[0]
-    turn = "rad" if joint.kind == "hinge" else "m"
-    force = "N.m" if joint.kind == "hinge" else "N"
-    lines = [tuning.message, ""]
+    """Return the gains in the joints' and the motor's units, and the margins of every loop at every pose, as text."""
+    joints, lines = tuned_joints(tuning), [tuning.message, ""]
     if tuning.law == "lqr":
-        position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
+        (position_key, position), (velocity_key, velocity) = list(tracking_values(tuning).items())[:2]
         lines.append(
-            f"lqr_position_{joint.unit} = {position:.5g}, lqr_velocity_{joint.unit}_s = {velocity:.5g}"
-            " (errors weighted like the full effort limit)"
+            f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g} (errors weighted like the full effort limit)"
         )
     else:
-        motor = motor_gains(tuning)
-        lines.append(f"at the joint: kp = {settings.kp:.5g} {force}/{turn}, kd = {settings.kd:.5g} {force}.s/{turn}")
-        lines.append(
-            f"at the motor {actuator.name}, gear {motor['gear']:g}: kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g},"
-            " its own effort over its own motion"
-        )
+        lines += [f"{where}: {gains}" for where, gains in gain_lines(tuning)]
+    if len(joints) == 1:
+        return "\n".join([*lines, "", _table(tuning.best.loops, joints[0], [*joints])])
+    shared = "settling and damping belong to the poles that all loops share"
+    tables = []
+    for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
+        loops = [loop for loop in tuning.best.loops if loop.channel == channel]
+        tables += ["", f"the loop of {joint.name}, the others closed", _table(loops, joint, joints)]
+    return "\n".join([*lines, *tables, "", shared])
+
+
+def _table(loops: Sequence[JudgedLoop], joint: Joint, joints: Sequence[Joint]) -> str:
+    """Return the margins of one joint's loop at every pose as a table, with the positions of all joints."""
+    channels = loops[0].point.mechanism.channels
     rows = [
         [
-            f"{joint.said(p.state[0], 5)}",
-            m.stable,
-            m.bandwidth_hz,
-            m.phase_margin_deg,
-            m.gain_margin_db,
-            m.sensitivity_peak,
-            m.settling_s,
-            m.damping_ratio,
-            stiffness,
+            *(one.said(loop.point.state[k], 5) for k, one in zip(channels, joints, strict=True)),
+            loop.margins.stable,
+            loop.margins.bandwidth_hz,
+            loop.margins.phase_margin_deg,
+            loop.margins.gain_margin_db,
+            loop.margins.sensitivity_peak,
+            loop.margins.settling_s,
+            loop.margins.damping_ratio,
+            loop.stiffness,
         ]
-        for p, m, stiffness in zip(tuning.points, tuning.best.bounds, tuning.best.stiffness, strict=True)
+        for loop in loops
     ]
-    head = [f"{joint.name} [{joint.unit}]", "stable", "bandwidth -3 dB [Hz]", "PM [deg]", "GM [dB]", "max |S|"]
-    head += ["settling [s]", "damping", f"stiffness [{force}/{turn}]"]
-    return "\n".join([*lines, "", table(head, rows)])
+    head = [f"{one.name} [{one.unit}]" for one in joints]
+    head += ["stable", "bandwidth -3 dB [Hz]", "PM [deg]", "GM [dB]", "max |S|", "settling [s]", "damping"]
+    head += ["stiffness [N.m/rad]" if joint.kind == "hinge" else "stiffness [N/m]"]
+    return table(head, rows)

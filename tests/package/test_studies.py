@@ -224,7 +224,7 @@ def test_gains_that_were_found_are_a_problems_tracking(problem):
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=-5), "bandwidth_hz is a positive number, got -5"),
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=10, phase_margin_deg=200), "0 to 180"),
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=6000), "Nyquist"),
-        (lambda: linkplan.tune("five-bar", bandwidth_hz=5), "one degree of freedom; 'five-bar' has 2"),
+        (lambda: linkplan.tune("five-bar", bandwidth_hz=5, tracker="lqr"), "one degree of freedom, and 'five-bar' has 2"),
     ],
 )
 def test_a_study_refuses_in_one_sentence(use, words):

@@ -9,6 +9,8 @@ import re
 
 import numpy as np
 
+import linkplan
+
 CRANK_M = 0.05
 # Each side: motor's place and foot's rod end [m] in the frames of shin and foot, both with the ankle as origin.
 MOTORS = np.array([[0.01, 0.04, 0.22], [0.0, -0.04, 0.15]])
@@ -17,6 +19,7 @@ TIPS = MOTORS + np.array([-CRANK_M, 0.0, 0.0])
 RODS = np.linalg.norm(TIPS - FEET, axis=1)
 ARMATURE, DAMPING, FRICTION = 0.012, 0.03, 0.2
 NAMES = ("left", "right")
+HINGES = r'<joint name="rod_pitch_(\w+)" axis="0 1 0"/>\s*<joint name="rod_roll_\w+" axis="1 0 0"/>'
 
 
 def _side(name: str, motor: np.ndarray, tip: np.ndarray, foot: np.ndarray) -> str:
@@ -114,3 +117,9 @@ def _turned(pitch: float, roll: float) -> np.ndarray:
 
 def _offset(side: int, pitch: float, roll: float) -> np.ndarray:
     return _turned(pitch, roll) @ FEET[side] - MOTORS[side]
+
+
+def ankle(*, balls: bool) -> linkplan.Mechanism:
+    """Return an ankle without dry friction, with two motors and two rods, on universal or on ball joints."""
+    text = re.sub(r'\s*frictionloss="[\d.]+"', "", ankle_text())
+    return linkplan.load_mechanism(re.sub(HINGES, r'<joint name="\1" type="ball" damping="5e-4"/>', text) if balls else text)

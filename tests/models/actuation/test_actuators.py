@@ -20,7 +20,7 @@ BENCH = """
 <mujoco model="bench"><compiler angle="radian" autolimits="true"/>
   <default><geom contype="0" conaffinity="0" size="0.02"/><joint axis="0 1 0"/></default>
   <worldbody><site name="ground" pos="0.3 0.1 0.2" euler="0.2 0.3 1"/>
-    <geom name="drum" type="sphere" size="0.05" pos="0.2 0 0"/>
+    <geom name="drum" type="sphere" size="0.05" pos="0.2 0 0"/><site name="inside" pos="0.2 0 0"/>
     <body name="crank"><joint name="crank" %(crank)s/><geom type="capsule" fromto="0 0 0 0.1 0 0.05"/>
       <site name="knee" pos="0.1 0 0.05" euler="1 0.2 0.3"/>
       <body name="rod" pos="0.1 0 0.05"><joint name="rod" %(rod)s/><geom type="capsule" fromto="0 0 0 0.2 0 0"/>
@@ -30,7 +30,7 @@ BENCH = """
   <tendon><fixed name="belt" %(belt)s><joint joint="crank" coef="0.5"/><joint joint="cart" coef="-2"/></fixed>
     <spatial name="rope"><site site="ground"/><site site="knee"/><pulley divisor="2"/><site site="end"/><site site="ground"/>
     </spatial>
-    <spatial name="wrapped"><site site="ground"/><geom geom="drum"/><site site="end"/></spatial></tendon>
+    <spatial name="wrapped"><site site="ground"/><geom geom="drum" sidesite="inside"/><site site="end"/></spatial></tendon>
   <actuator>%(actuator)s</actuator>
 </mujoco>"""
 
@@ -238,7 +238,7 @@ UNUSABLE = {
     "muscle": ('<muscle name="x" tendon="rope" lengthrange="0.1 2"/>', "muscle", True),
     "cylinder": ('<cylinder name="x" joint="cart" timeconst="0.1"/>', "filter", False),
     "adhesion": ('<adhesion name="x" body="rod" ctrlrange="0 1"/>', "transmissions", False),
-    "wrapping tendon": ('<motor name="x" tendon="wrapped"/>', "wraps", False),
+    "tendon through a geom": ('<motor name="x" tendon="wrapped"/>', "inside", False),
     "servo on a rotation": ('<position name="x" site="end" refsite="ground" gear="0 0 0 0 1 0"/>', "one turn", True),
     "pid": ('<pid name="x" joint="crank" kp="3"/>', "2 controls", True),
     "dc motor": ('<dcmotor name="x" joint="crank" motorconst="0.1" resistance="1" inductance="0.01"/>', "state", True),
@@ -284,13 +284,13 @@ def test_what_a_tendon_does_beyond_springs_and_dampers_falsifies(element, words)
     assert all(word in found.text for word in words)
 
 
-def test_a_spring_of_a_wrapping_tendon_falsifies():
+def test_a_spring_of_a_tendon_through_a_geom_falsifies():
     text = BENCH % {"crank": "", "rod": "", "belt": "", "actuator": ""}
     text = replaced(
         text, '<spatial name="wrapped">', '<spatial name="wrapped" stiffness="3" damping="1" frictionloss="0.1">'
     )
     found = audit(load_mechanism(text).model)
-    assert all(item.falsifies and "wraps" in item.text for item in found)
+    assert all(item.falsifies and "inside of a geom" in item.text for item in found)
     assert len(found) == 3
 
 

@@ -113,10 +113,10 @@ def test_a_margin_that_leaves_a_tendon_no_length_is_refused():
     assert "tendon strap is left no length" in refusal(lambda: load_mechanism(text))
 
 
-def test_a_tendon_that_wraps_around_a_geom_is_refused_with_its_limit():
-    wrapped = STRAP.format(low=0.0, high=0.8).replace('<site site="tip"/>', '<geom geom="post"/><site site="tip"/>')
-    text = replaced(
-        ARM.format(tendon=wrapped), "<worldbody>", '<worldbody><geom name="post" type="sphere" pos="0 0.2 0.5"/>'
-    )
-    with pytest.raises(linkplan.LinkplanError, match="limit of tendon strap, which wraps around a geom"):
+def test_a_tendon_through_the_inside_of_a_geom_is_refused_with_its_limit():
+    through = '<geom geom="post" sidesite="inside"/><site site="tip"/>'
+    wrapped = STRAP.format(low=0.0, high=0.8).replace('<site site="tip"/>', through)
+    post = '<worldbody><geom name="post" type="cylinder" size=".1 .1" pos="0 0.2 0.5"/><site name="inside" pos="0 0.2 0.5"/>'
+    text = replaced(ARM.format(tendon=wrapped), "<worldbody>", post)
+    with pytest.raises(linkplan.LinkplanError, match="limit of tendon strap, which passes through the inside of a geom"):
         planned(text)

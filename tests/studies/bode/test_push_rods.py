@@ -1,21 +1,12 @@
 """Feedback loops of mechanisms whose rods spin between ball joints: a spin has no loop, and moves nothing else."""
 
-import re
-
 import pytest
 
 import linkplan
 from tests.support.linkages import RSSR
-from tests.support.parallel_ankle import ankle_text
+from tests.support.parallel_ankle import ankle
 
-HINGES = r'<joint name="rod_pitch_(\w+)" axis="0 1 0"/>\s*<joint name="rod_roll_\w+" axis="1 0 0"/>'
 SETTINGS = {"kp": 100.0, "kd": 3.0, "period_s": 5e-4}
-
-
-def ankle(*, balls: bool) -> linkplan.Mechanism:
-    """Return an ankle without dry friction, with two motors and two rods, on universal or on ball joints."""
-    text = re.sub(r'\s*frictionloss="[\d.]+"', "", ankle_text())
-    return linkplan.load_mechanism(re.sub(HINGES, r'<joint name="\1" type="ball" damping="5e-4"/>', text) if balls else text)
 
 
 @pytest.mark.slow

@@ -11,7 +11,8 @@ from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, o
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
 from linkplan.studies.tune.draw_tune import tune_figure
-from linkplan.studies.tune.tune import Wanted, tune
+from linkplan.studies.tune.judged import Wanted
+from linkplan.studies.tune.tune import tune
 from linkplan.studies.tune.tune_report import motor_gains, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
@@ -134,7 +135,7 @@ def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seco
     wanted, timing = Wanted(bandwidth_hz=30.0, phase_margin_deg=phase_margin_deg), sampling(mechanism, 1e-3, 1)
     found = tune(points, wanted, Tracking(period_s=1e-3, delay_periods=1), timing, mechanism.effort_limit)
     assert found.found is (phase_margin_deg < 50.0)
-    for point, stiffness in zip(found.points, found.best.stiffness, strict=True):
+    for point, judged in zip(found.points, found.best.loops, strict=True):
         gain = law_gain(point, "pd", found.best.settings, mechanism.effort_limit)
         loop = feedback_loop(point, gain, found.timing)
         # The state after the time in which an error is to settle, from the loop's own steps.
@@ -144,7 +145,7 @@ def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seco
         # A steady torque on the joint moves it by the torque over the stiffness.
         _, push = augmented(loop.A, loop.B, loop.B_late, loop.timing)
         steady = np.linalg.solve(np.eye(len(loop.matrix)) - loop.matrix, push[:, 0])
-        assert steady[0] == pytest.approx(1.0 / stiffness, rel=1e-3)
+        assert steady[0] == pytest.approx(1.0 / judged.stiffness, rel=1e-3)
 
 
 def test_the_message_states_the_level_of_the_bandwidth_and_the_stiffness():

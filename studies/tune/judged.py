@@ -1,0 +1,124 @@
+"""Judged gains: the loop of every joint at every pose, with the others closed, and what it lacks of the requirements."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.sampling import Sampling
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, feedback_loop, law_gain
+from linkplan.studies.frequency.margins import Margins, margins
+
+# By default an error settles within this many cycles of the bandwidth, and poles have at least this damping ratio.
+SETTLING_CYCLES, LEAST_DAMPING_RATIO = 5.0, 0.4
+# The shortfall of unstable gains, larger than any shortfall of stable ones.
+UNSTABLE_SHORTFALL = 10.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Wanted:
+    """The requirements at the worst pose.
+
+    The least bandwidth [Hz] of the complementary sensitivity (-3 dB), the least phase margin [deg], the largest peak of |S|,
+    the longest settling time [s] to 2 % of an error (None: `SETTLING_CYCLES` over the bandwidth), the least damping ratio.
+    """
+
+    bandwidth_hz: float
+    phase_margin_deg: float
+    sensitivity_peak: float = np.inf
+    settling_s: float | None = None
+    damping_ratio: float = LEAST_DAMPING_RATIO
+
+    @property
+    def longest_settling_s(self) -> float:
+        """The longest settling time [s]."""
+        return SETTLING_CYCLES / self.bandwidth_hz if self.settling_s is None else self.settling_s
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.bandwidth_hz) and self.bandwidth_hz > 0):
+            raise LinkplanError(f"the wanted bandwidth is a positive number of hertz, got {self.bandwidth_hz:g}")
+        if not 0 <= self.phase_margin_deg < 180:
+            raise LinkplanError(f"the wanted phase margin is from 0 to 180 degrees, got {self.phase_margin_deg:g}")
+        if not self.sensitivity_peak > 1:
+            raise LinkplanError(f"the sensitivity's peak is wanted above 1, got {self.sensitivity_peak:g}")
+        if self.settling_s is not None and not self.settling_s > 0:
+            raise LinkplanError(f"the settling time is a positive number of seconds, got {self.settling_s:g}")
+        if not 0 <= self.damping_ratio <= 1:
+            raise LinkplanError(f"the damping ratio is from 0 to 1, got {self.damping_ratio:g}")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class JudgedLoop:
+    """The loop of one joint at one pose, with the other joints' loops closed: its margins and its stiffness at rest.
+
+    The stiffness [N.m/rad or N/m] is NaN where there is no gain.
+    """
+
+    point: OperatingPoint
+    channel: int
+    margins: Margins
+    stiffness: float
+
+    @property
+    def name(self) -> str:
+        """The pose, and the joint if several joints have a loop, as text."""
+        mechanism = self.point.mechanism
+        single = len(mechanism.channels) == 1
+        return self.point.name if single else f"{mechanism.independent_joints[self.channel].name} at {self.point.name}"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class EvaluatedGains:
+    """One set of gains with its loops, joint by joint and pose by pose, and the largest relative shortfall or zero."""
+
+    settings: Tracking
+    loops: tuple[JudgedLoop, ...]
+    shortfall: float
+
+    def worst(self, name: str, largest: bool = False) -> tuple[float | None, JudgedLoop]:
+        """Return the smallest (or largest) value of a figure and its loop; None without a value."""
+        known = [(v, i) for i, loop in enumerate(self.loops) if (v := getattr(loop.margins, name)) is not None]
+        value, index = (max(known) if largest else min(known)) if known else (None, 0)
+        return value, self.loops[index]
+
+
+def evaluated(
+    points: Sequence[OperatingPoint],
+    settings: Tracking,
+    wanted: Wanted,
+    timing: Sampling,
+    effort_limit: np.ndarray,
+    law: str,
+) -> EvaluatedGains:
+    """Return gains with the loops of all joints at all points, and the largest relative shortfall."""
+    loops = [
+        _judged(point, channel, settings, timing, effort_limit, law)
+        for channel in points[0].mechanism.channels
+        for point in points
+    ]
+    lacking = max(min(shortfall(loop.margins, wanted, timing), UNSTABLE_SHORTFALL) for loop in loops)
+    return EvaluatedGains(settings=settings, loops=tuple(loops), shortfall=float(max(0.0, lacking)))
+
+
+def _judged(point: OperatingPoint, channel: int, settings: Tracking, timing: Sampling, effort_limit, law: str) -> JudgedLoop:
+    try:
+        loop = feedback_loop(point, law_gain(point, law, settings, effort_limit), timing)
+        found, stiffness = margins(loop, channel), loop.stiffness_at_rest(channel)
+    except LinkplanError:
+        found, stiffness = Margins(stable=False), np.nan
+    return JudgedLoop(point=point, channel=channel, margins=found, stiffness=stiffness)
+
+
+def shortfall(found: Margins | None, wanted: Wanted, timing: Sampling) -> float:
+    """Return the largest relative shortfall of margins: negative with a reserve, infinite if unstable."""
+    if found is None or not found.stable:
+        return np.inf
+    band = found.bandwidth_hz or timing.nyquist_hz
+    short = [float(np.log(wanted.bandwidth_hz / band)), found.sensitivity_peak / wanted.sensitivity_peak - 1.0]
+    if wanted.phase_margin_deg and found.phase_margin_deg is not None:
+        short.append(1.0 - found.phase_margin_deg / wanted.phase_margin_deg)
+    short.append(float(np.log(found.settling_s / wanted.longest_settling_s)))
+    short.append(wanted.damping_ratio - found.damping_ratio)
+    return max(short)
