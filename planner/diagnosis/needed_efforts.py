@@ -10,8 +10,8 @@ from linkplan.planner.closed_chain.guess import Guess, even_poses
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import LeastLimit
+from linkplan.planner.search.shortest import shortest_motion
 from linkplan.planner.search.solving import longest
-from linkplan.planner.search.starts import shortest_motion
 
 # A duration below this share of the shortest motion's is surely infeasible: least times found are local, but within
 # percents.

@@ -23,8 +23,9 @@ from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.rungs import HURRIED
+from linkplan.planner.search.shortest import shortest_motion
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
-from linkplan.planner.search.starts import enough_time, shortest_motion
+from linkplan.planner.search.starts import enough_time
 from linkplan.planner.solvers.solve import build_solver, run_solver, solve, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh

@@ -22,8 +22,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
-from linkplan.planner.search.ladder import Search, climb
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.rungs import HURRIED, Budget
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
@@ -305,35 +305,3 @@ def _every_start(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
         yield from _of_the_phase_plane(search, budget)
     yield from (("a swing", swing) for swing in swinging_guesses(search.problem, search.start_pose))
     yield from itertools.islice(perturbed_guesses(search.problem, search.start_pose), _FIRST_PERTURBED_GUESSES)
-
-
-# Rungs that look for the motion of least time.
-_RUNGS = (
-    Rung(
-        name="the phase plane along limits on power and pin force", tried=is_along_power, climb=along_power, budget=HURRIED
-    ),
-    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=PATIENT),
-    Rung(name="the phase plane", tried=phase_plane_may_help, climb=from_the_phase_plane, budget=HURRIED),
-)
-
-
-def shortest_motion(search: Search) -> Plan | None:
-    """Return the certified plan of least time within a reach's limits; None where it was not found."""
-    if not np.all(np.isfinite(search.problem.limits.effort)):  # no time is the least then, and none may be asked for
-        return None
-    plan = search.known.sought.get(PHASE_PLANE_LEAST_TIME)
-    if plan is None or not plan.passed:
-        plan = search.known.once("least time by the ladder", lambda: _by_the_ladder(search))
-    return plan if plan is not None and plan.passed else None
-
-
-def _by_the_ladder(search: Search) -> Plan | None:
-    motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-    # Efforts constant over intervals, as least work has them, would be late.
-    mesh = replace(search.problem.mesh, effort="polynomial")
-    # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
-    hurried = search.within(replace(PATIENT, share_of_time=0.5))
-    free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
-    progress("looking for the shortest feasible duration")
-    with recording():
-        return climb(search.of_another(free), _RUNGS)

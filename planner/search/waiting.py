@@ -23,8 +23,8 @@ from linkplan.planner.search.attempts import certified, refined, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import Budget
+from linkplan.planner.search.shortest import shortest_motion
 from linkplan.planner.search.solving import solve_from
-from linkplan.planner.search.starts import shortest_motion
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 

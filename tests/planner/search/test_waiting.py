@@ -13,7 +13,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import PATIENT
-from linkplan.planner.search.starts import shortest_motion
+from linkplan.planner.search.shortest import shortest_motion
 from tests.support.bodies import PENDULUM, body_problem
 
 DURATION_S = 0.8
