@@ -127,8 +127,9 @@ def grid_of(
         low, high = max(low, can.lower.position), min(high, can.upper.position)
     # The distance of the grid from the ends of the reach, as a share of the reach. The least time of a motion that turns
     # back next to a singular pose falls by a third from a thousandth of the reach to a hundred-thousandth.
-    room = 1e-5 * (high - low)
-    s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), n_cells + 1)
+    room = [1e-5 if end.reason == "singular pose" else 1e-3 for end in (can.lower, can.upper)]
+    low, high = low + room[0] * (high - low), high - room[1] * (high - low)
+    s = np.linspace(min(low, ends[0]), max(high, ends[1]), n_cells + 1)
     gridded = _followed(problem, s, places, start_pose)
     if gridded is None:
         return None
