@@ -32,7 +32,7 @@ def may_near_singular(search: Search) -> bool:
 def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]]) -> Plan | None:
     """Return the best plan that keeps a margin to singular poses; None if the rungs find none.
 
-    It is "feasible" where it is next to the margin, and "optimal" where it is not.
+    One that is optimal within the margin is "feasible" where it is next to it.
     """
     problem = search.within(budget)
     way = only_way(problem)
@@ -43,11 +43,11 @@ def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]])
     margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
     limits = replace(problem.limits, singular_margin=margin)
     plan = climb(search.of_another(replace(problem, limits=limits)), rungs)
-    if plan is None or plan.status != "optimal":
+    if plan is None or not plan.passed:
         return None
     found = replace(plan, problem=search.problem)
     # A margin is met within a hundredth of it.
-    if plan.certificate.singularity_ratio > 1.01 * margin:
+    if plan.status == "feasible" or plan.certificate.singularity_ratio > 1.01 * margin:
         return found
     why = f"; it keeps {margin:.3g} of the home pose's distance from singular poses, nearer to them it may cost less"
     return only_feasible(found, why)
