@@ -1,32 +1,32 @@
 """The rung at a distance from singular poses: a search within a margin to them that was not asked for.
 
 A linkage may swing up to a dead centre, where its actuator holds or turns it the more easily the nearer it comes. No motion
-is the best then: its cost falls with the margin, down to a motion that leaves the branch. Solvers follow it and are lost.
-Within a margin there is a best motion.
+is the best then: its cost falls with the margin, down to a motion that leaves the branch. A crank that turns fully may pass a
+pose that is nearly singular: a coarse mesh steps over it onto the other branch. In both cases solvers are lost, and within a
+margin they find the best motion.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from linkplan.models.poses.reach import reach
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.search.attempts import only_feasible
 from linkplan.planner.search.ladder import Search, climb
 from linkplan.planner.search.presolve import only_way
 from linkplan.planner.search.rungs import Budget, Rung
-from linkplan.planner.search.starts import no_time, one_start_is_worth_it, other_limits
+from linkplan.planner.search.starts import no_time, other_limits
 
 
 def may_near_singular(search: Search) -> bool:
-    """True if no plan passes, the phase plane knows a motion, and its degree of freedom reaches up to a singular pose."""
+    """True if no plan passes, though the phase plane knows a motion and loops may come near a singular pose."""
     problem = search.problem
-    if not one_start_is_worth_it(search) or problem.limits.singular_margin or problem.guess is not None:
+    # Plans that miss do not count against it: left at a singular pose, the solver finds motions of two branches.
+    if search.solved or problem.solver.starts > 1 or problem.limits.singular_margin or problem.guess is not None:
         return False
     if search.quickest is None or other_limits(problem) or no_time(search):
         return False
-    can = reach(problem.mechanism)
-    return "singular pose" in (can.lower.reason, can.upper.reason)
+    return len(problem.mechanism.dependent) > 0
 
 
 def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]]) -> Plan | None:

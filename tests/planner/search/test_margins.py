@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import Search
@@ -27,6 +28,17 @@ def weak_reach(number: int, duration_s: float | str = 1.0, minimize: str = "effo
     return replace(problem, limits=replace(problem.limits, singular_margin=margin))
 
 
+# A pendulum on one joint.
+SERIAL_REACH = {
+    "mechanism": {
+        "model": """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02"/>
+        </body></worldbody><actuator><motor name="m" joint="a" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+    },
+    "motion": {"kind": "reach", "start_deg": {"a": 0.0}, "goal_deg": {"a": 30.0}, "duration_s": 2.0},
+    "objective": {"minimize": "effort"},
+}
+
+
 def search_of(problem: Problem) -> Search:
     return Search(problem=problem, start_pose=problem.start_pose())
 
@@ -41,11 +53,24 @@ def test_a_swing_up_to_a_dead_centre_costs_no_more_with_more_time():
     assert "it keeps 0.02 of the home pose's distance" in plan.message
 
 
-def test_a_distance_is_kept_only_where_a_singular_pose_is_in_reach_and_no_margin_is_asked_for():
+def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_margin_is_asked_for():
     assert may_near_singular(search_of(weak_reach(18)))
     assert not may_near_singular(search_of(weak_reach(18, margin=1e-3)))
-    # A crank that turns fully.
-    assert not may_near_singular(search_of(weak_reach(0, duration_s=2.0)))
+    # A crank that turns fully, and may pass a nearly singular pose; a motion in 0.1 s is too short for it.
+    assert may_near_singular(search_of(weak_reach(0, duration_s=2.0)))
+    assert not may_near_singular(search_of(weak_reach(0, duration_s=0.1)))
+    without_loops = Problem.from_tables("serial", SERIAL_REACH)
+    assert search_of(without_loops).quickest is not None
+    assert not may_near_singular(search_of(without_loops))
+
+
+def test_motions_that_miss_do_not_keep_a_search_from_a_distance():
+    """The two motions that the phase plane led to left the branch at a nearly singular pose: 21.6, with a margin 5.43."""
+    search = search_of(weak_reach(18))
+    missed = Plan(problem=search.problem, status="failed", message="left its branch")
+    search.plans.extend([missed, missed])
+    assert not search.starts_are_worth_it
+    assert may_near_singular(search)
 
 
 def test_the_margin_is_kept_by_every_pose_between_start_and_goal():
