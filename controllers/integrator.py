@@ -18,13 +18,21 @@ load, and it closes a gap within the time constant in `solref`. `rollout.conditi
 import mujoco
 import numpy as np
 
-from linkplan.controllers.trackers.lqr import linearise
+from linkplan.controllers.linearisation import linearise
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, sampled
 
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+# Integrators that do not use the derivatives of a servo's force.
+_EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
+
+
+def stay_servos(mechanism: Mechanism) -> bool:
+    """Return True if a mechanism has servos and an integrator that uses the derivatives of their force."""
+    return any(one.is_servo for one in mechanism.actuators) and int(mechanism.model.opt.integrator) not in _EXPLICIT
 
 
 def simulator_step(

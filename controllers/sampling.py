@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.controllers.integrator import repeat, simulator_step
-from linkplan.controllers.trackers.lqr import discretise, linearise
+from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 

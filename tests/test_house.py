@@ -33,7 +33,7 @@ ROOMS = {
         "plan_record", "plan_folder", "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections",
+        "reference", "linearisation", "integrator", "sampling", "trackers", "rollout", "imperfections",
         "feedback_loop", "rigid_plant", "mujoco_plant", "simulate", "controls", "playback",
     ),
     "studies": (

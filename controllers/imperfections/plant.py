@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from linkplan.controllers.imperfections.imperfections import Imperfections, Machine
-from linkplan.controllers.imperfections.servos import as_motors, stay_servos
+from linkplan.controllers.imperfections.servos import as_motors
+from linkplan.controllers.integrator import stay_servos
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms

@@ -13,16 +13,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from linkplan.controllers.integrator import stay_servos
 from linkplan.models.actuation.actuators import FIXED, LEAST_GAIN, NO_BIAS
 from linkplan.models.mechanism import Mechanism
-
-# Integrators that do not use the derivatives of a servo's force.
-_EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
-
-
-def stay_servos(mechanism: Mechanism) -> bool:
-    """Return True if a mechanism has servos and an integrator that uses the derivatives of their force."""
-    return any(one.is_servo for one in mechanism.actuators) and int(mechanism.model.opt.integrator) not in _EXPLICIT
 
 
 def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.lqr import Errors, Regulator, linearise, regulate, regulator
+from linkplan.controllers.trackers.lqr import Errors, Regulator, regulate, regulator
 from linkplan.controllers.trackers.tracker import times
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError

@@ -2,9 +2,11 @@
 
     x = (s, v),   x_{k+1} = A_k x_k + B_k u_k,   u = u_ref + K_k (x_ref - x)
 
-A_k and B_k come from the reduced dynamics' derivatives at t_k, held over one control period (zero-order hold). K_k comes
-from the backward Riccati recursion (Anderson & Moore, Optimal Control, 1990, 2.4). It starts from the stationary solution
-at the end of the motion. For a periodic motion it is repeated until it converges to a periodic solution.
+A_k and B_k come from the reduced dynamics' derivatives at t_k, held over one control period (zero-order hold). Where an
+implicit integrator adds a servo's gain and damping to the inertia of every step, they are those of MuJoCo's steps: the
+effect of an effort may be a fraction of what the continuous motion shows. K_k comes from the backward Riccati recursion
+(Anderson & Moore, Optimal Control, 1990, 2.4). It starts from the stationary solution at the end of the motion. For a
+periodic motion it is repeated until it converges to a periodic solution.
 """
 
 from dataclasses import dataclass
@@ -13,7 +15,10 @@ from typing import ClassVar
 import numpy as np
 import scipy.linalg
 
+from linkplan.controllers.integrator import stay_servos
+from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.sampling import sampling, simulated
 from linkplan.controllers.trackers.tracker import times
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
@@ -38,32 +43,6 @@ class LQR:
             [reference.position_rad[k] - position_rad, reference.velocity_rad_s[k] - velocity_rad_s], axis=-1
         )
         return reference.effort[k] + times(self.gains[k], error)
-
-
-def linearise(
-    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (n, 2 n_s, 2 n_s) and B (n, 2 n_s, n_u) of x' = A x + B u about n states.
-
-    They are exact derivatives of the reduced model, without finite differences of a simulator.
-    """
-    n, n_s, n_u = len(pose), mechanism.dof, mechanism.n_u
-    function = mechanism.dynamics.linearisation
-    outputs = function.map(n)(pose.T, velocity.T, effort.T)
-    by_s, by_v, by_u = (np.array(output).reshape(n_s, n, -1).transpose(1, 0, 2) for output in outputs)
-    A, B = np.zeros((n, 2 * n_s, 2 * n_s)), np.zeros((n, 2 * n_s, n_u))
-    A[:, :n_s, n_s:] = np.eye(n_s)
-    A[:, n_s:, :n_s], A[:, n_s:, n_s:], B[:, n_s:] = by_s, by_v, by_u
-    return A, B
-
-
-def discretise(A: np.ndarray, B: np.ndarray, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the zero-order-hold equivalents of A (n, m, m) and B (n, m, n_u) over a period [s]."""
-    n, m, n_u = B.shape
-    block = np.zeros((n, m + n_u, m + n_u))
-    block[:, :m, :m], block[:, :m, m:] = A, B
-    power = scipy.linalg.expm(block * period_s)
-    return power[:, :m, :m], power[:, :m, m:]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -125,9 +104,14 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
     A passive degree of freedom, such as the spin of a rod between two ball joints, is uncontrollable and left out.
     """
     n = repeated(reference)
-    A, B = linearise(mechanism, reference.pose_rad[:n], reference.velocity_rad_s[:n], reference.effort[:n])
+    states = reference.pose_rad[:n], reference.velocity_rad_s[:n], reference.effort[:n]
     kept = np.flatnonzero(np.tile(mechanism.steered, 2))
-    A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
+    if stay_servos(mechanism):
+        A, B, _ = simulated(mechanism, *states, sampling(mechanism, reference.period_s))
+        A, B = A[:, kept[:, None], kept], B[:, kept]
+    else:
+        A, B = linearise(mechanism, *states)
+        A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
     sizes = [np.broadcast_to(weight, mechanism.dof)[mechanism.steered] for weight in (errors.position, errors.velocity)]
     Q = np.diag(np.concatenate(sizes) ** -2.0)
     R = np.diag(np.asarray(errors.effort, dtype=float) ** -2.0)

@@ -161,6 +161,7 @@ Paths = Annotated[dict[str, Path], Meta(extra=_JOINTS | {"of": "joint = position
 Ranges = Annotated[dict[str, Interval], Meta(extra=_JOINTS | {"of": "joint = [low, high]"})]
 Speeds = Annotated[dict[str, Positive | Interval], Meta(extra=_JOINTS)]
 Gains = Annotated[dict[str, Gain], Meta(extra={"of": "joint = gain"})]
+LqrErrors = Annotated[dict[str, LqrError], Meta(extra={"of": "joint = error"})]
 Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuator = [low, high]"})]
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]

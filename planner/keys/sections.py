@@ -237,17 +237,24 @@ class TrackingSection(Section, frozen=True):
     ] = 0
     duration_s: Annotated[kinds.Duration, key("the duration of the run", "s", "the plan's own, and a rest", "2.0")] = ABSENT
     lqr_position_deg: Annotated[
-        kinds.LqrError,
-        key("a hinge's position error with the weight of the whole effort limit", "deg", f"1, {_MORE_IF_LIGHT}", "1.0"),
+        kinds.LqrError | kinds.LqrErrors,
+        key(
+            "a hinge's position error with the weight of the whole effort limit, for all or by joint",
+            "deg",
+            f"1, {_MORE_IF_LIGHT}",
+            "1.0",
+        ),
     ] = ABSENT
     lqr_velocity_deg_s: Annotated[
-        kinds.LqrError, key("a hinge's speed error with that weight", "deg/s", f"100, {_MORE_IF_LIGHT}", "100.0")
+        kinds.LqrError | kinds.LqrErrors,
+        key("a hinge's speed error with that weight", "deg/s", f"100, {_MORE_IF_LIGHT}", "100.0"),
     ] = ABSENT
     lqr_position_m: Annotated[
-        kinds.LqrError, key("a slide's position error with that weight", "m", f"0.01, {_MORE_IF_LIGHT}", "0.01")
+        kinds.LqrError | kinds.LqrErrors,
+        key("a slide's position error with that weight", "m", f"0.01, {_MORE_IF_LIGHT}", "0.01"),
     ] = ABSENT
     lqr_velocity_m_s: Annotated[
-        kinds.LqrError, key("a slide's speed error with that weight", "m/s", f"1, {_MORE_IF_LIGHT}", "1.0")
+        kinds.LqrError | kinds.LqrErrors, key("a slide's speed error with that weight", "m/s", f"1, {_MORE_IF_LIGHT}", "1.0")
     ] = ABSENT
     bandwidth_hz: Annotated[kinds.Positive, key("natural frequency of the errors under ct and gs-pd+ff", "Hz")] = 20.0
     damping_ratio: Annotated[kinds.Positive, key("damping ratio of the errors under ct and gs-pd+ff")] = 1.0

@@ -95,9 +95,9 @@ class Tracking:
 
     kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators: one number for
     all, or one for each joint by name. LQR gives equal weight to a position error of `lqr_position_deg`, a velocity error of
-    `lqr_velocity_deg_s` and the whole effort limit; on a slide to `lqr_position_m` [m] and `lqr_velocity_m_s`. Those that
-    are None are set for a machine by `with_lqr_errors`. LQI gives the
-    same weight to the integral of that error over `integral_time_s`. Errors under computed torque and gain-scheduled PD have
+    `lqr_velocity_deg_s` and the whole effort limit; on a slide to `lqr_position_m` [m] and `lqr_velocity_m_s`, again for all
+    or by joint. Those that are None are set for a machine by `with_lqr_errors`. LQI gives the same weight to the integral of
+    that error over `integral_time_s`. Errors under computed torque and gain-scheduled PD have
     the natural frequency `bandwidth_hz` [Hz] and the damping ratio. MPC has the horizon `horizon_s` [s]. In tracking, the
     delay is a whole number of control periods; frequency responses allow any delay.
     """
@@ -107,10 +107,10 @@ class Tracking:
     period_s: float = DEFAULT_PERIOD_S
     delay_periods: float = _TRACKING.delay_periods
     duration_s: float | None = None  # of the tracking run; default: the plan and a rest, or eight periods
-    lqr_position_deg: float | None = None
-    lqr_velocity_deg_s: float | None = None
-    lqr_position_m: float | None = None
-    lqr_velocity_m_s: float | None = None
+    lqr_position_deg: float | Mapping[str, float] | None = None
+    lqr_velocity_deg_s: float | Mapping[str, float] | None = None
+    lqr_position_m: float | Mapping[str, float] | None = None
+    lqr_velocity_m_s: float | Mapping[str, float] | None = None
     bandwidth_hz: float = _TRACKING.bandwidth_hz
     damping_ratio: float = _TRACKING.damping_ratio
     integral_time_s: float = _TRACKING.integral_time_s
@@ -138,19 +138,19 @@ class Tracking:
         Raises:
             ProblemError: for a joint without a gain, or a gain of an unknown joint.
         """
-        names, found = [joint.name for joint in joints], []
-        for key in ("kp", "kd"):
-            given = getattr(self, key)
-            if not isinstance(given, Mapping):
-                found.append(np.full(len(names), given))
-                continue
-            if set(given) != set(names):
-                raise ProblemError(
-                    f"tracking.{key} has a gain for each independent joint ({', '.join(names)}), got"
-                    f" {', '.join(given) or 'none'}"
-                )
-            found.append(np.array([given[name] for name in names]))
-        return found[0], found[1]
+        return self._by_joint("kp", joints), self._by_joint("kd", joints)
+
+    def _by_joint(self, key: str, joints: Sequence[Joint]) -> np.ndarray:
+        """Return the values (n,) that a key gives to joints, one for all or one for each."""
+        given, names = getattr(self, key), [joint.name for joint in joints]
+        if not isinstance(given, Mapping):
+            return np.full(len(names), given, dtype=float)
+        if set(given) != set(names):
+            raise ProblemError(
+                f"tracking.{key} has a value for each independent joint ({', '.join(names)}), got"
+                f" {', '.join(given) or 'none'}"
+            )
+        return np.array([given[name] for name in names], dtype=float)
 
     def gains_text(self, joints: Sequence[Joint] = ()) -> str:
         """Return kp and kd as text: one number, or one for each joint by name; with units if all joints are of one kind."""
@@ -164,31 +164,45 @@ class Tracking:
 
         return f"kp = {gain_text(self.kp, per[0])}, kd = {gain_text(self.kd, per[1])}"
 
-    def with_lqr_errors(self, acceleration: Mapping[str, float], period_s: float) -> "Tracking":
-        """Return these settings with every LQR error set.
+    def with_lqr_errors(
+        self, joints: Sequence[Joint], acceleration: Sequence[float] | np.ndarray, period_s: float
+    ) -> "Tracking":
+        """Return these settings with every LQR error of the joints set.
 
         An error that is None becomes the default, or what `LQR_RESPONSE_PERIODS` control periods at full effort reach from
         rest, if that is more. Smaller errors ask for a loop that is faster than the sampling: a light machine chatters.
 
         Args:
-            acceleration: the largest one [rad/s^2 or m/s^2] under the whole effort limit, by the kind of joint.
+            joints: the independent joints (n,).
+            acceleration: the largest one (n,) [rad/s^2 or m/s^2] of each under the whole effort limit.
             period_s: the control period [s], or the simulator's step if that is longer.
         """
         time, reached = LQR_RESPONSE_PERIODS * period_s, {}
         for kind, unit, position, velocity in (("hinge", "deg", 1.0, 100.0), ("slide", "m", 0.01, 1.0)):
-            most = acceleration.get(kind, 0.0)
-            most = float(np.degrees(most)) if kind == "hinge" else most
-            reached[f"lqr_position_{unit}"] = max(position, 0.5 * most * time**2)
-            reached[f"lqr_velocity_{unit}_s"] = max(velocity, most * time)
-        return replace(self, **{key: value for key, value in reached.items() if getattr(self, key) is None})
+            most = {joint.name: joint.shown(a) for joint, a in zip(joints, acceleration, strict=True) if joint.kind == kind}
+            near = {name: max(position, 0.5 * a * time**2) for name, a in most.items()}
+            slow = {name: max(velocity, a * time) for name, a in most.items()}
+            reached |= {f"lqr_position_{unit}": near or position, f"lqr_velocity_{unit}_s": slow or velocity}
+        return replace(self, **{key: one_if_equal(value) for key, value in reached.items() if getattr(self, key) is None})
 
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the position and velocity errors (n,) [rad or m, and per second] that have the weight 1; all are set."""
-        every = self.with_lqr_errors({}, 0.0)
-        hinge = np.radians(np.array([every.lqr_position_deg, every.lqr_velocity_deg_s], dtype=float))
-        slide = np.array([every.lqr_position_m, every.lqr_velocity_m_s], dtype=float)
-        errors = np.array([hinge if joint.kind == "hinge" else slide for joint in joints]).reshape(-1, 2)
-        return errors[:, 0], errors[:, 1]
+        """Return the position and velocity errors (n,) [rad or m, and per second] that have the weight 1.
+
+        Raises:
+            ProblemError: for a joint without an error, or an error of an unknown joint.
+        """
+        every, errors = self.with_lqr_errors(joints, np.zeros(len(joints)), 0.0), np.empty((2, len(joints)))
+        for kind, unit, factor in (("hinge", "deg", np.radians(1.0)), ("slide", "m", 1.0)):
+            at = [k for k, joint in enumerate(joints) if joint.kind == kind]
+            for row, key in zip(errors, (f"lqr_position_{unit}", f"lqr_velocity_{unit}_s"), strict=True):
+                row[at] = factor * every._by_joint(key, [joints[k] for k in at])
+        return errors[0], errors[1]
+
+
+def one_if_equal(value: float | dict[str, float]) -> float | dict[str, float]:
+    """Return the one value of a table whose values are all equal, else the table."""
+    values = {*value.values()} if isinstance(value, dict) else {value}
+    return values.pop() if len(values) == 1 else value
 
 
 def _check(

@@ -1,9 +1,9 @@
 """The rung at a distance from singular poses: a search within a margin to them that was not asked for.
 
 A linkage may swing up to a dead centre, where its actuator holds or turns it the more easily the nearer it comes. No motion
-is the best then: its cost falls with the margin, down to a motion that leaves the branch. A crank that turns fully may pass a
-pose that is nearly singular: a coarse mesh steps over it onto the other branch. In both cases solvers are lost, and within a
-margin they find the best motion.
+is the best then: its cost falls with the margin, down to a motion that leaves the branch. A crank that turns fully may pass
+a pose that is nearly singular: a coarse mesh steps over it onto the other branch. In both cases solvers are lost, and within
+a margin they find the best motion.
 """
 
 from collections.abc import Sequence

@@ -21,8 +21,6 @@ def scaled(settings: Tracking, mechanism: Mechanism, pose: np.ndarray, unit: np.
     n, n_s, n_u = len(pose), mechanism.dof, mechanism.n_u
     outputs = mechanism.dynamics.linearisation.map(n)(pose.T, np.zeros((n_s, n)), np.zeros((n_u, n)))
     reached = np.abs(np.array(outputs[2]).reshape(n_s, n, n_u)) @ unit
-    most: dict[str, float] = {}
-    for channel in mechanism.channels:
-        kind = mechanism.independent_joints[channel].kind
-        most[kind] = max(most.get(kind, 0.0), float(reached[channel].max()))
-    return settings.with_lqr_errors(most, max(settings.period_s, float(mechanism.model.opt.timestep)))
+    most = np.where(mechanism.steered, reached.max(axis=1), 0.0)
+    period = max(settings.period_s, float(mechanism.model.opt.timestep))
+    return settings.with_lqr_errors(mechanism.independent_joints, most, period)

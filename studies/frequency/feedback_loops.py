@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import control
 import numpy as np
 
+from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, exact, simulated, spectral_radius
-from linkplan.controllers.trackers.lqr import linearise, lqr
+from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError

@@ -1,6 +1,6 @@
 """A plan's runs in MuJoCo's interactive viewer: gains set by keys, with the ghost and the efforts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import mujoco
@@ -41,7 +41,7 @@ def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracki
     """Return settings with multiplied gains; for LQR, the position and velocity errors of weight 1, all set, are divided."""
 
     def times(gain, factor: float):
-        return {name: factor * one for name, one in gain.items()} if isinstance(gain, dict) else factor * gain
+        return {name: factor * one for name, one in gain.items()} if isinstance(gain, Mapping) else factor * gain
 
     if kp_factor == kd_factor == 1.0:
         return tracking
@@ -49,10 +49,10 @@ def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracki
         tracking,
         kp=times(tracking.kp, kp_factor),
         kd=times(tracking.kd, kd_factor),
-        lqr_position_deg=tracking.lqr_position_deg / kp_factor,
-        lqr_position_m=tracking.lqr_position_m / kp_factor,
-        lqr_velocity_deg_s=tracking.lqr_velocity_deg_s / kd_factor,
-        lqr_velocity_m_s=tracking.lqr_velocity_m_s / kd_factor,
+        lqr_position_deg=times(tracking.lqr_position_deg, 1 / kp_factor),
+        lqr_position_m=times(tracking.lqr_position_m, 1 / kp_factor),
+        lqr_velocity_deg_s=times(tracking.lqr_velocity_deg_s, 1 / kd_factor),
+        lqr_velocity_m_s=times(tracking.lqr_velocity_m_s, 1 / kd_factor),
     )
 
 
@@ -100,8 +100,9 @@ def _words(motion: Motion, tracking: Tracking, controls: Controls, k: int) -> Ro
     factors = [f"  (x{factor:.3g})" if factor != 1.0 else "" for factor in (controls.kp_factor, controls.kd_factor)]
     if controls.tracker == "lqr":
         hinge = any(joint.kind == "hinge" for joint in motion.mechanism.independent_joints)
-        position = f"{tracking.lqr_position_deg:.4g} deg" if hinge else f"{tracking.lqr_position_m:.4g} m"
-        velocity = f"{tracking.lqr_velocity_deg_s:.4g} deg/s" if hinge else f"{tracking.lqr_velocity_m_s:.4g} m/s"
+        position = f"{_gain_said(tracking.lqr_position_deg if hinge else tracking.lqr_position_m)} {'deg' if hinge else 'm'}"
+        velocity = _gain_said(tracking.lqr_velocity_deg_s if hinge else tracking.lqr_velocity_m_s)
+        velocity += " deg/s" if hinge else " m/s"
         gains = [("weighs 1: position", position + factors[0]), ("weighs 1: speed", velocity + factors[1])]
     else:
         gains = [("kp", _gain_said(tracking.kp) + factors[0]), ("kd", _gain_said(tracking.kd) + factors[1])]
@@ -111,4 +112,4 @@ def _words(motion: Motion, tracking: Tracking, controls: Controls, k: int) -> Ro
 
 
 def _gain_said(gain) -> str:
-    return ", ".join(f"{one:.4g}" for one in (gain.values() if isinstance(gain, dict) else [gain]))
+    return ", ".join(f"{one:.4g}" for one in (gain.values() if isinstance(gain, Mapping) else [gain]))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.imperfections.imperfections import Imperfections, Sensors
+from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.integral_lqr import integrable
-from linkplan.controllers.trackers.lqr import discretise, linearise
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.prediction import predictor

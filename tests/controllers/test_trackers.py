@@ -8,8 +8,9 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.trackers.lqr import LQR, discretise, linearise, lqr
+from linkplan.controllers.trackers.lqr import LQR, lqr
 from linkplan.controllers.trackers.pd import PD, pd
 from linkplan.controllers.trackers.tracker import Feedforward
 from linkplan.models.mechanism import load_mechanism

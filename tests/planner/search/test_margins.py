@@ -31,8 +31,13 @@ def weak_reach(number: int, duration_s: float | str = 1.0, minimize: str = "effo
 # A pendulum on one joint.
 SERIAL_REACH = {
     "mechanism": {
-        "model": """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02"/>
-        </body></worldbody><actuator><motor name="m" joint="a" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+        "model": """<mujoco>
+            <worldbody><body>
+                <joint name="a" axis="0 1 0"/>
+                <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02"/>
+            </body></worldbody>
+            <actuator><motor name="m" joint="a" ctrllimited="true" ctrlrange="-1 1"/></actuator>
+        </mujoco>"""
     },
     "motion": {"kind": "reach", "start_deg": {"a": 0.0}, "goal_deg": {"a": 30.0}, "duration_s": 2.0},
     "objective": {"minimize": "effort"},

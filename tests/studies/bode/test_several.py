@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import linkplan.studies.bode.bode as bode_module
+from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.sampling import sampling
-from linkplan.controllers.trackers.lqr import linearise
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
@@ -83,7 +83,7 @@ def test_gains_by_joint_name_every_independent_joint():
     kp, kd = GAINS.gains(mechanism.independent_joints)
     assert dict(zip([j.name for j in mechanism.independent_joints], kp, strict=True)) == {"O1": 30.0, "E1": 8.0}
     assert kd.min() == 0.2
-    with pytest.raises(ProblemError, match=r"tracking.kp has a gain for each independent joint \(O1, O2\), got O1"):
+    with pytest.raises(ProblemError, match=r"tracking.kp has a value for each independent joint \(O1, O2\), got O1"):
         load_problem("five-bar-reach", ["tracking.kp={ O1 = 20 }"])
     problem = load_problem("five-bar-reach", ["tracking.kp={ O1 = 20, O2 = 30 }"])
     assert problem.tracking.gains_text() == "kp = { O1 = 20, O2 = 30 }, kd = 1"

@@ -125,7 +125,8 @@ def test_the_viewers_keys_stand_in_its_help(ask):
 
 
 def test_gains_of_every_joint_are_multiplied_and_lqrs_errors_divided():
-    tracking = optimal("knee-reach").problem.tracking.with_lqr_errors({}, 0.0)
+    problem = optimal("knee-reach").problem
+    tracking = problem.tracking.with_lqr_errors(problem.mechanism.independent_joints, [0.0], 0.0)
     changed = with_gains(tracking, 2.0, 0.5)
     assert (changed.kp, changed.kd) == (400.0, 10.0)
     assert changed.lqr_position_deg == pytest.approx(tracking.lqr_position_deg / 2)

@@ -1,0 +1,75 @@
+"""LQR's default weights go by each joint's own inertia, and its gains by what a servo's effort does in MuJoCo's steps."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.sampling import sampling, simulated, spectral_radius
+from linkplan.controllers.trackers.lqr import lqr
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.compare.lqr_weights import scaled
+
+PERIOD_S = 2e-3
+# A 60 kg slide, a heavy hinge beside it and a light one, each with its own servo; its gains are those of a mobile robot.
+BESIDE = f"""<mujoco><option timestep="{PERIOD_S}" integrator="implicitfast" gravity="0 0 0"/><worldbody>
+<body><joint name="base" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="60" diaginertia="1 1 1"/></body>
+<body pos="0 1 0"><joint name="arm" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
+<body pos="0 2 0"><joint name="wrist" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1e-4 1e-4 1e-4"/></body>
+</worldbody><actuator><position joint="base" kp="1e6" kv="5e4" forcerange="-600 600"/>
+<position joint="arm" kp="2000" kv="100" forcerange="-100 100"/>
+<position joint="wrist" kp="500" kv="50" forcerange="-50 50"/></actuator></mujoco>"""
+
+
+def held() -> SampledReference:
+    still, times = np.zeros((2, 3)), np.array([0.0, PERIOD_S])
+    return SampledReference(
+        period_s=PERIOD_S,
+        time_s=times,
+        pose_rad=still,
+        position_rad=still,
+        velocity_rad_s=still,
+        effort=still,
+        cycle=None,
+    )
+
+
+def test_a_light_joint_does_not_weaken_the_gains_of_a_heavy_one():
+    mechanism = load_mechanism(BESIDE)
+    settings = scaled(Tracking(period_s=PERIOD_S), mechanism, np.zeros((1, 3)), np.array([600.0, 100.0, 50.0]))
+    # Six periods at full effort: 50 N.m on 1e-4 kg m2 and 100 N.m on 1 kg m2.
+    time = 6 * PERIOD_S
+    assert settings.lqr_position_deg["wrist"] == pytest.approx(np.degrees(0.5 * 5e5 * time**2))
+    assert settings.lqr_velocity_deg_s["wrist"] == pytest.approx(np.degrees(5e5 * time))
+    assert settings.lqr_position_deg["arm"] == 1.0
+    assert settings.lqr_velocity_deg_s["arm"] == 100.0
+    assert (settings.lqr_position_m, settings.lqr_velocity_m_s) == (0.01, 1.0)
+    position, velocity = settings.lqr_errors(mechanism.independent_joints)
+    assert position == pytest.approx([0.01, np.radians(1.0), 0.5 * 5e5 * time**2])
+    assert velocity == pytest.approx([1.0, np.radians(100.0), 5e5 * time])
+
+
+def test_errors_by_joint_are_one_for_each_hinge():
+    joints = load_mechanism(BESIDE).independent_joints
+    position, _ = Tracking(lqr_position_deg={"arm": 2.0, "wrist": 3.0}).lqr_errors(joints)
+    assert np.degrees(position[1:]) == pytest.approx([2.0, 3.0])
+    with pytest.raises(
+        ProblemError, match=r"lqr_position_deg has a value for each independent joint \(arm, wrist\), got arm"
+    ):
+        Tracking(lqr_position_deg={"arm": 2.0}).lqr_errors(joints)
+
+
+def test_gains_for_servos_are_optimal_for_mujocos_own_steps():
+    """The slide's servo takes 5e4 N.s/m times 2 ms as 100 kg more: an effort does 0.375 of what it does to 60 kg."""
+    mechanism = load_mechanism(BESIDE)
+    reference, unit = held(), np.array([600.0, 100.0, 50.0])
+    law = lqr(mechanism, reference, position_weight=0.01, velocity_weight=1.0, effort_weight=unit)
+    one = [values[:1] for values in (reference.pose_rad, reference.velocity_rad_s, reference.effort)]
+    A, B, _ = (matrix[0] for matrix in simulated(mechanism, *one, sampling(mechanism, PERIOD_S)))
+    assert B[3, 0] == pytest.approx(PERIOD_S / 160)
+    Q, R = np.diag(np.repeat([0.01, 1.0], 3) ** -2.0), np.diag(unit**-2.0)
+    P = scipy.linalg.solve_discrete_are(A, B, Q, R)
+    assert law.gains[0] == pytest.approx(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A), rel=1e-6, abs=1e-6)
+    assert spectral_radius(A - B @ law.gains[0]) < 1.0
