@@ -191,7 +191,9 @@ def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
     if mechanism is not None:
         if "period_s" not in section:
             found = replace(found, period_s=max(DEFAULT_PERIOD_S, float(mechanism.model.opt.timestep)))
-        found.gains(mechanism.independent_joints)  # refuses joints without a gain, and gains of unknown joints
+        # Both refuse joints without a value, and values of unknown joints.
+        found.gains(mechanism.independent_joints)
+        found.lqr_errors(mechanism.independent_joints)
     return found
 
 

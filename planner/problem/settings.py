@@ -147,7 +147,7 @@ class Tracking:
             return np.full(len(names), given, dtype=float)
         if set(given) != set(names):
             raise ProblemError(
-                f"tracking.{key} has a value for each independent joint ({', '.join(names)}), got"
+                f"tracking.{key} has a value for each independent joint ({', '.join(names) or 'none'}), got"
                 f" {', '.join(given) or 'none'}"
             )
         return np.array([given[name] for name in names], dtype=float)

@@ -9,6 +9,7 @@ from linkplan.controllers.sampling import sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.lqr_weights import scaled
 
@@ -59,6 +60,8 @@ def test_errors_by_joint_are_one_for_each_hinge():
         ProblemError, match=r"lqr_position_deg has a value for each independent joint \(arm, wrist\), got arm"
     ):
         Tracking(lqr_position_deg={"arm": 2.0}).lqr_errors(joints)
+    with pytest.raises(ProblemError, match=r"lqr_velocity_m_s has a value for each independent joint \(none\), got O"):
+        load_problem("knee-reach", ["tracking.lqr_velocity_m_s={ O = 2.0 }"])
 
 
 def test_gains_for_servos_are_optimal_for_mujocos_own_steps():
