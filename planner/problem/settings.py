@@ -183,7 +183,7 @@ class Tracking:
             near = {name: max(position, 0.5 * a * time**2) for name, a in most.items()}
             slow = {name: max(velocity, a * time) for name, a in most.items()}
             reached |= {f"lqr_position_{unit}": near or position, f"lqr_velocity_{unit}_s": slow or velocity}
-        return replace(self, **{key: one_if_equal(value) for key, value in reached.items() if getattr(self, key) is None})
+        return replace(self, **{key: _one_if_equal(value) for key, value in reached.items() if getattr(self, key) is None})
 
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return the position and velocity errors (n,) [rad or m, and per second] that have the weight 1.
@@ -199,7 +199,7 @@ class Tracking:
         return errors[0], errors[1]
 
 
-def one_if_equal(value: float | dict[str, float]) -> float | dict[str, float]:
+def _one_if_equal(value: float | dict[str, float]) -> float | dict[str, float]:
     """Return the one value of a table whose values are all equal, else the table."""
     values = {*value.values()} if isinstance(value, dict) else {value}
     return values.pop() if len(values) == 1 else value
