@@ -1,8 +1,10 @@
-"""The errors and efforts of equal weight in LQR's cost, scaled by the machine's inertia and effort limits."""
+"""The errors and efforts of equal weight in LQR's cost, scaled by the inertia of each joint and the effort limits."""
 
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.planner.problem.settings import Tracking
 
 # Of a longer motion, about as many poses are asked for their inertia.
@@ -20,7 +22,11 @@ def scaled(settings: Tracking, mechanism: Mechanism, pose: np.ndarray, unit: np.
     pose = pose[:: -(-len(pose) // _MOST_POSES)]
     n, n_s, n_u = len(pose), mechanism.dof, mechanism.n_u
     outputs = mechanism.dynamics.linearisation.map(n)(pose.T, np.zeros((n_s, n)), np.zeros((n_u, n)))
-    reached = np.abs(np.array(outputs[2]).reshape(n_s, n, n_u)) @ unit
-    most = np.where(mechanism.steered, reached.max(axis=1), 0.0)
+    by_effort = np.array(outputs[2]).reshape(n_s, n, n_u).transpose(1, 0, 2)
+    reached = np.abs(by_effort) @ unit
+    # Behind a soft loop, an effort at first moves little more than its own link.
+    effort = np.abs(sampled(mechanism.dynamics.reduced_inertia, pose) @ by_effort) @ unit
+    felt = np.array([felt_inertia(mechanism, at) for at in pose])
+    most = np.where(mechanism.steered, np.maximum(reached, effort / felt).max(axis=0), 0.0)
     period = max(settings.period_s, float(mechanism.model.opt.timestep))
     return settings.with_lqr_errors(mechanism.independent_joints, most, period)

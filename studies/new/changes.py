@@ -19,6 +19,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.continuation import in_loops
+from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.selection import floating_joints
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
@@ -26,7 +27,7 @@ from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.check.softness import STIFF_KEY
 from linkplan.studies.new.hanging import hanging_columns
-from linkplan.studies.new.pace import equality_rows, is_large
+from linkplan.studies.new.pace import is_large
 
 # An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
 _HOLD_MULTIPLE = 2.0

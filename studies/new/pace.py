@@ -1,10 +1,10 @@
 """The pace of a first motion: its duration, and feedback gains that the model's own simulation can follow."""
 
-import mujoco
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.hanging import GRAVITY_M_S2, driven_columns, hanging_columns
@@ -59,39 +59,6 @@ def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> d
     names = [joint.name for joint in mechanism.independent_joints]
     found = {key: [float(f"{value:.2g}") for value in values] for key, values in gains.items()}
     return {key: v[0] if len(v) == 1 else dict(zip(names, v, strict=True)) for key, v in found.items()}
-
-
-def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
-    """Return what the model's own simulation lets a force on each independent coordinate accelerate (n_s,) [kg.m2 or kg].
-
-    All other coordinates are free, as between two control instants. Loops that are closed exactly leave 1 / (M^-1)_ii.
-    Behind a soft loop, a drive at first moves little more than its own link, and feedback for the whole leg would be
-    unstable. With the rows J and the regularisation R of MuJoCo's equality constraints, a force f accelerates by
-    (M^-1 - M^-1 J^T (J M^-1 J^T + R)^-1 J M^-1) f (MuJoCo, "Computation", constraint model).
-    """
-    model = mechanism.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(pose)
-    mujoco.mj_forward(model, data)
-    rows, free = equality_rows(model, data)
-    held = free @ rows.T @ np.linalg.solve(rows @ free @ rows.T + np.diag(data.efc_R[: data.ne]), rows @ free)
-    found = np.empty(mechanism.dof)
-    for column, index in enumerate(mechanism.independent.tolist()):
-        unit = np.zeros(mechanism.n_q)
-        unit[index] = 1.0
-        found[column] = 1.0 / mechanism.rates_of(pose, (free - held) @ mechanism.qvel_of(pose, unit))[index]
-    return found
-
-
-def equality_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows J (n, nv) of MuJoCo's equality constraints, and M^-1 (nv, nv), at the pose of a forward pass."""
-    mass, rows = np.zeros((model.nv, model.nv)), np.zeros((data.nefc, model.nv))
-    mujoco.mj_fullM(model, data, mass)
-    if mujoco.mj_isSparse(model):
-        mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
-    else:
-        rows[:] = data.efc_J.reshape(rows.shape)
-    return rows[: data.ne], np.linalg.inv(mass)
 
 
 def is_large(mechanism: Mechanism) -> bool:

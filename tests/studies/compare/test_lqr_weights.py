@@ -9,9 +9,11 @@ from linkplan.controllers.sampling import sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.lqr_weights import scaled
+from tests.support.parallel_ankle import soft_ankle
 
 PERIOD_S = 2e-3
 # A 60 kg slide, a heavy hinge beside it and a light one, each with its own servo; its gains are those of a mobile robot.
@@ -50,6 +52,18 @@ def test_a_light_joint_does_not_weaken_the_gains_of_a_heavy_one():
     position, velocity = settings.lqr_errors(mechanism.independent_joints)
     assert position == pytest.approx([0.01, np.radians(1.0), 0.5 * 5e5 * time**2])
     assert velocity == pytest.approx([1.0, np.radians(100.0), 5e5 * time])
+
+
+def test_a_drive_behind_soft_loops_is_weighed_by_what_it_moves_at_first():
+    """Weights for the whole leg ask for a loop that a soft closure cannot follow: LQR was unstable."""
+    mechanism = load_mechanism(soft_ankle(1e-6))
+    unit, time = np.full(mechanism.n_u, 1e4), 6 * PERIOD_S
+    settings = scaled(Tracking(period_s=PERIOD_S), mechanism, mechanism.home[None], unit)
+    position, velocity = settings.lqr_errors(mechanism.independent_joints)
+    steered = mechanism.steered
+    alone = 1e4 / felt_inertia(mechanism, mechanism.home)[steered]
+    assert np.all(position[steered] >= 0.5 * alone * time**2 * (1 - 1e-9))
+    assert np.all(velocity[steered] >= alone * time * (1 - 1e-9))
 
 
 def test_errors_by_joint_are_one_for_each_hinge():

@@ -1,11 +1,11 @@
-"""The pace of first motions: the inertia that a drive feels in the model's own simulation, from which its gains follow."""
+"""The inertia that a drive feels in the model's own simulation, from which gains and LQR's weights follow."""
 
 import mujoco
 import numpy as np
 import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.studies.new.pace import felt_inertia
+from linkplan.models.poses.felt_inertia import felt_inertia
 from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 
