@@ -211,6 +211,24 @@ def test_following_the_reference_costs_nothing_and_a_constant_error_costs_its_sq
     assert missed - followed == pytest.approx(0.1**2, rel=1e-9)
 
 
+def test_every_effort_has_the_weight_of_effort_beside_the_weight_of_time():
+    settings = ("objective.minimize={ effort = 1.0, time = 3.0 }", "motion.duration_s=free", "solver.compile=never")
+    problem = problem_of("five-bar-reach", *settings)
+    guess = first_guess(problem, problem.start_pose())
+    transcribed = transcribe(problem, guess, uniform(4), np.array([guess.duration_s]))
+    x, effort = np.array(transcribed.start), transcribed.program.layout.effort()
+
+    def cost(*halves: int) -> float:
+        """Return the cost of the guess's duration with these actuators at half their limits and the others at rest."""
+        x[effort.ravel()] = 0.0
+        x[effort[:, :, list(halves)].ravel()] = 0.5
+        return float(transcribed.program.functions["nlp"](x, transcribed.parameters)[0])
+
+    limits = problem.limits.actuators_effort[:, 1]
+    for actuator, limit in enumerate(limits):
+        assert (cost(actuator) - cost()) / cost() == pytest.approx((0.5 * limit) ** 2 / 3.0, rel=1e-9)
+
+
 def test_a_closed_loop_is_a_row_at_every_node():
     program = built(CASES[0]).program
     n_nodes = program.layout.n_nodes
