@@ -1,0 +1,22 @@
+"""What refinement reads of a certificate: a single joint or speed beyond its range is an overrun, whatever the others keep."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.closed_chain.case import case_of
+from tests.support.plans import planned
+
+
+@pytest.mark.parametrize("name", ["position_margin_rad", "speed_margin_rad_s"])
+def test_one_joint_beyond_its_range_is_an_overrun(name):
+    plan = planned("knee-reach")
+    case = case_of(plan.problem)
+    assert not case.error_report(plan.certificate).overruns
+    margins = np.array(getattr(plan.certificate, name))
+    assert margins.size > 1
+    margins[-1] = -0.01
+    report = case.error_report(replace(plan.certificate, **{name: margins}))
+    assert report.overruns
+    assert report.leaves_positions == (name == "position_margin_rad")
