@@ -1,4 +1,4 @@
-"""What refinement reads of a certificate: a single joint or speed beyond its range is an overrun, whatever the others keep."""
+"""What refinement reads of a certificate: one joint or speed beyond its range is an overrun, whatever the others keep."""
 
 from dataclasses import replace
 
