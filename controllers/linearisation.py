@@ -11,7 +11,7 @@ def linearise(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return A (n, 2 n_s, 2 n_s) and B (n, 2 n_s, n_u) of x' = A x + B u about n states.
 
-    They are exact derivatives of the reduced model, without finite differences of a simulator.
+    They are the exact derivatives of the reduced model; no simulator is differenced.
     """
     n, n_s, n_u = len(pose), mechanism.dof, mechanism.n_u
     function = mechanism.dynamics.linearisation

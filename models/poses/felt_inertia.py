@@ -7,7 +7,7 @@ from linkplan.models.mechanism import Mechanism
 
 
 def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
-    """Return what the model's own simulation lets a force on each independent coordinate accelerate (n_s,) [kg.m2 or kg].
+    """Return the inertia (n_s,) [kg.m2 or kg] that a force on each independent coordinate accelerates in the simulation.
 
     All other coordinates are free, as between two control instants. Loops that are closed exactly leave 1 / (M^-1)_ii.
     Behind a soft loop, a drive at first moves little more than its own link, and feedback for the whole leg would be

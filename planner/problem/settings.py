@@ -97,9 +97,9 @@ class Tracking:
     all, or one for each joint by name. LQR gives equal weight to a position error of `lqr_position_deg`, a velocity error of
     `lqr_velocity_deg_s` and the whole effort limit; on a slide to `lqr_position_m` [m] and `lqr_velocity_m_s`, again for all
     or by joint. Those that are None are set for a machine by `with_lqr_errors`. LQI gives the same weight to the integral of
-    that error over `integral_time_s`. Errors under computed torque and gain-scheduled PD have
-    the natural frequency `bandwidth_hz` [Hz] and the damping ratio. MPC has the horizon `horizon_s` [s]. In tracking, the
-    delay is a whole number of control periods; frequency responses allow any delay.
+    that error over `integral_time_s`. Errors under computed torque and gain-scheduled PD have the natural frequency
+    `bandwidth_hz` [Hz] and the damping ratio. MPC has the horizon `horizon_s` [s]. In tracking, the delay is a whole number
+    of control periods; frequency responses allow any delay.
     """
 
     kp: float | Mapping[str, float] = _TRACKING.kp
@@ -167,7 +167,7 @@ class Tracking:
     def with_lqr_errors(
         self, joints: Sequence[Joint], acceleration: Sequence[float] | np.ndarray, period_s: float
     ) -> "Tracking":
-        """Return these settings with every LQR error of the joints set.
+        """Return these settings with an LQR error for every joint.
 
         An error that is None becomes the default, or what `LQR_RESPONSE_PERIODS` control periods at full effort reach from
         rest, if that is more. Smaller errors ask for a loop that is faster than the sampling: a light machine chatters.
@@ -200,7 +200,7 @@ class Tracking:
 
 
 def _one_if_equal(value: float | dict[str, float]) -> float | dict[str, float]:
-    """Return the one value of a table whose values are all equal, else the table."""
+    """Return the common value of a table if all its values are equal, else the table."""
     values = {*value.values()} if isinstance(value, dict) else {value}
     return values.pop() if len(values) == 1 else value
 

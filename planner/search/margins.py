@@ -21,7 +21,7 @@ from linkplan.planner.search.starts import no_time, other_limits
 def may_near_singular(search: Search) -> bool:
     """True if no plan passes, though the phase plane knows a motion and loops may come near a singular pose."""
     problem = search.problem
-    # Plans that miss do not count against it: left at a singular pose, the solver finds motions of two branches.
+    # Plans that failed do not exclude this rung: they may have left the branch at a nearly singular pose.
     if search.solved or problem.solver.starts > 1 or problem.limits.singular_margin or problem.guess is not None:
         return False
     if search.quickest is None or other_limits(problem) or no_time(search):

@@ -1,4 +1,4 @@
-"""What refinement reads of a certificate: one joint or speed beyond its range is an overrun, whatever the others keep."""
+"""One joint or speed beyond its range is an overrun for refinement, even if all the others keep theirs."""
 
 from dataclasses import replace
 

@@ -70,7 +70,7 @@ def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_mar
 
 
 def test_motions_that_miss_do_not_keep_a_search_from_a_distance():
-    """The two motions that the phase plane led to left the branch at a nearly singular pose: 21.6, with a margin 5.43."""
+    """Both motions from the phase plane had left the branch. The rung was not tried, and the plan cost 21.6 and not 5.43."""
     search = search_of(weak_reach(18))
     missed = Plan(problem=search.problem, status="failed", message="left its branch")
     search.plans.extend([missed, missed])
