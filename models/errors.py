@@ -80,6 +80,10 @@ class ProblemError(LinkplanError):
     """A problem file, or a value in it, that is not valid."""
 
 
+class GainError(LinkplanError):
+    """A feedback law that has no gain which holds a mechanism on its motion."""
+
+
 class PlanFileError(LinkplanError):
     """A plan folder that cannot be read or written."""
 

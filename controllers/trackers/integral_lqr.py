@@ -96,7 +96,8 @@ def integral_lqr(
         effort_limit: (n_u, 2) [N.m or N].
 
     Raises:
-        LinkplanError: if no stabilising gain exists, or if no error can be integrated.
+        GainError: if no stabilising gain exists.
+        LinkplanError: if no error can be integrated.
     """
     plain, kept = regulator(mechanism, reference, errors)
     n, m, n_u = plain.B.shape

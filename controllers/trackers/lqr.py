@@ -13,18 +13,19 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import scipy.linalg
 
 from linkplan.controllers.integrator import stay_servos
 from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import sampling, simulated
 from linkplan.controllers.trackers.tracker import times
-from linkplan.models.errors import LinkplanError
+from linkplan.models.errors import GainError
 from linkplan.models.mechanism import Mechanism
 
 # Relative change over a cycle below which the periodic Riccati recursion has converged.
 _CYCLE_TOLERANCE = 1e-9
+# Doublings of the horizon of the stationary Riccati recursion: 2^40 periods of 0.1 ms are three years.
+_MAX_DOUBLINGS = 40
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -67,17 +68,14 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
     """Return the optimal feedback for the cost sum e^T Q e + w^T R w, over a motion that ends at rest or repeats.
 
     Raises:
-        LinkplanError: if no stabilising gain exists.
+        GainError: if no stabilising gain exists.
     """
-    try:
-        P = scipy.linalg.solve_discrete_are(A[-1], B[-1], Q, R)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise LinkplanError(f"LQR has no stabilising gain at the end of the motion: {error}") from error
+    P = _stationary_cost(A[-1], B[-1], Q, R)
     gains, cost, P_next = _backward(A, B, Q, R, P)
     cycles = 0
     while repeats and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
         if (cycles := cycles + 1) > 200:
-            raise LinkplanError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
+            raise GainError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
         P = P_next
         gains, cost, P_next = _backward(A, B, Q, R, P)
     after = np.arange(1, len(A) + 1)
@@ -141,13 +139,36 @@ def lqr(
         effort_weight: effort (n_u,) of unit cost, usually the effort limit.
 
     Raises:
-        LinkplanError: if no stabilising gain exists.
+        GainError: if no stabilising gain exists.
     """
     errors = Errors(position=position_weight, velocity=velocity_weight, effort=effort_weight)
     found, kept = regulator(mechanism, reference, errors)
     full = np.zeros((len(found.gains), mechanism.n_u, 2 * mechanism.dof))
     full[:, :, kept] = found.gains
     return LQR(reference=reference, gains=full[np.arange(reference.n) % len(full)])
+
+
+@np.errstate(over="ignore", invalid="ignore")  # where no gain exists, the cost grows without bound
+def _stationary_cost(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Return the solution P (m, m) of the stationary Riccati equation by doubling: step k has the cost of 2^k periods.
+
+    The algorithm is structure-preserving doubling (Chu, Fan, Lin & Wang, Int. J. Control 77, 2004). QZ, which scipy uses,
+    fails where many eigenvalues of A are next to 1, as those of a robot with slow feedback are.
+
+    Raises:
+        GainError: if the cost does not converge, because no gain stabilises the system.
+    """
+    G, P, eye = B @ np.linalg.solve(R, B.T), Q, np.eye(len(A))
+    for _ in range(_MAX_DOUBLINGS):
+        A_next, AG = np.hsplit(np.linalg.solve(eye + G @ P, np.hstack([A, G])), 2)
+        change = A.T @ P @ A_next
+        P, G, A = P + 0.5 * (change + change.T), G + A @ AG @ A.T, A @ A_next
+        G = 0.5 * (G + G.T)
+        if not np.all(np.isfinite(P)):
+            break
+        if np.abs(change).max() <= np.finfo(float).eps * np.abs(P).max():
+            return P
+    raise GainError("LQR has no stabilising gain at the end of the motion: something moves on there that no effort stops")
 
 
 def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

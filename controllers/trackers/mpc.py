@@ -142,7 +142,8 @@ def mpc(
             once, "never" interprets it, with the same numbers ten times slower.
 
     Raises:
-        LinkplanError: if no stabilising gain exists, or for an invalid horizon.
+        GainError: if no stabilising gain exists.
+        LinkplanError: for an invalid horizon.
     """
     if not (np.isfinite(horizon_s) and horizon_s > 0):
         raise LinkplanError(f"the horizon of mpc is a positive number of seconds, got {horizon_s:g}")

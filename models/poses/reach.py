@@ -153,8 +153,8 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     limit = joint.upper if sign > 0 else joint.lower
     last = limit if abs(limit - home[index]) <= turn else home[index] + sign * turn
     poses, q = [], np.array(home)
-    if sign * (last - q[index]) <= 0:
-        return poses, End(position=float(q[index]), reason=_end_of(joint), joint=index), []
+    if sign * (last - q[index]) <= 0:  # home is at this end, or outside the range
+        return poses, End(position=float(last), reason=_end_of(joint), joint=index), []
     n_steps = int(np.ceil(sign * (last - home[index]) / step - 1e-9))
     path = np.tile(home[mechanism.independent], (max(n_steps, 1), 1))
     path[:, coordinate] = home[index] + sign * step * np.arange(1, len(path) + 1)

@@ -18,7 +18,7 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.flow import called, flow, stiff_flow, strides
+from linkplan.planner.certificate.flow import STIFF_EVALUATIONS, called, flow, stiff_flow, strides
 from linkplan.planner.problem.instant import position_units
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
@@ -160,7 +160,7 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
             reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until)])
         if (k := len(reached) - 1) < len(widths):
             rates, begin = called(rate, inputs[k], widths[k]), reached[-1, 1]
-            half = None if stiff else flow(rates, widths[k], begin, halves, until)
+            half = None if stiff else flow(rates, widths[k], begin, halves, until, STIFF_EVALUATIONS)
             if half is None:  # after one stiff interval the others are taken as stiff too
                 half = stiff_flow(rates, _slope_on(rate, inputs[k], widths[k]), widths[k], begin, halves, until)
                 stiff = half is not None

@@ -40,10 +40,10 @@ _MAX_ELIMINATION_OPERATIONS = 1_000
 
 @functools.lru_cache(maxsize=16)
 def is_lifted(mechanism: Mechanism) -> bool:
-    """Check if a mechanism's program is lifted."""
-    return (
-        not mechanism.dynamics.projected and mechanism.dynamics.velocity_map.n_instructions() > _MAX_ELIMINATION_OPERATIONS
-    )
+    """Check if a mechanism's program is lifted; an open tree has no dependent joints to lift."""
+    if not len(mechanism.dependent) or mechanism.dynamics.projected:
+        return False
+    return mechanism.dynamics.velocity_map.n_instructions() > _MAX_ELIMINATION_OPERATIONS
 
 
 def n_lifted(mechanism: Mechanism) -> int:

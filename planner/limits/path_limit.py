@@ -79,7 +79,7 @@ class Margin:
 
     def sentence(self, verb: str = "comes to") -> str:
         """Return a sentence with the worst value, its time and its limit."""
-        signed = self.of.tightened is Tightened.IN_UNITS
+        signed = self.of.tightened is Tightened.IN_UNITS or self.value * self.limit <= 0
         value, limit = (self.value, self.limit) if signed else (abs(self.value), abs(self.limit))
         amount = f"{value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()

@@ -22,8 +22,9 @@ START_POSE_ERROR = 1e-6
 
 def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     """Return the findings on breaks, ends and waypoints, and on the slope of the planned position."""
-    span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), 1e-9)
-    speeds = _speeds(problem, trajectory)
+    span = np.maximum(_largest_of_unit(problem, np.ptp(trajectory.position, axis=(0, 1))), 1e-9)
+    largest = _largest_of_unit(problem, np.abs(trajectory.velocity).max(axis=(0, 1)))
+    speeds = np.maximum(largest, 1e-9 / trajectory.duration_s)
     found = []
     for what, of, size in (("position", trajectory.position, span), ("velocity", trajectory.velocity, speeds)):
         jumps = (np.abs(of[0, 1:] - of[-1, :-1]) / size).max(axis=1)
@@ -69,13 +70,10 @@ def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     ]
 
 
-def _speeds(problem: Problem, trajectory: Trajectory) -> np.ndarray:
-    """Return for each coordinate (n_s,) the largest speed of the coordinates with its unit, rad/s or m/s."""
+def _largest_of_unit(problem: Problem, values: np.ndarray) -> np.ndarray:
+    """Return for each coordinate (n_s,) the largest value (n_s,) of the coordinates with its unit, rad or m."""
     hinges = np.array([joint.kind == "hinge" for joint in problem.mechanism.independent_joints])
-    largest = np.abs(trajectory.velocity).max(axis=(0, 1))
-    return np.maximum(
-        np.where(hinges, *(largest[of].max(initial=0.0) for of in (hinges, ~hinges))), 1e-9 / trajectory.duration_s
-    )
+    return np.where(hinges, *(values[of].max(initial=0.0) for of in (hinges, ~hinges)))
 
 
 def _slope(trajectory: Trajectory, speed: np.ndarray) -> Finding:

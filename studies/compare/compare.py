@@ -17,7 +17,7 @@ from linkplan.controllers.trackers.mpc import mpc
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.controllers.trackers.pd import pd, scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, Tracker
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import GainError, ProblemError
 from linkplan.models.names import choose
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.collisions import geom_names
@@ -47,7 +47,10 @@ class Mismatch:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Comparison:
-    """Runs of the trackers on one plan: as modelled, and with a mismatch."""
+    """Runs of the trackers on one plan: as modelled, and with a mismatch.
+
+    `left_out` has a sentence on each tracker without a run.
+    """
 
     plan: Plan
     nominal: dict[str, Rollout]
@@ -56,6 +59,7 @@ class Comparison:
     title: str = "nominal"  # of the first group of runs
     stem: str = "nominal"  # of the first group's file names
     run_time: dict[str, RunTime] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
 
 def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: float = 1) -> Mismatch:
@@ -191,11 +195,21 @@ def compare(
 ) -> Comparison:
     """Return several trackers' runs on a plan, as modelled and with a mismatch.
 
+    A tracker that has no gain for the mechanism is left out, if another has one.
+
     Raises:
         ProblemError: for an unknown tracker, equal names, or no tracker.
+        GainError: if no tracker has a gain.
     """
     reference = tracking_reference(plan)
-    built = [build_tracker(one, plan, reference) for one in asked]
+    built, missing = [], []
+    for one in asked:
+        try:
+            built.append(build_tracker(one, plan, reference))
+        except GainError as error:
+            missing.append((one, error))
+    if missing and not built:
+        raise missing[0][1]
     trackers = {tracker.name: tracker for tracker in built}
     if len(trackers) < max(1, len(built)):
         names = ", ".join(tracker.name for tracker in built)
@@ -208,7 +222,10 @@ def compare(
             say(f"{name}, {'nominal' if case is None else case.name}: {reference.n} control periods")
             results[name] = simulate_one(plant, tracker, reference)
     needs = {name: run_time(trackers[name], plan.problem.mechanism, rollout) for name, rollout in runs[0].items()}
-    return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1], run_time=needs)
+    left_out = tuple(f"{name} is left out: {error}" for name, error in missing)
+    return Comparison(
+        plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1], run_time=needs, left_out=left_out
+    )
 
 
 def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
@@ -285,11 +302,11 @@ def _gap_share(plan: Plan, rollout: Rollout) -> float:
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return the sentences on contacts and on the largest closure gap of the nominal runs, if there are any."""
+    """Return the sentences on trackers left out, and on contacts and the largest closure gap of the nominal runs."""
     runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
-    return [*pushed[:1], *([f"{found[0][0]}, {found[0][1]}"] if found else [])]
+    return [*comparison.left_out, *pushed[:1], *([f"{found[0][0]}, {found[0][1]}"] if found else [])]
 
 
 def comparison_record(comparison: Comparison) -> dict:

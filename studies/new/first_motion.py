@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.audit import audit
+from linkplan.models.closure.closed_pose import home_of
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
@@ -17,6 +18,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.ball_angles import beyond_balls
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
+from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
@@ -181,16 +183,39 @@ def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
 def _of_all_homes(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iterator[tuple[Mechanism, dict[str, dict]]]:
     """Yield mechanisms and the tables of their motions: from home, and from the gravity equilibrium of undriven joints.
 
-    A home that is no equilibrium comes last: a motion from rest there starts with a fall. What shuts the other motions'
-    ways is counted in `obstacles`.
+    A home that is no equilibrium comes last: a motion from rest there starts with a fall. Where every way from these is
+    shut, motions begin in the middle of the joints' reach. What shuts the other motions' ways is counted in `obstacles`.
     """
-    other = at_gravity_equilibrium(mechanism)
+    other, some = at_gravity_equilibrium(mechanism), False
     homes = [mechanism] if other is None else [other, mechanism]
     for home in homes if not is_equilibrium(mechanism, mechanism.home) else reversed(homes):
         if home is other:
             say("from where hangs what no actuator moves")
         for tables in _candidates(home, say, obstacles):
+            some = True
             yield home, tables
+    if not some and (middle := _in_mid_reach(mechanism)) is not None:
+        say("from the middle of the joints' reach")
+        for tables in _candidates(middle, say, obstacles):
+            yield middle, tables
+
+
+def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
+    """Return a mechanism whose home has the driven joints in the middle of their reach; None if its loops open there."""
+    middle = mechanism.home[mechanism.independent].copy()
+    for column in driven_columns(mechanism):
+        can = reach(mechanism, int(column))
+        if not can.turns_fully:
+            low, high = _interval(can, float(middle[column]))
+            joint = mechanism.independent_joints[column]
+            middle[column] = _rounded(joint, 0.5 * (low + high), low, high)
+    try:
+        pose = close_at(mechanism, middle)
+        home = home_of(mechanism.joints, pose)
+        source = {key: value for key, value in mechanism.source.items() if key not in ("home_deg", "home_m", "keyframe")}
+        return mechanism_from_tables({"mechanism": source | home})
+    except LinkplanError:
+        return None
 
 
 def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iterator[dict[str, dict]]:
@@ -332,16 +357,26 @@ def _obstacle(problem: Problem) -> str | None:
         return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
     if np.min(singularity_ratios(problem, poses)) < 0.25:
         return "a singular pose is near"
-    still = np.zeros((len(poses), mechanism.dof))
-    hold, missing = needed_effort(mechanism, poses, still, still)
-    limit = problem.limits.effort
-    weak = np.any((hold < limit[:, 0]) | (hold > limit[:, 1]), axis=0)
-    if np.abs(missing).max() < 1e-9 * np.abs(limit).max() and weak.any():
-        return f"actuator {mechanism.actuators[int(np.argmax(weak))].name} is too weak to hold the weight"
-    if not may_collide(mechanism.model):
-        return None
+    if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
+        return sentence
     met = new_meetings(meetings(mechanism, shares, poses, position_at))
     return f"{geom_names(met[0])} collide" if met else None
+
+
+def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
+    """Return which actuator cannot hold the weight at one of the poses (n, n_q); None if all can, or if not all act."""
+    mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
+    hold, missing = needed_effort(mechanism, poses, still, still)
+    limit = problem.limits.effort
+    if np.abs(missing).max() >= 1e-9 * np.abs(limit).max():
+        return None
+    names = [actuator.name for actuator in mechanism.actuators]
+    weak = np.any((hold < limit[:, 0]) | (hold > limit[:, 1]), axis=0)
+    if weak.any():
+        return f"actuator {names[int(np.argmax(weak))]} is too weak to hold the weight"
+    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
+    short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)
+    return f"servo {names[int(np.argmax(short))]} cannot hold the weight within its ctrlrange" if short.any() else None
 
 
 def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[str, dict]:

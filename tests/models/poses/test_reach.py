@@ -142,3 +142,15 @@ def test_the_poses_of_a_reach_are_closed_and_in_order(name):
     assert max(mechanism.gap_m(q) for q in r.poses) < 10 * CLOSURE + CLOSED_M
     assert np.all(np.diff(r.poses[:, mechanism.independent[0]]) > 0)
     assert list(toggles(mechanism)) == sorted(toggles(mechanism), key=lambda toggle: toggle[1])
+
+
+@pytest.mark.parametrize(("range_deg", "ends_deg"), [((40, 100), (40, 100)), ((-100, -40), (-100, -40))])
+def test_the_reach_of_a_joint_that_stands_outside_its_range_is_its_range(range_deg, ends_deg):
+    low, high = range_deg
+    arm = load_mechanism(
+        f"""<mujoco><compiler autolimits="true"/><worldbody><body><joint name="arm" axis="0 1 0" range="{low} {high}"/>
+        <inertial pos="0.5 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody></mujoco>"""
+    )
+    can = reach(arm)
+    assert np.degrees([can.lower.position, can.upper.position]) == pytest.approx(ends_deg)
+    assert can.lower.reason == can.upper.reason == "range of arm"

@@ -66,3 +66,10 @@ def test_a_platform_on_six_rods_is_raised_and_turned():
     tables = {"mechanism": {"model": hexapod()}, "motion": motion, "objective": {"minimize": "effort"}}
     plan = plan_motion(Problem.from_tables("platform", tables))
     assert plan.status == "optimal", plan.message
+
+
+def test_an_open_tree_of_many_joints_has_nothing_to_lift():
+    links = "".join(f'<body pos="0.1 0 0"><joint name="j{k}"/><geom size="0.01" mass="0.1"/>' for k in range(34))
+    tree = load_mechanism(f"<mujoco><worldbody>{links}{'</body>' * 34}</worldbody></mujoco>")
+    assert mechanics.n_lifted(tree) == 0
+    assert not mechanics.is_lifted(tree)

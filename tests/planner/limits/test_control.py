@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.planner.limits.actuators import _ranged
+from linkplan.planner.limits.actuators import ControlLimit, _ranged
+from linkplan.planner.limits.path_limit import Margin
 
 # A position servo of 50 N.m/rad and 1 N.m: beyond 0.32 rad every ctrl of its range gives the clamp.
 ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="O" axis="0 1 0"/>
@@ -21,3 +22,9 @@ def test_beside_a_clamped_instant_an_effort_within_a_ten_thousandth_of_the_clamp
     assert bent.all()
     assert ranged[0] == pytest.approx(CTRL_HIGH, rel=1e-12)
     assert ranged[1] - CTRL_HIGH == pytest.approx(0.0 if is_clamped else share / GAIN, abs=1e-12)
+
+
+def test_the_sentence_on_a_ctrl_below_a_limit_of_zero_keeps_its_sign():
+    given = {"name": "thumb", "unit": "", "time_s": 0.25, "overrun": np.zeros(1), "upper": False}
+    margin = Margin(of=ControlLimit(0), value=-0.0072, limit=0.0, left=-0.0072, **given)
+    assert margin.sentence() == "the ctrl of thumb comes to -0.0072 at t = 0.25 s, 0.0072 beyond its limit of 0"

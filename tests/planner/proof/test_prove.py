@@ -12,10 +12,12 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import newton
+from linkplan.planner.proof.ends import end_findings
 from linkplan.planner.proof.finding import Proof
 from linkplan.planner.proof.prove import _Sweep
 from linkplan.planner.proof.prove import prove as prove_all
 from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import body_plan
 from tests.support.linkages import RSSR
 from tests.support.plans import optimal, planned, problem_of
 from tests.support.provable import beside_its_limit, limited, needed, peak, rubbing_swing, swing, with_a_spoilt_coefficient
@@ -23,6 +25,12 @@ from tests.support.provable import beside_its_limit, limited, needed, peak, rubb
 INVERSE = "by inverse dynamics"
 # `make bench` (part proofs) proves and refutes the plans of a hundred seeds.
 SEEDS = range(12)
+
+TWO_HINGES = """<mujoco><option gravity="0 0 0"/><worldbody>
+<body><joint name="one" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body>
+<body pos="1 0 0"><joint name="two" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body></worldbody>
+<actuator><motor name="first" joint="one" ctrlrange="-4 4"/><motor name="second" joint="two" ctrlrange="-4 4"/></actuator>
+</mujoco>"""
 
 
 def prove(*given) -> Proof:
@@ -216,3 +224,17 @@ def test_a_proof_whose_time_is_up_leaves_whole_intervals():
     assert next(clock, None) is None, "the deadline passes within the first interval"
     first = [end for _, end in sweep.closure.undecided if end <= plan.trajectory.breaks_s[1]]
     assert len(sweep.closure.undecided) - len(first) == plan.intervals - 1
+
+
+def test_a_joint_that_stands_still_may_jump_by_a_billionth_of_another_joint_s_span():
+    ends = "start_deg = { one = 0.0, two = 30.0 }\ngoal_deg = { one = 90.0, two = 30.0 }\nduration_s = 1.0\n"
+    plan = body_plan(TWO_HINGES, f'kind = "reach"\n{ends}')
+    for jump, answer in ((1e-9, "proved"), (1e-7, "refuted")):
+        position = plan.trajectory.position.copy()
+        position[-1, 0, 1] += jump * np.radians(90)
+        (join,) = (
+            found
+            for found in end_findings(plan.problem, replace(plan.trajectory, position=position))
+            if found.name == "the pieces of position join"
+        )
+        assert join.answer == answer

@@ -89,6 +89,7 @@ def test_an_integration_that_crawls_is_given_up_and_said(monkeypatch):
     plan = planned("knee-reach")
     assert certify(plan.problem, plan.trajectory).passed
     monkeypatch.setattr(flow, "_MAX_EVALUATIONS", 20)
+    monkeypatch.setattr(integration, "STIFF_EVALUATIONS", 20)
     monkeypatch.setattr(integration, "strides", lambda *_: np.empty((0, 2, 4)))  # even steps that are all too long
     certificate = certify(plan.problem, plan.trajectory)
     assert not certificate.passed

@@ -42,10 +42,14 @@ BESIDE = {
     "imperfections.push_body": ("push_force_x_n", "push_duration_s"),
     "robust.payload_factor": ("payload",),
 }
-# An arm whose range and home exclude each other, or not.
+# An arm whose range contains home or not.
 ARM = """<mujoco><compiler angle="degree" autolimits="true"/><worldbody><body><joint name="arm" axis="0 1 0"
   range="{range_deg}" ref="20"/><inertial pos="0.5 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody>
   <actuator><motor name="drive" joint="arm" ctrlrange="-{effort} {effort}"/></actuator></mujoco>"""
+# An arm that its servo cannot hold anywhere: 10 N.m of weight, and 1 N.m/rad within 0.1 rad.
+WEAK_SERVO = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body><joint name="arm" axis="0 1 0"
+  range="-0.5 0.5"/><inertial pos="0.5 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+  <actuator><position name="drive" joint="arm" kp="1" ctrlrange="-0.1 0.1"/></actuator></mujoco>"""
 OPTION = re.compile(r"#([\w-]+) = (.*?)(\s+# .*)?$")
 
 
@@ -297,8 +301,7 @@ def test_what_is_no_model_is_refused_in_one_line(model, said, ask):
 
 
 def test_where_no_motion_is_found_the_file_is_written_and_says_so(tmp_path, ask):
-    arm = ARM.format(effort=50.0, range_deg="30 80")
-    (tmp_path / "arm.xml").write_text(arm, encoding="utf-8")
+    (tmp_path / "arm.xml").write_text(WEAK_SERVO, encoding="utf-8")
     target = tmp_path / "arm.toml"
     code, out, _ = ask("new", str(tmp_path / "arm.xml"), "-o", str(target))
     assert code == 1
@@ -318,7 +321,29 @@ def test_a_model_that_does_not_close_is_begun_at_the_pose_that_was_found(tmp_pat
 
 
 def test_what_shuts_every_way_is_named(tmp_path, ask):
-    (tmp_path / "arm.xml").write_text(ARM.format(effort=50.0, range_deg="30 80"), encoding="utf-8")
+    (tmp_path / "arm.xml").write_text(WEAK_SERVO, encoding="utf-8")
     code, _, err = ask("new", str(tmp_path / "arm.xml"))
     assert code == 1
-    assert "joint arm is outside its range" in err
+    assert "servo drive cannot hold the weight within its ctrlrange" in err
+
+
+# A finger whose servo cannot pull it down: it holds what pushes it up only far from the lower end of its range.
+FINGER = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="hand"><geom size="0.01"/>
+  <body name="finger"><joint name="finger" axis="0 1 0" range="0 1.2" damping="0.01" stiffness="0.5" springref="2"/>
+  <inertial pos="0.03 0 0" mass="0.02" diaginertia="2e-5 2e-5 2e-5"/></body></body></worldbody>
+  <actuator><position name="servo" joint="finger" kp="2" ctrlrange="0 1.2" forcerange="-20 20"/></actuator></mujoco>"""
+
+
+def test_where_a_servo_cannot_hold_home_the_motion_begins_in_the_middle_of_the_reach():
+    found = begun(FINGER)
+    assert found.planned, found.why
+    start, goal = (found.plan.problem.motion.start, found.plan.problem.motion.goal)
+    assert start[0] == pytest.approx(0.6, abs=0.03)
+    assert start[0] != goal[0]
+
+
+def test_a_joint_outside_its_range_at_home_begins_inside():
+    found = begun(ARM.format(range_deg="40 100", effort=30))
+    assert found.planned, found.why
+    for place in (found.plan.problem.motion.start, found.plan.problem.motion.goal):
+        assert 40 < np.degrees(place[0]) < 100
