@@ -95,7 +95,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
 
 @functools.lru_cache(maxsize=16)
 def _slopes_at_rest(mechanism: Mechanism) -> ca.Function:
-    """Return q, u, r -> the derivatives by q of tau(q, 0, 0) - R u (n_s, n_q) and of R^T r (n_u, n_q), at constant u and r."""
+    """Return q, u, r -> the derivatives by q, at constant u and r, of tau(q, 0, 0) - R u (n_s, n_q) and R^T r (n_u, n_q)."""
     dynamics, still = mechanism.dynamics, ca.SX.zeros(mechanism.dof)
     q, u, r = (ca.SX.sym(name, n) for name, n in (("q", mechanism.n_q), ("u", mechanism.n_u), ("r", mechanism.dof)))
     unheld = dynamics.residual(q, still, still, u)
