@@ -19,10 +19,6 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import Joint
 
-# The unbalanced effort squared falls to zero by larger shares than this in each step; where it does not, it has a minimum
-# that is not zero, along which the search could creep for thousands of steps.
-_LEAST_FALL_SHARE = 1e-10
-
 
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
     """Return the independent coordinates (columns) with springs at home that are neither driven nor passive freedoms."""
@@ -78,9 +74,11 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         gamma = np.array(mechanism.dynamics.velocity_map(pose))[:, columns]
         return null @ (null.T @ by_rest[kept] @ gamma) - inverse.T @ (by_arms @ gamma)
 
+    # On the way to a balance each step takes more than 1e-10 of the effort squared away. With less it creeps, for thousands
+    # of steps, towards a least effort that is not zero.
     try:
         found = scipy.optimize.least_squares(
-            unbalanced, base[columns], slope, x_scale="jac", xtol=1e-15, ftol=_LEAST_FALL_SHARE, gtol=1e-15
+            unbalanced, base[columns], slope, x_scale="jac", xtol=1e-15, ftol=1e-10, gtol=1e-15
         )
         rest = unbalanced(found.x)
     except AssemblyError:

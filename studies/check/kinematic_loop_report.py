@@ -153,23 +153,19 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
     return tuple(found)
 
 
-# A record of all paths has about a million numbers, ten megabytes in JSON, and each path 25 poses at least.
-_MAX_NUMBERS, _LEAST_POSES = 1_000_000, 25
-
-
-def _numbers_of_a_pose(mechanism: Mechanism) -> int:
-    """Return how many numbers the record has for one pose of each path."""
-    return mechanism.dof**2 * (mechanism.n_q + mechanism.dof + mechanism.n_u)
+def room_for_poses(mechanism: Mechanism) -> int:
+    """Return the number of poses of each path with which a record has a million numbers, about ten megabytes in JSON."""
+    return 1_000_000 // (mechanism.dof**2 * (mechanism.n_q + mechanism.dof + mechanism.n_u))
 
 
 def has_whole_records(mechanism: Mechanism) -> bool:
     """Tell if the record of a path has every coordinate; beyond some 25 there is room for the path's own only."""
-    return _LEAST_POSES * _numbers_of_a_pose(mechanism) <= _MAX_NUMBERS
+    return room_for_poses(mechanism) >= 25
 
 
 def thinned(poses: np.ndarray, mechanism: Mechanism) -> np.ndarray:
-    """Return the poses of one coordinate's path, thinned to the size of a record; that matters beyond seven coordinates."""
-    most = max(_LEAST_POSES, _MAX_NUMBERS // _numbers_of_a_pose(mechanism))
+    """Return the poses of one coordinate's path, thinned to its room; that matters beyond seven coordinates."""
+    most = max(25, room_for_poses(mechanism))
     return poses if len(poses) <= most else poses[np.linspace(0, len(poses) - 1, most).round().astype(int)]
 
 
