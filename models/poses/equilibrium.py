@@ -48,7 +48,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         base[column] = value
     columns, still, near = list(unnamed), np.zeros(mechanism.dof), np.array(mechanism.home)
     kept = mechanism.steered  # the slight weight of a rod's spin moves nothing else
-    slopes = _slopes_at_rest(mechanism)
+    slopes = slopes_at_rest(mechanism)
 
     def closed(x: np.ndarray) -> np.ndarray:
         s = base.copy()
@@ -92,7 +92,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
 
 
 @functools.lru_cache(maxsize=16)
-def _slopes_at_rest(mechanism: Mechanism) -> ca.Function:
+def slopes_at_rest(mechanism: Mechanism) -> ca.Function:
     """Return q, u, r -> the derivatives by q, at constant u and r, of tau(q, 0, 0) - R u (n_s, n_q) and R^T r (n_u, n_q)."""
     dynamics, still = mechanism.dynamics, ca.SX.zeros(mechanism.dof)
     q, u, r = (ca.SX.sym(name, n) for name, n in (("q", mechanism.n_q), ("u", mechanism.n_u), ("r", mechanism.dof)))
