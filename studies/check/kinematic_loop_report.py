@@ -139,7 +139,8 @@ def reach_paths(sweeps: Sequence[Sweep]) -> tuple[KinematicLoopPath, ...]:
 def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep, ...]:
     """Return the sweep of each independent joint over its reach."""
     found = []
-    for column, can in enumerate(reaches):
+    for can in reaches:
+        column = can.coordinate
         if not mechanism.steered[column]:
             continue  # a rod that spins about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
