@@ -7,8 +7,10 @@ null space springs and gravity balance:
     N^T tau(s, 0, 0) = 0,   N^T R = 0.
 """
 
+import functools
 from collections.abc import Mapping, Sequence
 
+import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
@@ -46,20 +48,38 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         base[column] = value
     columns, still, near = list(unnamed), np.zeros(mechanism.dof), np.array(mechanism.home)
     kept = mechanism.steered  # the slight weight of a rod's spin moves nothing else
+    slopes = slopes_at_rest(mechanism)
 
     def closed(x: np.ndarray) -> np.ndarray:
         s = base.copy()
         s[columns] = x
         return close_at(mechanism, s, near)
 
-    def unbalanced(x: np.ndarray) -> np.ndarray:
-        pose = closed(x)
+    def efforts(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()[kept]
-        null = scipy.linalg.null_space(np.array(mechanism.dynamics.effort_map(pose))[kept].T)
+        arms = np.array(mechanism.dynamics.effort_map(pose))[kept]
+        return tau, arms, scipy.linalg.null_space(arms.T)
+
+    def unbalanced(x: np.ndarray) -> np.ndarray:
+        tau, _, null = efforts(closed(x))
         return null @ (null.T @ tau)  # independent of the null space's basis, which may jump from pose to pose
 
+    def slope(x: np.ndarray) -> np.ndarray:
+        """Return d(P tau), P = N N^T = 1 - R R^+: P (dtau - dR u) - R^+^T dR^T P tau at the held effort u = R^+ tau."""
+        pose = closed(x)
+        tau, arms, null = efforts(pose)
+        inverse, rest = np.linalg.pinv(arms), np.zeros(mechanism.dof)
+        rest[kept] = null @ (null.T @ tau)
+        by_rest, by_arms = (np.array(part) for part in slopes(pose, inverse @ tau, rest))
+        gamma = np.array(mechanism.dynamics.velocity_map(pose))[:, columns]
+        return null @ (null.T @ by_rest[kept] @ gamma) - inverse.T @ (by_arms @ gamma)
+
+    # On the way to a balance each step takes more than 1e-10 of the effort squared away. With less it creeps, for thousands
+    # of steps, towards a least effort that is not zero.
     try:
-        found = scipy.optimize.least_squares(unbalanced, base[columns], x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        found = scipy.optimize.least_squares(
+            unbalanced, base[columns], slope, x_scale="jac", xtol=1e-15, ftol=1e-10, gtol=1e-15
+        )
         rest = unbalanced(found.x)
     except AssemblyError:
         return None
@@ -69,6 +89,16 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
     s = base.copy()
     s[columns] = found.x
     return s
+
+
+@functools.lru_cache(maxsize=16)
+def slopes_at_rest(mechanism: Mechanism) -> ca.Function:
+    """Return q, u, r -> the derivatives by q, at constant u and r, of tau(q, 0, 0) - R u (n_s, n_q) and R^T r (n_u, n_q)."""
+    dynamics, still = mechanism.dynamics, ca.SX.zeros(mechanism.dof)
+    q, u, r = (ca.SX.sym(name, n) for name, n in (("q", mechanism.n_q), ("u", mechanism.n_u), ("r", mechanism.dof)))
+    unheld = dynamics.residual(q, still, still, u)
+    arms = ca.jacobian(dynamics.effort_map(q).T @ r, q)
+    return ca.Function("slopes_at_rest", [q, u, r], [ca.jacobian(unheld, q), arms])
 
 
 def rests_on_stops(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int, ...]) -> dict[int, float]:

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.ties import tied_points
@@ -43,15 +44,14 @@ def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarr
     A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
     in a moving body is drawn from that body's own pin. A body with a single pin is drawn to its centre of mass.
     """
-    found = {}
-    for body, function in _pin_functions(mechanism).items():
-        found[body] = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
-    return found
+    function, columns = _pins(mechanism)
+    places = sampled(function, poses).transpose(0, 2, 1)
+    return {body: places[:, of] for body, of in columns.items()}
 
 
 @functools.lru_cache(maxsize=8)
-def _pin_functions(mechanism: Mechanism) -> dict[int, ca.Function]:
-    """Return the functions from q to a body's pins (3, n_pins), by body; a page draws hundreds of poses in turn."""
+def _pins(mechanism: Mechanism) -> tuple[ca.Function, dict[int, slice]]:
+    """Return the function from q to all pins (3, n_pins), and each body's columns of it."""
     model = mechanism.model
     tree = build_tree(model, mechanism.qpos_of(mechanism.reference))
     pins: dict[int, list[ca.SX]] = {}
@@ -77,7 +77,11 @@ def _pin_functions(mechanism: Mechanism) -> dict[int, ca.Function]:
     for body, points in pins.items():
         if len(points) == 1 and body != 0:
             points.append(tree.point(body, np.array(model.body_ipos[body])))
-    return {body: ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*pins[body]))]) for body in sorted(pins)}
+    columns, begin = {}, 0
+    for body in sorted(pins):
+        columns[body] = slice(begin, begin := begin + len(pins[body]))
+    places = [point for body in columns for point in pins[body]]
+    return ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*places))]), columns
 
 
 def _solid(model: mujoco.MjModel, body: int) -> int:

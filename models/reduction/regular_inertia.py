@@ -23,7 +23,11 @@ def is_regular(inertia: np.ndarray) -> np.ndarray:
     scaled = np.where(usable[..., None, None], inertia, np.eye(inertia.shape[-1])) / (
         scale[..., :, None] * scale[..., None, :]
     )
-    return usable & (np.linalg.eigvalsh(scaled)[..., 0] > _SINGULAR_EIGENVALUE)
+    try:  # a Cholesky factor of all exists if all are regular, in a tenth of the time of their eigenvalues
+        np.linalg.cholesky(scaled - _SINGULAR_EIGENVALUE * np.eye(inertia.shape[-1]))
+        return usable
+    except np.linalg.LinAlgError:
+        return usable & (np.linalg.eigvalsh(scaled)[..., 0] > _SINGULAR_EIGENVALUE)
 
 
 def without_inertia(inertia: np.ndarray) -> list[int]:

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
+from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting, may_collide, meetings, new_meetings
-from linkplan.planner.certificate.certificate import Certificate
+from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
@@ -38,6 +39,30 @@ def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certifi
         failures, unmendable = certificate.failures + collision, certificate.unmendable + collision
         return replace(certificate, contacts=found, failures=failures, unmendable=unmendable)
     return replace(certificate, contacts=found)
+
+
+def surely_collides(problem: Problem, trajectory: Trajectory) -> Certificate | None:
+    """Return the certificate, without other failures, of a motion that collides on every finer mesh too; None if it may not.
+
+    At its nodes the geoms are deeper in each other than the motion is exact by far: by ten times the largest travel that its
+    integration error stands for. Nodes are few, and a motion without such a collision costs little here.
+    """
+    if problem.contacts != "refuse" or not may_collide(problem.mechanism.model):
+        return None
+    mechanism, deadline = problem.mechanism, problem.solver.judging_deadline
+    nodes = trajectory.breaks_s
+    try:
+        poses = follow(mechanism, trajectory.position_at(nodes), trajectory.start_pose, deadline)
+        found = new_meetings(meetings(mechanism, nodes, poses, trajectory.position_at, deadline))
+        certificate = certify(problem, trajectory) if found else None
+    except (AssemblyError, OutOfTimeError):
+        return None
+    if certificate is None:
+        return None
+    travel = mechanism.extent_m * np.radians(certificate.integration_error_deg) + certificate.integration_error_m
+    if not max(meeting.depth_m for meeting in found) > 10 * travel:  # not if the integration failed
+        return None
+    return replace(certificate, failures=(), unmendable=())
 
 
 def unavoidable(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> bool:

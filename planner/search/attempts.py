@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.certificate.collisions import unavoidable
+from linkplan.planner.certificate.collisions import surely_collides, unavoidable
 from linkplan.planner.closed_chain.answer import finished, optimality
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
@@ -114,6 +114,9 @@ def certified(
     enclosed: bool = False,
 ) -> Plan:
     """Return the plan of a solution, refined until its certificate passes; `case_of` describes `kinks` and `enclosed`."""
+    colliding = surely_collides(problem, found.motion)
+    if colliding is not None:
+        return finished(problem, found.motion, colliding, found.solution.objective, None)
     case = case_of(problem, kinks=kinks, enclosed=enclosed)
     better = refine(case, found, warm=warm)
     if better is None:

@@ -8,6 +8,7 @@ Automation 3, 1987, for a point; here for an actuator's length). Efforts and for
 """
 
 import functools
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -61,6 +62,22 @@ class KinematicLoopPath:
         return self.poses[:, self.mechanism.independent]
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Sweep:
+    """The reach of one independent joint: its poses (n, n_q), the others at home, and the reduced inertias (n, n_s, n_s)."""
+
+    mechanism: Mechanism
+    title: str
+    coordinate: int
+    poses: np.ndarray
+    reduced_inertia: np.ndarray
+
+    @property
+    def positions(self) -> np.ndarray:
+        """The independent positions (n, n_s) [rad or m]."""
+        return self.poses[:, self.mechanism.independent]
+
+
 def measure(
     mechanism: Mechanism,
     poses: np.ndarray,
@@ -69,12 +86,16 @@ def measure(
     coordinate: int | None = None,
     time_s: np.ndarray | None = None,
     limit: np.ndarray | None = None,
+    inertia: np.ndarray | None = None,
 ) -> KinematicLoopPath:
-    """Return the report along closed poses (n, n_q); `limit` (n_u, 2) is the actuators' own by default."""
+    """Return the report along closed poses (n, n_q).
+
+    `limit` (n_u, 2) is the actuators' own by default; `inertia` (n, n_s, n_s) is computed if it is not known.
+    """
     dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
     still = np.zeros((len(poses), mechanism.dof))
     ratio = sampled(dynamics.effort_map, poses)
-    inertia = sampled_where_moving(dynamics.reduced_inertia, poses)
+    inertia = sampled_where_moving(dynamics.reduced_inertia, poses) if inertia is None else inertia
     weight = sampled_where_moving(_at_rest(dynamics), poses)[:, :, 0]
     holding = least_effort(weight, ratio)
     unheld = weight - np.einsum("ksu,ku->ks", ratio, holding)
@@ -108,26 +129,44 @@ def _at_rest(dynamics: ReducedDynamics) -> ca.Function:
     return ca.Function("at_rest", [q], [ca.densify(inverse(q, still, still))])
 
 
-def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[KinematicLoopPath, ...]:
-    """Return the report over the reach of each independent joint, the others at home."""
+def reach_paths(sweeps: Sequence[Sweep]) -> tuple[KinematicLoopPath, ...]:
+    """Return the report along each sweep."""
+    return tuple(
+        measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate, inertia=of.reduced_inertia) for of in sweeps
+    )
+
+
+def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep, ...]:
+    """Return the sweep of each independent joint over its reach."""
     found = []
-    for column, can in enumerate(reaches):
+    for can in reaches:
+        column = can.coordinate
         if not mechanism.steered[column]:
             continue  # a rod that spins about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
         poses = thinned(swept(mechanism, can), mechanism)
-        found.append(measure(mechanism, poses, f"the reach of {name}{others}", coordinate=column))
+        inertia = sampled_where_moving(mechanism.dynamics.reduced_inertia, poses)
+        title = f"the reach of {name}{others}"
+        found.append(
+            Sweep(mechanism=mechanism, title=title, coordinate=column, poses=poses, reduced_inertia=inertia)
+        )
     return tuple(found)
 
 
-def thinned(poses: np.ndarray, mechanism: Mechanism) -> np.ndarray:
-    """Return the poses of one coordinate's path, thinned so that the record of all paths has about a million numbers.
+def room_for_poses(mechanism: Mechanism) -> int:
+    """Return the number of poses of each path with which a record has a million numbers, about ten megabytes in JSON."""
+    return 1_000_000 // (mechanism.dof**2 * (mechanism.n_q + mechanism.dof + mechanism.n_u))
 
-    Such a record has about ten megabytes in JSON. The limit matters for more than seven coordinates; 25 poses remain.
-    """
-    n_s = mechanism.dof
-    most = max(25, 1_000_000 // (n_s**2 * (mechanism.n_q + n_s + mechanism.n_u)))
+
+def has_whole_records(mechanism: Mechanism) -> bool:
+    """Tell if the record of a path has every coordinate; beyond some 25 there is room for the path's own only."""
+    return room_for_poses(mechanism) >= 25
+
+
+def thinned(poses: np.ndarray, mechanism: Mechanism) -> np.ndarray:
+    """Return the poses of one coordinate's path, thinned to its room; that matters beyond seven coordinates."""
+    most = max(25, room_for_poses(mechanism))
     return poses if len(poses) <= most else poses[np.linspace(0, len(poses) - 1, most).round().astype(int)]
 
 
@@ -184,7 +223,7 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
 
 
-def inertia_notes(path: KinematicLoopPath) -> list[str]:
+def inertia_notes(path: KinematicLoopPath | Sweep) -> list[str]:
     """Return a sentence on the poses of a path at which the reduced inertia is singular, if there are any."""
     singular = np.flatnonzero(~is_regular(path.reduced_inertia))
     if not len(singular):
@@ -234,10 +273,16 @@ def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
 
 
 def path_record(path: KinematicLoopPath) -> dict:
-    """Return a path's record of `linkplan check --json`: lists over its samples, null for infinite values and nan."""
+    """Return a path's record of `linkplan check --json`: lists over its samples, null for infinite values and nan.
+
+    Quantities of coordinates are those of all, or of the path's own beyond the size of a record (`has_whole_records`).
+    """
     mechanism = path.mechanism
     joints = list(enumerate(mechanism.joints))
-    independent = [joint.name for joint in mechanism.independent_joints]
+    names = [joint.name for joint in mechanism.independent_joints]
+    whole = path.coordinate is None or has_whole_records(mechanism)
+    of = list(range(len(names))) if whole else [path.coordinate]
+    independent = [names[column] for column in of]
     actuators = [actuator.name for actuator in mechanism.actuators]
 
     def by(names: list[str], values: np.ndarray) -> dict:
@@ -245,18 +290,18 @@ def path_record(path: KinematicLoopPath) -> dict:
 
     return {
         "path": path.title,
-        "coordinate": None if path.coordinate is None else independent[path.coordinate],
+        "coordinate": None if path.coordinate is None else names[path.coordinate],
         "time_s": path.time_s,
         "q_deg": {joint.name: np.degrees(path.poses[:, k]) for k, joint in joints if joint.kind == "hinge"},
         "q_m": {joint.name: path.poses[:, k] for k, joint in joints if joint.kind == "slide"},
-        "joint_rate": {joint.name: by(independent, path.rates[:, k]) for k, joint in joints},
-        "transmission_ratio": {name: by(independent, path.ratio[:, :, j]) for j, name in enumerate(actuators)},
-        "reduced_inertia": path.reduced_inertia,
+        "joint_rate": {joint.name: by(independent, path.rates[:, k, of]) for k, joint in joints},
+        "transmission_ratio": {name: by(independent, path.ratio[:, of, j]) for j, name in enumerate(actuators)},
+        "reduced_inertia": path.reduced_inertia[:, of][:, :, of],
         "reflected_inertia": by(actuators, path.reflected_inertia),
-        "gravity_effort": by(independent, path.gravity_effort),
+        "gravity_effort": by(independent, path.gravity_effort[:, of]),
         "holding_effort": by(actuators, path.holding_effort),
-        "unheld_effort": by(independent, path.unheld_effort),
-        "available_effort": by(independent, path.available_effort),
+        "unheld_effort": by(independent, path.unheld_effort[:, of]),
+        "available_effort": by(independent, path.available_effort[:, of]),
         "singularity_ratio": path.singularity,
         "closure_force_n": by(list(mechanism.closure_names), path.closure_force),
     }

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from linkplan.models.errors import LinkplanError
@@ -14,10 +15,13 @@ from linkplan.studies.check.inspection import Inspection, inspect, inspection_re
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
+    Sweep,
+    has_whole_records,
     inertia_notes,
     motion_path,
     path_record,
     reach_paths,
+    reach_sweeps,
 )
 from linkplan.studies.check.refused_model import REFUSED
 from linkplan.studies.check.summary import summary_blocks
@@ -25,12 +29,18 @@ from linkplan.studies.output.document import Block, Text
 from linkplan.studies.output.text import text_of
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)  # without slots: the paths are measured once, when they are asked for
 class WholeCheck:
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
     found: Inspection
-    paths: tuple[KinematicLoopPath, ...]
+    motion: KinematicLoopPath | None
+    sweeps: tuple[Sweep, ...]
+
+    @cached_property
+    def paths(self) -> tuple[KinematicLoopPath, ...]:
+        """The loop report along the motion, or along each sweep; a summary needs none."""
+        return reach_paths(self.sweeps) if self.motion is None else (self.motion,)
 
     @property
     def name(self) -> str:
@@ -57,7 +67,7 @@ class WholeCheck:
         paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
         left_out = (
             f"of {len(self.paths)} coordinates each has its own quantities above, at rest, where they change along its"
-            " reach; the JSON record has all of them"
+            f" reach; the JSON record has {'all of them' if has_whole_records(self.found.mechanism) else 'every pose'}"
         )
         return [*inspection_blocks(self.found), *paths, *([Text(text=left_out)] if brief else [])]
 
@@ -108,11 +118,11 @@ def check_whole(
     """
     motion, off_path = _motion(problem)
     found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.contacts)
-    paths = reach_paths(mechanism, found.reaches) if motion is None else (motion,)
+    sweeps = reach_sweeps(mechanism, found.reaches) if motion is None else ()
     chosen = () if problem is None else problem.notes
-    singular = [note for path in paths for note in inertia_notes(path)]
+    singular = [note for path in (sweeps if motion is None else (motion,)) for note in inertia_notes(path)]
     notes = (*found.notes, *singular, *notes, *chosen, *off_path)
-    return WholeCheck(found=replace(found, notes=notes), paths=paths)
+    return WholeCheck(found=replace(found, notes=notes), motion=motion, sweeps=sweeps)
 
 
 def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

@@ -47,7 +47,8 @@ def run_check(arguments: argparse.Namespace) -> int:
             (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
 
     blocks = whole.blocks() if arguments.all or arguments.at_deg else [*whole.summary(), _what_is_next(whole, arguments)]
-    deliver(arguments, target, whole.record(), blocks, lambda: _report(whole), draw)
+    said = whole.record() if arguments.json or target is not None else {}
+    deliver(arguments, target, said, blocks, lambda: _report(whole), draw)
     return NO if found.problems else DONE
 
 

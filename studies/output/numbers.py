@@ -25,8 +25,7 @@ def rounded(values: np.ndarray, *, log: bool = False, digits: int = 5) -> list:
     """
     values = np.asarray(values, dtype=float)
     if values.ndim > 1:
-        scale = _scale(values)
-        return [_rounded(row, scale, log, digits) for row in values]
+        return _rounded(values, _scale(values), log, digits)
     known = values[np.isfinite(values)]
     span = 10 * float(np.ptp(known)) if len(known) else 0.0
     return _rounded(values, min(_scale(values), max(span, _LEAST_SPAN_SHARE * _scale(values))), log, digits)
@@ -37,15 +36,19 @@ def _scale(values: np.ndarray) -> float:
     return float(known.max(initial=0.0))
 
 
-def _rounded(row: np.ndarray, scale: float, log: bool, digits: int) -> list[float | int | None]:
+def _rounded(values: np.ndarray, scale: float, log: bool, digits: int) -> list:
     if log:
-        return [significant(x) if x > 0 else None for x in row.tolist()]
-    places = digits - 1 - math.floor(math.log10(scale)) if scale > 0 else 0
-    return [_plain(round(x, places)) if math.isfinite(x) else None for x in row.tolist()]
+        rows = [[significant(x) if x > 0 else None for x in row] for row in np.atleast_2d(values).tolist()]
+    else:
+        places = digits - 1 - math.floor(math.log10(scale)) if scale > 0 else 0
+        rows = [[_plain(x) for x in row] for row in np.round(np.atleast_2d(values), places).tolist()]
+    return rows if values.ndim > 1 else rows[0]
 
 
-def _plain(value: float) -> float | int:
-    return int(value) if value == int(value) else value
+def _plain(value: float) -> float | int | None:
+    if value.is_integer():
+        return int(value)
+    return value if math.isfinite(value) else None
 
 
 def times(values: np.ndarray) -> list:

@@ -21,6 +21,9 @@ def main() -> int:
             signal.signal(number, _end)
     # Imports make many objects and no garbage: with the default threshold of 700, collection took a tenth of the time.
     gc.set_threshold(100_000, 50, 100)
+    # Matrices have tens of rows: numpy's second thread takes longer to be woken and waited for than the products take, and
+    # sums do not depend on the number of processors. Loops over machines and cases have threads and processes of their own.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     codes: list[int] = []
     atexit.register(_leave, codes)  # the first registered function is called last
     from linkplan.studies.cli.main import main as run  # after the signal handlers are set

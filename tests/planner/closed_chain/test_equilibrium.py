@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
+from linkplan.models.poses.equilibrium import slopes_at_rest, spring_equilibrium, sprung_freedoms
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar import G
@@ -96,3 +96,23 @@ def test_a_rest_within_a_loop_is_where_no_effort_is_missing():
     tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()
     assert abs(tau[1]) < SAME_FIGURE
     assert abs(tau[0]) > 1e-3
+
+
+def test_the_slopes_of_the_missing_effort_are_those_of_finite_differences():
+    text = """<mujoco><worldbody><body><joint name="a" axis="0 1 0" stiffness="2"/>
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><body pos="0.3 0 0"><joint name="b" axis="0 1 0" stiffness="1"/>
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></body></worldbody>
+<tendon><fixed name="t"><joint joint="a" coef="1"/><joint joint="b" coef="-0.5"/></fixed></tendon>
+<actuator><motor tendon="t" ctrlrange="-9 9"/></actuator></mujoco>"""
+    mechanism = load_mechanism(text)
+    q, u, r, still = np.array([0.2, 0.5]), np.array([0.7]), np.array([0.3, -0.4]), np.zeros(2)
+    by_rest, by_arms = (np.array(part) for part in slopes_at_rest(mechanism)(q, u, r))
+
+    def missing(q):
+        return np.array(mechanism.dynamics.residual(q, still, still, u)).ravel()
+
+    steps = 1e-6 * np.eye(2)
+    expected = np.array([(missing(q + step) - missing(q - step)) / 2e-6 for step in steps]).T
+    np.testing.assert_allclose(by_rest, expected, rtol=1e-7)
+    assert by_arms.shape == (1, 2)
+    assert np.abs(by_arms).max() == 0

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.check.kinematic_loop_report import thinned
+from linkplan.models.poses.reach import reach
+from linkplan.studies.check.kinematic_loop_report import path_record, reach_paths, reach_sweeps, thinned
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.document import Animation
 from linkplan.studies.report.check_sections import check_sections
@@ -58,6 +59,24 @@ def test_paths_of_many_coordinates_are_thinned_so_that_their_matrices_have_room(
     assert few[0] == 0
     assert few[-1] == 360
     assert len(few) * 20**2 * 60 <= 1_000_000
+
+
+def test_records_of_very_many_coordinates_have_those_of_their_own_only(wholes):
+    assert list(path_record(wholes[9].paths[7])["joint_rate"]["j0"]) == [f"j{i}" for i in range(9)]
+    mechanism = load_mechanism(chain(30))
+    (sweep,) = reach_sweeps(mechanism, [reach(mechanism, 7)])
+    (path,) = reach_paths([sweep])
+    record = path_record(path)
+    assert record["coordinate"] == "j7"
+    assert list(record["joint_rate"]["j0"]) == list(record["gravity_effort"]) == ["j7"]
+    np.testing.assert_array_equal(record["reduced_inertia"][:, 0, 0], path.reduced_inertia[:, 7, 7])
+
+
+def test_a_summary_measures_no_path():
+    whole = check_whole(load_mechanism(chain(3)), None)
+    assert whole.summary()
+    assert "paths" not in vars(whole)
+    assert len(whole.paths) == 3
 
 
 def test_the_animations_of_many_coordinates_have_as_many_numbers_as_one(wholes):
