@@ -241,6 +241,7 @@ def load_mechanism(
     keyframe: str | None = None,
     exclude_contacts: Sequence[Sequence[str]] = (),
     drive: Sequence[str] | None = None,
+    lock_spin: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -261,6 +262,7 @@ def load_mechanism(
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
         drive: names of joints that get a motor, within the effort limit that the joint has.
+        lock_spin: names of ball joints of rods that do not spin about their own line.
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
@@ -276,6 +278,7 @@ def load_mechanism(
         keyframe=keyframe,
         exclude_contacts=tuple((first, second) for first, second in exclude_contacts),
         drive=tuple(drive or ()),
+        lock_spin=tuple(lock_spin or ()),
     )
     name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)

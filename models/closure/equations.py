@@ -26,7 +26,7 @@ from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.rotations import product
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.ties import tied_points
 
 CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 JOINT, TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON

@@ -33,10 +33,13 @@ def nearest_closed_pose(
     if not closed:
         return None
     shares = [_shares(loop, pose, unit) for pose in closed]
-    rank = max(int(np.sum(values > _NEARLY_SINGULAR_SHARE)) for values in shares)
+    # A pose at which a value is zero is singular, also if it is small at all other poses.
+    levels = (_NEARLY_SINGULAR_SHARE, loop.rank_tolerance)
+    ranks = [max(int(np.sum(values > level)) for values in shares) for level in levels]
 
     def regular(pose: np.ndarray) -> bool:
-        return rank == 0 or int(np.sum(_shares(loop, pose, unit) > _NEARLY_SINGULAR_SHARE)) >= rank
+        values = _shares(loop, pose, unit)
+        return all(int(np.sum(values > level)) >= rank for level, rank in zip(levels, ranks, strict=True))
 
     def measure(pose: np.ndarray) -> tuple[bool, float, float]:
         return not regular(pose), round(_outside(joints, pose), 9), float(np.linalg.norm((pose - reference) / unit))

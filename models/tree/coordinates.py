@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.tree.charts import RodChart, StereographicChart, conjugate, quaternion_product
-from linkplan.models.tree.ties import carrying_axis, rod_line, spin_line
+from linkplan.models.ties import carrying_axis, rod_line, spin_line
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)

@@ -138,7 +138,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:
-                return _without_contacts(_with_brief_search(found, answer), answer)
+                return _without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer)
     if not tried and obstacles:
         found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
@@ -149,11 +149,14 @@ def _first_try_s(mechanism: Mechanism) -> float:
     return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
 
 
-def _with_brief_search(found: FirstMotion, plan: Plan) -> FirstMotion:
-    """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan."""
+def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
+    """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan.
+
+    The limit is at least the time [s] that the plan took: with less, its certificate may not be reached.
+    """
     if plan.solved is not None or not is_large(found.mechanism):
         return found
-    limit = _first_try_s(found.mechanism)
+    limit = max(_first_try_s(found.mechanism), float(np.ceil(took_s)))
     note = (
         f"the solver finds no better motion than the smooth path within {limit:g} s of work: planning"
         " searches no longer (solver.max_time_s)"
