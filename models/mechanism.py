@@ -16,7 +16,6 @@ from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closur
 from linkplan.models.closure.initial_assembly import assemble, home_positions, nearby_poses, refuse_singular_assembly
 from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
-from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
 from linkplan.models.closure.rank import numerical_rank
@@ -269,8 +268,7 @@ def load_mechanism(
         InertiaError: if some motion of the joints at home has no kinetic energy.
         AssemblyError: if the loops do not close at, or near, the asked pose.
     """
-    asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
-    payload = payload_from(payload)
+    asked, payload = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}, payload_from(payload)
     selection = Selection(
         keep=tuple(keep or ()),
         fix_base=bool(fix_base),
@@ -309,7 +307,7 @@ def load_mechanism(
     try:
         pose = assemble(name, joints, loop, reference, home_positions(name, joints, home), tolerance)
     except UnassembledError as error:
-        raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, reference, unit)) from None
+        raise with_closed_pose(error, joints, loop, tree.coordinates, reference, unit) from None
     _refuse_beyond_charts(name, tree.coordinates, pose)
     mobility = judge_mobility(loop, pose, unit, tolerance)
     loop, share = mobility.loop, mobility.loop.rank_tolerance
@@ -322,7 +320,7 @@ def load_mechanism(
     except LockedError as error:
         raise locked_or_singular(error, joints, closures, loop, tree.coordinates, pose, unit) from None
     except UnassembledError as error:
-        raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, pose, unit)) from None
+        raise with_closed_pose(error, joints, loop, tree.coordinates, pose, unit) from None
     B = effort_matrix(model, tree, actuators)
     noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
     projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))

@@ -185,8 +185,8 @@ def _rods_on_balls(mechanism: Mechanism) -> list[str]:
     """Return the ball joints of rods whose undriven spins can be locked, by name."""
     charts = {joint.chart for joint in np.array(mechanism.independent_joints, dtype=object)[~mechanism.steered]}
     model = mechanism.model
-    balls = [j for j in range(model.njnt) if model.joint(j).name and joint_label(model, j) in charts]
-    return [model.joint(j).name for j in balls if spin_refusal(model, j) is None]
+    balls = [j for j in range(model.njnt) if joint_label(model, j) in charts]
+    return [joint_label(model, j) for j in balls if spin_refusal(model, j) is None]
 
 
 def _is_spin(mechanism: Mechanism, column: int) -> bool:
