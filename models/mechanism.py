@@ -239,8 +239,7 @@ def load_mechanism(
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
     exclude_contacts: Sequence[Sequence[str]] = (),
-    drive: Sequence[str] | None = None,
-    lock_spin: Sequence[str] | None = None,
+    drive: Sequence[str] | None = None, lock_spin: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -268,15 +267,15 @@ def load_mechanism(
         InertiaError: if some motion of the joints at home has no kinetic energy.
         AssemblyError: if the loops do not close at, or near, the asked pose.
     """
-    asked, payload = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}, payload_from(payload)
+    asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
+    payload = payload_from(payload)
     selection = Selection(
         keep=tuple(keep or ()),
         fix_base=bool(fix_base),
         lock={} if lock is None else dict(lock),
         keyframe=keyframe,
         exclude_contacts=tuple((first, second) for first, second in exclude_contacts),
-        drive=tuple(drive or ()),
-        lock_spin=tuple(lock_spin or ()),
+        drive=tuple(drive or ()), lock_spin=tuple(lock_spin or ()),
     )
     name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)

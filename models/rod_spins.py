@@ -1,8 +1,8 @@
 """Rods on ball joints whose spin about their own line is locked: a universal joint takes the ball joint's place.
 
 Nothing drives the spin of a rod between two ball joints, and it moves nothing else. The universal joint's first axis is that
-of the hinge which carries the rod, normal to the rod at home, and its second is normal to both. Since its two axes are always
-normal to each other, damping, armature and dry friction of the ball joint act on its two angles as they did.
+of the hinge which carries the rod, normal to the rod at home, and its second is normal to both. Since the two axes are
+always normal to each other, damping, armature and dry friction of the ball joint act on its two angles as they did.
 """
 
 from collections.abc import Sequence

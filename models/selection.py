@@ -252,7 +252,8 @@ def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, 
         if int(model.jnt_type[joints[name]]) not in (HINGE, SLIDE):
             raise ModelError(
                 f"mechanism.lock: joint '{name}' is a {'ball' if int(model.jnt_type[joints[name]]) == BALL else 'free'}"
-                " joint, which has no single position; lock takes hinges and slides, lock_spin a rod's ball joint, and fix_base = true fixes a free base"
+                " joint, which has no single position; lock takes hinges and slides, lock_spin a rod's ball joint, and"
+                " fix_base = true fixes a free base"
             )
     hinges = {name for name in lock if int(model.jnt_type[joints[name]]) == HINGE}
     return {joints[name]: float(np.radians(x)) if name in hinges else float(x) for name, x in lock.items()}

@@ -21,12 +21,12 @@ import numpy as np
 
 from linkplan.models.closure.second_pin import second_pin_residual
 from linkplan.models.errors import ModelError
+from linkplan.models.ties import tied_points
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
 from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.rotations import product
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import LACKING, is_fixed, tendon_joints, tendon_label
-from linkplan.models.ties import tied_points
 
 CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 JOINT, TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
@@ -219,7 +219,7 @@ def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
 
 
 def _moved_most(model: mujoco.MjModel, tendon: int) -> tuple[str, float]:
-    """Return the unit of the joint with a fixed tendon's largest coefficient, and that coefficient; m and 1 of a spatial one."""
+    """Return the unit of the joint with a fixed tendon's largest coefficient, and that; m and 1 for a spatial tendon."""
     if not is_fixed(model, tendon):
         return "m", 1.0
     arms = tendon_joints(model, tendon)

@@ -15,9 +15,6 @@ from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 
 # Distances of the random start poses from the reference [rad; extents on a slide].
 _START_DISTANCES = (0.3, 1.0, 2.0)
-# Processor time [s] for the search from all starts, and for the moves towards the reference: a model of seventy joints needs
-# a second for a start.
-_SEARCH_TIME_S = 2.0
 # A pose is nearly singular if a singular value of its closure is below this share of the largest.
 _NEARLY_SINGULAR_SHARE = 0.02
 
@@ -33,7 +30,7 @@ def nearest_closed_pose(
         reference: the pose (n_q,) to be near.
         unit: the length of one unit step of each joint (n_q,) [rad or m].
     """
-    deadline, closed = Deadline().within(_SEARCH_TIME_S), []
+    deadline, closed = Deadline().within(2.0), []  # [s]: a model of seventy joints needs a second for a start
     for start in _starts(joints, reference, unit):
         if closed and deadline.passed:
             break
@@ -52,10 +49,11 @@ def nearest_closed_pose(
 
     def measure(pose: np.ndarray) -> tuple[bool, float, float]:
         # Mirror images are equally near: rounding does not choose between them.
-        return not regular(pose), round(_outside(joints, pose), 9), round(float(np.linalg.norm((pose - reference) / unit)), 9)
+        away = float(np.linalg.norm((pose - reference) / unit))
+        return not regular(pose), round(_outside(joints, pose), 9), round(away, 9)
 
     best = sorted(closed, key=measure)[: len(closed) // 4 + 1]
-    deadline = Deadline().within(_SEARCH_TIME_S)
+    deadline = Deadline().within(2.0)  # [s]
     return min((_moved_to_reference(loop, pose, reference, unit, measure, deadline) for pose in best), key=measure)
 
 

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.ties import tied_points
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 from linkplan.models.tree.dynamics import build_tree
-from linkplan.models.ties import tied_points
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

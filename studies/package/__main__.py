@@ -21,7 +21,7 @@ def main() -> int:
             signal.signal(number, _end)
     # Imports make many objects and no garbage: with the default threshold of 700, collection took a tenth of the time.
     gc.set_threshold(100_000, 50, 100)
-    # The matrices are too small for several threads: those of BLAS wait for each other and take three times the processor time.
+    # The matrices are too small for several threads of BLAS, which wait for each other with three times the processor time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     codes: list[int] = []
     atexit.register(_leave, codes)  # the first registered function is called last

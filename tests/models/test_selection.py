@@ -10,6 +10,7 @@ from linkplan.models.library import compile_model
 from linkplan.models.selected_model import whole_model_text
 from linkplan.models.selection import Selection
 from linkplan.studies.cli.main import main
+from tests.support.linkages import ROD
 
 # A floating body with an arm and two legs. A leg is a driven thigh, and a driven crank whose rod moves the shank. The arm is
 # one body with three joints, in a frame.
@@ -265,17 +266,6 @@ def test_pairs_of_another_form_are_answered_with_an_example(wrong):
         linkplan.Problem.from_tables("wrong", tables)
 
 
-# A motor's arm carries a rod between two ball joints; the rocker at its other end is a second arm.
-ROD = """<mujoco><compiler angle="degree"/><worldbody>
-<body name="arm"><joint name="drive" axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 .1 0 0"/>
-<body name="rod" pos=".1 0 0"><joint name="ball" type="ball" damping=".01" armature="1e-4" frictionloss=".002"/>
-<geom type="capsule" size=".005" fromto="0 0 0 0 .05 .2"/><site name="end" pos="0 .05 .2"/></body></body>
-<body name="rocker" pos="0 .05 .2"><joint name="swing" axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 .1 0 0"/>
-<site name="pin" pos=".1 0 0"/></body></worldbody>
-<equality><connect name="close" site1="end" site2="pin"/></equality>
-<actuator><motor name="motor" joint="drive" ctrlrange="-5 5"/></actuator></mujoco>"""
-
-
 def test_a_rod_without_its_spin_is_the_same_linkage():
     whole, locked = linkplan.load_mechanism(ROD), linkplan.load_mechanism(ROD, lock_spin=["ball"])
     assert (whole.dof, locked.dof) == (2, 1)
@@ -294,7 +284,11 @@ def test_a_rod_without_its_spin_is_the_same_linkage():
         ends.append([data.site("pin").xpos.copy(), data.joint("swing").qvel.copy()])
     np.testing.assert_allclose(ends[0][0], ends[1][0], atol=1e-12)
     np.testing.assert_allclose(ends[0][1], ends[1][1], atol=1e-9)
-    hold = [np.array(m.dynamics.inverse_dynamics(m.home, np.zeros(m.dof), np.zeros(m.dof))).ravel()[0] for m in (whole, locked)]
+    still = [np.zeros(2), np.zeros(1)]
+    hold = [
+        np.array(m.dynamics.inverse_dynamics(m.home, rest, rest)).ravel()[0]
+        for m, rest in zip((whole, locked), still, strict=True)
+    ]
     assert hold[0] == pytest.approx(hold[1], rel=1e-9)
 
 
@@ -311,5 +305,5 @@ def test_a_spin_that_is_none_is_refused(changed, words):
     text, name = (ROD, changed[1]) if changed[0] == "ball" else (ROD.replace(*changed), "ball")
     with pytest.raises(LinkplanError, match=words):
         linkplan.load_mechanism(text, lock_spin=[name])
-    with pytest.raises(LinkplanError, match="no joint is named 'bal'.*ball joints are ball"):
+    with pytest.raises(LinkplanError, match=r"no joint is named 'bal'.*ball joints are ball"):
         linkplan.load_mechanism(ROD, lock_spin=["bal"])

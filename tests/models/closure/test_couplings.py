@@ -235,8 +235,9 @@ def test_a_rope_of_constant_length_is_a_pendulum():
 
 
 def test_a_tendon_whose_length_has_no_expression_is_refused_with_the_remedy():
-    inside = ON_A_ROPE.replace('<site name="eye" pos="0 0 1"/>', '<site name="eye" pos="0 0 1"/><site name="in" pos="0.1 0 0.9"/>'
-        '<geom name="eyelet" type="sphere" size="0.1" pos="0.1 0 0.9"/>').replace(
-        '<site site="eye"/><site site="hook"/>', '<site site="eye"/><geom geom="eyelet" sidesite="in"/><site site="hook"/>')  # fmt: skip
+    eyelet = '<site name="in" pos="0.1 0 0.9"/><geom name="eyelet" type="sphere" size="0.1" pos="0.1 0 0.9"/>'
+    inside = ON_A_ROPE.replace('<site name="eye"', f'{eyelet}<site name="eye"').replace(
+        '<site site="eye"/>', '<site site="eye"/><geom geom="eyelet" sidesite="in"/>'
+    )
     with pytest.raises(ModelError, match="equality constraint 'taut' ties tendon 'rope', which passes through the inside"):
         load_mechanism(inside)

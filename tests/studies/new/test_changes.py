@@ -10,8 +10,8 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.changes import changed_mechanism, raised_limits
 from linkplan.studies.new.hanging import hanging_columns
-from tests.models.test_selection import ROD
 from tests.support.data import DATA
+from tests.support.linkages import ROD
 from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 # A chassis that slides and pitches in a plane, with a wheel-leg of five bars whose motors are on the chassis.
