@@ -56,6 +56,7 @@ def add_universal_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Seq
     for joint in joints:
         name, body = model.joint(joint).name, spec.body(model.body(int(model.jnt_bodyid[joint])).name)
         line, axis = rod_line(model, joint), carrying_axis(model, joint, qpos)
+        assert line is not None  # `asked_spins` refuses a joint without a rod
         first = _normal_to(line, axis)
         former = spec.joint(name)
         for number, along in enumerate((first, np.cross(line, first)), 1):
