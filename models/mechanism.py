@@ -16,7 +16,6 @@ from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closur
 from linkplan.models.closure.initial_assembly import assemble, home_positions, nearby_poses, refuse_singular_assembly
 from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
-from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
 from linkplan.models.closure.rank import numerical_rank
@@ -240,7 +239,7 @@ def load_mechanism(
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
     exclude_contacts: Sequence[Sequence[str]] = (),
-    drive: Sequence[str] | None = None,
+    drive: Sequence[str] | None = None, lock_spin: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -261,6 +260,7 @@ def load_mechanism(
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
         drive: names of joints that get a motor, within the effort limit that the joint has.
+        lock_spin: names of ball joints of rods that do not spin about their own line.
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
@@ -275,7 +275,7 @@ def load_mechanism(
         lock={} if lock is None else dict(lock),
         keyframe=keyframe,
         exclude_contacts=tuple((first, second) for first, second in exclude_contacts),
-        drive=tuple(drive or ()),
+        drive=tuple(drive or ()), lock_spin=tuple(lock_spin or ()),
     )
     name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)
@@ -306,7 +306,7 @@ def load_mechanism(
     try:
         pose = assemble(name, joints, loop, reference, home_positions(name, joints, home), tolerance)
     except UnassembledError as error:
-        raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, reference, unit)) from None
+        raise with_closed_pose(error, joints, loop, tree.coordinates, reference, unit) from None
     _refuse_beyond_charts(name, tree.coordinates, pose)
     mobility = judge_mobility(loop, pose, unit, tolerance)
     loop, share = mobility.loop, mobility.loop.rank_tolerance
@@ -319,7 +319,7 @@ def load_mechanism(
     except LockedError as error:
         raise locked_or_singular(error, joints, closures, loop, tree.coordinates, pose, unit) from None
     except UnassembledError as error:
-        raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, pose, unit)) from None
+        raise with_closed_pose(error, joints, loop, tree.coordinates, pose, unit) from None
     B = effort_matrix(model, tree, actuators)
     noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
     projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))

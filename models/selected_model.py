@@ -10,7 +10,7 @@ import mujoco
 from linkplan.models.catalogue import is_file
 from linkplan.models.library import model_spec
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.ties import tied_points
 
 # Digits that restore a double from its decimal text.
 _EXACT_DIGITS = 17

@@ -13,6 +13,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
+from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
 from linkplan.models.users import delete_users, leave_the_ground
 
@@ -38,7 +39,7 @@ class Selection:
     that are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home
     pose and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of
     names of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit
-    of the joint.
+    of the joint. `lock_spin`: names of ball joints of rods that do not spin about their own line.
     """
 
     keep: tuple[str, ...] = ()
@@ -47,6 +48,7 @@ class Selection:
     keyframe: str | None = None
     exclude_contacts: tuple[tuple[str, str], ...] = ()
     drive: tuple[str, ...] = ()
+    lock_spin: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return bool(self.table())
@@ -55,6 +57,7 @@ class Selection:
         """Return what is selected as keys of the [mechanism] table."""
         asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
         asked |= {"exclude_contacts": [list(pair) for pair in self.exclude_contacts], "drive": list(self.drive)}
+        asked["lock_spin"] = list(self.lock_spin)
         return {key: value for key, value in asked.items() if value}
 
 
@@ -74,6 +77,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     below = _closed_chain(model, chosen) if chosen else set(range(1, model.nbody))
     above = {ancestor for body in below for ancestor in _ancestors(model, body)} - below
     locked = _asked_locks(model, asked.lock)
+    spins = asked_spins(model, asked.lock_spin)
+    locked |= dict.fromkeys(spins)
     floating = _floating(model, below | above) if asked.fix_base else []
     if asked.fix_base:
         joints = [j for body in sorted(above) for j in _joints_of(model, body)] + floating
@@ -84,7 +89,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     places = {model.joint(j).name: _slice(model, j) for j in kept}
     away = {model.joint(j).name for j in range(model.njnt) if int(model.jnt_bodyid[j]) in dropped}
     notes = [
-        *_lock(spec, model, locked, qpos, away),
+        *_lock(spec, model, locked, qpos, away, spins),
         *_drop(spec, model, dropped),
         *(leave_the_ground(spec) if floating else ()),
     ]
@@ -96,7 +101,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     small = spec.compile()
     home = np.array(small.qpos0)
     for j in range(small.njnt):
-        home[_slice(small, j)] = qpos[places[small.joint(j).name]]
+        if small.joint(j).name in places:  # the hinges in place of a ball joint are zero at home
+            home[_slice(small, j)] = qpos[places[small.joint(j).name]]
     if model.nkey and not np.array_equal(home, small.qpos0):
         spec.add_key(name=HOME_KEYFRAME, qpos=home)
     return tuple(notes)
@@ -246,7 +252,8 @@ def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, 
         if int(model.jnt_type[joints[name]]) not in (HINGE, SLIDE):
             raise ModelError(
                 f"mechanism.lock: joint '{name}' is a {'ball' if int(model.jnt_type[joints[name]]) == BALL else 'free'}"
-                " joint, which has no single position; lock takes hinges and slides, and fix_base = true fixes a free base"
+                " joint, which has no single position; lock takes hinges and slides, lock_spin a rod's ball joint, and"
+                " fix_base = true fixes a free base"
             )
     hinges = {name for name in lock if int(model.jnt_type[joints[name]]) == HINGE}
     return {joints[name]: float(np.radians(x)) if name in hinges else float(x) for name, x in lock.items()}
@@ -258,9 +265,18 @@ def _slice(model: mujoco.MjModel, joint: int) -> slice:
 
 
 def _lock(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, locked: Mapping[int, float | None], qpos: np.ndarray, away: set[str]
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    locked: Mapping[int, float | None],
+    qpos: np.ndarray,
+    away: set[str],
+    spins: Sequence[int],
 ) -> list[str]:
-    """Lock joints at positions, or at those of `qpos` (nq,); delete what acts on them, and return notes."""
+    """Lock joints at positions, or at those of `qpos` (nq,), of `spins` the spin only; delete what acts on them.
+
+    Returns:
+        notes.
+    """
     if not locked:
         return []
     _tie_to_sites(spec, model)
@@ -276,8 +292,10 @@ def _lock(
             pose = motion if int(model.jnt_type[j]) == FREE else pose @ motion
             for other in before:
                 _move_joint(spec.joint(model.joint(other).name), np.linalg.inv(motion))
-            said.setdefault(_words(model, j, position), []).append(model.joint(j).name or f"of {model.body(body).name}")
+            where = "against spin about the line of its rod" if j in spins else _words(model, j, position)
+            said.setdefault(where, []).append(model.joint(j).name or f"of {model.body(body).name}")
         _place(spec.body(model.body(body).name), pose)
+    add_universal_joints(spec, model, [j for j in spins if j in locked], qpos)
     gone = {model.joint(j).name for j in locked}
     acting = delete_users(spec, gone, away)
     for name in gone:

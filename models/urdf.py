@@ -53,7 +53,11 @@ def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
 def urdf_root(source: str | Path) -> ET.Element | None:
     """Return the <robot> element of a URDF (a path or text); None for another model."""
     root = _root(str(source))
-    return root if root is not None and root.tag == "robot" else None
+    if root is None:
+        return None
+    for element in root.iter():  # names of a default namespace, as in Drake's URDFs, are {namespace}name; MuJoCo ignores it
+        element.tag = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else element.tag
+    return root if root.tag == "robot" else None
 
 
 def mesh_hint(error: Exception) -> str:

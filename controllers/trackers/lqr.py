@@ -24,8 +24,6 @@ from linkplan.models.mechanism import Mechanism
 
 # Relative change over a cycle below which the periodic Riccati recursion has converged.
 _CYCLE_TOLERANCE = 1e-9
-# Doublings of the horizon of the stationary Riccati recursion: 2^40 periods of 0.1 ms are three years.
-_MAX_DOUBLINGS = 40
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -159,7 +157,7 @@ def _stationary_cost(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray)
         GainError: if the cost does not converge, because no gain stabilises the system.
     """
     G, P, eye = B @ np.linalg.solve(R, B.T), Q, np.eye(len(A))
-    for _ in range(_MAX_DOUBLINGS):
+    for _ in range(40):  # a horizon of 2^40 periods of 0.1 ms is three years
         A_next, AG = np.hsplit(np.linalg.solve(eye + G @ P, np.hstack([A, G])), 2)
         change = A.T @ P @ A_next
         P, G, A = P + 0.5 * (change + change.T), G + A @ AG @ A.T, A @ A_next

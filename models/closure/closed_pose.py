@@ -51,9 +51,25 @@ def _key(name: str) -> str:
 
 
 def with_closed_pose(
-    error: UnassembledError, joints: Sequence[Joint], coordinates: Coordinates, pose: np.ndarray | None
+    error: UnassembledError,
+    joints: Sequence[Joint],
+    loop: KinematicLoop,
+    coordinates: Coordinates,
+    reference: np.ndarray,
+    unit: np.ndarray,
 ) -> UnassembledError:
-    """Return an error that offers a closed pose (n_q,), or states that none was found."""
+    """Return an error that offers the closed pose nearest to `reference` (n_q,), or states why there is none to offer."""
+    return _offering(error, joints, loop, coordinates, nearest_closed_pose(loop, joints, reference, unit), unit)
+
+
+def _offering(
+    error: UnassembledError,
+    joints: Sequence[Joint],
+    loop: KinematicLoop,
+    coordinates: Coordinates,
+    pose: np.ndarray | None,
+    unit: np.ndarray,
+) -> UnassembledError:
     if pose is None:
         hint = (
             "no closed pose was found near it: the links may be too short, or rounded, which"
@@ -61,6 +77,9 @@ def with_closed_pose(
         )
         return UnassembledError(f"{error}; {hint}", error.gap_m)
     home = home_of(joints, pose)
+    if numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance) == len(joints):
+        hint = "at the nearest closed pose found, the loops lock every joint"
+        return UnassembledError(f"{error}; {hint}: {'; '.join(home_text(home).splitlines())}", error.gap_m)
     hint = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"
     return UnassembledError(f"{error}; {hint}", error.gap_m, keyframe_of(coordinates, pose), home)
 
@@ -84,5 +103,5 @@ def locked_or_singular(
     if other is not None:
         there = numerical_rank(loop.residual(other)[1] * unit, share)
         if numerical_rank(jacobian, share) < there < len(joints):
-            return with_closed_pose(UnassembledError(str(error)), joints, coordinates, other)
+            return _offering(UnassembledError(str(error)), joints, loop, coordinates, other, unit)
     return locked_by(error, closures, jacobian, share)

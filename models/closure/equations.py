@@ -21,12 +21,12 @@ import numpy as np
 
 from linkplan.models.closure.second_pin import second_pin_residual
 from linkplan.models.errors import ModelError
+from linkplan.models.ties import tied_points
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
 from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.rotations import product
 from linkplan.models.tree.size import extent_m
-from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.tree.tendons import LACKING, is_fixed, tendon_joints, tendon_label
 
 CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 JOINT, TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
@@ -203,10 +203,10 @@ def _joint(model: mujoco.MjModel, tree: Tree, index: int):
 def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
     tendons = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
     for tendon in tendons:
-        if not is_fixed(model, tendon):
+        if tree.tendon_lengths[tendon] is None:
             raise ModelError(
-                f"equality constraint '{equality_name(model, index)}' ties spatial tendon '{tendon_label(model, tendon)}';"
-                " the planner takes fixed tendons"
+                f"equality constraint '{equality_name(model, index)}' ties tendon '{tendon_label(model, tendon)}', which"
+                f" {LACKING}"
             )
     travels = [tree.tendon_lengths[tendon] - float(model.tendon_length0[tendon]) for tendon in tendons]
     yield (
@@ -219,7 +219,9 @@ def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
 
 
 def _moved_most(model: mujoco.MjModel, tendon: int) -> tuple[str, float]:
-    """Return the unit of the joint with a fixed tendon's largest coefficient, and that coefficient."""
+    """Return the unit of the joint with a fixed tendon's largest coefficient, and that; m and 1 for a spatial tendon."""
+    if not is_fixed(model, tendon):
+        return "m", 1.0
     arms = tendon_joints(model, tendon)
     dof = max(arms, key=lambda one: abs(arms[one]))
     unit = "rad" if int(model.jnt_type[model.dof_jntid[dof]]) == HINGE else "m"

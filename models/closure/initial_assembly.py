@@ -52,22 +52,30 @@ def assemble(
     Raises:
         AssemblyError: if no closed pose is found.
     """
+    last = tolerance_m <= loop.closed_m
     try:
-        return _assemble(name, joints, loop, reference, asked)
+        return _assemble(name, joints, loop, reference, asked, measured=last)
     except AssemblyError:
-        if tolerance_m <= loop.closed_m:
+        if last:
             raise
-        return _assemble(name, joints, replace(loop, closed_m=tolerance_m), reference, asked)
+        return _assemble(name, joints, replace(loop, closed_m=tolerance_m), reference, asked, measured=True)
 
 
 def _assemble(
-    name: str, joints: tuple[Joint, ...], loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float]
+    name: str,
+    joints: tuple[Joint, ...],
+    loop: KinematicLoop,
+    reference: np.ndarray,
+    asked: dict[int, float],
+    *,
+    measured: bool,
 ) -> np.ndarray:
+    """Return a closed pose, or raise an error with the gap, which is the least one if it is `measured`."""
     everything = list(range(len(joints)))
     near, gap = newton.close(loop, reference, everything)
     if not asked:
         if gap > loop.closed_m:
-            gap = min(gap, newton.least_gap(loop, near, everything))
+            gap = min(gap, newton.least_gap(loop, near, everything)) if measured else gap
             raise UnassembledError(
                 f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm",
                 gap,
@@ -83,7 +91,7 @@ def _assemble(
         away = max(abs(pose[i] - value) for i, value in asked.items())
         if gap <= loop.closed_m and away <= HOME_TOLERANCE:
             return pose
-    gap = min(newton.least_gap(loop, trial, unnamed) for trial in starts)
+    gap = min(newton.least_gap(loop, trial, unnamed) for trial in starts) if measured else np.inf
     raise AssemblyError(
         f"mechanism '{name}' does not close at {where(joints, asked)}: the loop stays open by {1e3 * gap:.3g} mm"
     )

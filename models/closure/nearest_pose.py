@@ -10,6 +10,7 @@ import numpy as np
 
 from linkplan.models.closure import newton
 from linkplan.models.closure.newton import KinematicLoop
+from linkplan.models.deadline import Deadline
 from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 
 # Distances of the random start poses from the reference [rad; extents on a slide].
@@ -29,20 +30,31 @@ def nearest_closed_pose(
         reference: the pose (n_q,) to be near.
         unit: the length of one unit step of each joint (n_q,) [rad or m].
     """
-    closed = [pose for start in _starts(joints, reference, unit) if (pose := _closed(loop, start)) is not None]
+    deadline, closed = Deadline().within(2.0), []  # [s]: a model of seventy joints needs a second for a start
+    for start in _starts(joints, reference, unit):
+        if closed and deadline.passed:
+            break
+        if (pose := _closed(loop, start)) is not None:
+            closed.append(pose)
     if not closed:
         return None
     shares = [_shares(loop, pose, unit) for pose in closed]
-    rank = max(int(np.sum(values > _NEARLY_SINGULAR_SHARE)) for values in shares)
+    largest = np.max(shares, axis=0)
+    # A value that is small at every pose must not be far smaller than at the others: at zero, the pose is singular.
+    least = np.where(largest > _NEARLY_SINGULAR_SHARE, _NEARLY_SINGULAR_SHARE, _NEARLY_SINGULAR_SHARE * largest)
+    least[largest <= loop.rank_tolerance] = 0.0
 
     def regular(pose: np.ndarray) -> bool:
-        return rank == 0 or int(np.sum(_shares(loop, pose, unit) > _NEARLY_SINGULAR_SHARE)) >= rank
+        return bool(np.all(_shares(loop, pose, unit) >= least))
 
     def measure(pose: np.ndarray) -> tuple[bool, float, float]:
-        return not regular(pose), round(_outside(joints, pose), 9), float(np.linalg.norm((pose - reference) / unit))
+        # Mirror images are equally near: rounding does not choose between them.
+        away = float(np.linalg.norm((pose - reference) / unit))
+        return not regular(pose), round(_outside(joints, pose), 9), round(away, 9)
 
     best = sorted(closed, key=measure)[: len(closed) // 4 + 1]
-    return min((_moved_to_reference(loop, pose, reference, unit, measure) for pose in best), key=measure)
+    deadline = Deadline().within(2.0)  # [s]
+    return min((_moved_to_reference(loop, pose, reference, unit, measure, deadline) for pose in best), key=measure)
 
 
 def _starts(joints: Sequence[Joint], reference: np.ndarray, unit: np.ndarray, n_random: int = 60) -> Iterator[np.ndarray]:
@@ -78,11 +90,13 @@ def _outside(joints: Sequence[Joint], pose: np.ndarray) -> float:
 
 
 def _moved_to_reference(
-    loop: KinematicLoop, pose: np.ndarray, reference: np.ndarray, unit: np.ndarray, measure
+    loop: KinematicLoop, pose: np.ndarray, reference: np.ndarray, unit: np.ndarray, measure, deadline: Deadline
 ) -> np.ndarray:
     """Return the closed pose reached from `pose` by steps towards the reference that each decrease `measure`."""
     step = 1.0
     for _ in range(100):
+        if deadline.passed:
+            break
         jacobian = loop.residual(pose)[1] * unit
         right = np.linalg.svd(jacobian)[2]
         free = right[int(np.sum(_shares(loop, pose, unit) > loop.rank_tolerance)) :]

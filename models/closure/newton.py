@@ -83,7 +83,7 @@ def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
     if not free:
         return loop.gap(loop.residual(start)[0])
     found = scipy.optimize.least_squares(
-        lambda x: at(x)[0], start[free], lambda x: at(x)[1], xtol=1e-12, ftol=1e-12, gtol=1e-14, max_nfev=2000
+        lambda x: at(x)[0], start[free], lambda x: at(x)[1], xtol=1e-8, ftol=1e-8, gtol=1e-14, max_nfev=200
     )
     return loop.gap(found.fun)
 

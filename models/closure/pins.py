@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
+from linkplan.models.ties import tied_points
 from linkplan.models.tree.coordinates import BALL, HINGE
-from linkplan.models.tree.ties import tied_points
 
 Point = tuple[int, np.ndarray]  # a body and a position (3,) [m] in its frame
 

@@ -15,7 +15,7 @@ import numpy as np
 from linkplan.models.closure.equations import CONNECT, Closure, earlier_pin
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.errors import UnassembledError
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.ties import tied_points
 
 # The largest shift without a tolerance of the user's, as a share of the mechanism's size.
 SHIFT_SHARE = 0.05

@@ -59,12 +59,19 @@ def faces(points: np.ndarray) -> list[list[int]]:
     except QhullError:
         normal = np.linalg.svd(points - middle)[2][2]
         return [_around(points, np.arange(len(points)), normal)]
-    planes: dict[tuple, list[int]] = {}
     scale = float(np.abs(points - middle).max())
-    for corners, plane in zip(hull.simplices, hull.equations, strict=True):
-        key = (*np.round(plane[:3], 5), round(float(plane[3] + plane[:3] @ middle) / scale, 5))
-        planes.setdefault(key, []).extend(corners.tolist())
-    return [_around(points, np.unique(corners), np.array(key[:3])) for key, corners in planes.items()]
+    normals, distances = hull.equations[:, :3], hull.equations[:, 3] + hull.equations[:, :3] @ middle
+    corners = hull.simplices
+    first, second, third = (points[corners[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(second - first, third - first), normals) < 0
+    triangles = np.where(inward[:, None], corners[:, ::-1], corners)
+    planes: dict[tuple, list[int]] = {}
+    for k, key in enumerate(map(tuple, np.round(np.column_stack([normals, distances / scale]), 5).tolist())):
+        planes.setdefault(key, []).append(k)
+    return [
+        triangles[own[0]].tolist() if len(own) == 1 else _around(points, np.unique(triangles[own]), np.array(key[:3]))
+        for key, own in planes.items()
+    ]
 
 
 def _around(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> list[int]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.ties import tied_points
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 from linkplan.models.tree.dynamics import build_tree
-from linkplan.models.tree.ties import tied_points
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

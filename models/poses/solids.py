@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.hulls import directions, simplified
 from linkplan.models.poses.skeleton import pins_in_space
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.ties import tied_points
 
 _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")

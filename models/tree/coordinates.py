@@ -13,8 +13,8 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.ties import carrying_axis, rod_line, spin_line
 from linkplan.models.tree.charts import RodChart, StereographicChart, conjugate, quaternion_product
-from linkplan.models.tree.ties import carrying_axis, rod_line, spin_line
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)

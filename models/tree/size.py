@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.ties import tied_points
 
 
 def extent_m(model: mujoco.MjModel) -> float:

@@ -150,6 +150,7 @@ HomeAngles = Annotated[dict[str, Angle], Meta(extra=_JOINTS)]
 HomeLengths = Annotated[dict[str, Number], Meta(extra=_JOINTS)]
 Locks = Annotated[dict[str, Number], Meta(extra={"of": "joint = position"})]
 Kept = Annotated[list[str], Meta(min_length=1, extra={"said": "a list of names of bodies or joints"})]
+BallJoints = Annotated[list[str], Meta(extra={"said": "a list of names of ball joints"})]
 _PAIRS = {"said": 'a list of pairs of names of bodies, such as [["base", "rod"]]'}
 BodyPairs = Annotated[
     list[Annotated[list[Annotated[str, Meta(extra=_PAIRS)]], Meta(min_length=2, max_length=2, extra=_PAIRS)]],

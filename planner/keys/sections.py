@@ -113,6 +113,10 @@ class MechanismSection(Section, frozen=True):
             example="[{independent}]",
         ),
     ] = ABSENT
+    lock_spin: Annotated[
+        kinds.BallJoints,
+        key("ball joints of rods that do not spin about their own line", default="none", example="[]"),
+    ] = []
     closure_tolerance_m: Annotated[
         kinds.Positive,
         key("the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", "1e-6"),

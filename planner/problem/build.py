@@ -145,6 +145,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         keyframe=asked.keyframe,
         exclude_contacts=asked.exclude_contacts,
         drive=asked.drive,
+        lock_spin=asked.lock_spin,
         friction_transition=None if asked.friction_transition_deg_s is None else np.radians(asked.friction_transition_deg_s),
     )
     joint_values(asked, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge

@@ -8,13 +8,11 @@ from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
+from linkplan.models.poses.reach import RANGE_ROUNDING
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit
-
-# A joint is at the end of its range within this distance [rad or m], the accuracy of assembly.
-RANGE_END_TOLERANCE = 1e-8
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
@@ -111,8 +109,8 @@ def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:
     return [
         (joint, float(x))
         for joint, x, rate in zip(mechanism.joints, home, rates, strict=True)
-        if (abs(x - joint.upper) <= RANGE_END_TOLERANCE and rate > least)
-        or (abs(x - joint.lower) <= RANGE_END_TOLERANCE and rate < -least)
+        if (abs(x - joint.upper) <= RANGE_ROUNDING and rate > least)
+        or (abs(x - joint.lower) <= RANGE_ROUNDING and rate < -least)
     ]
 
 
@@ -125,7 +123,7 @@ def sprung_stops(mechanism: Mechanism) -> list[tuple[Joint, float]]:
     others = {column: float(x) for column, x in enumerate(home) if column not in sprung}
     stops = rests_on_stops(mechanism, others, sprung) if sprung else {}
     joints = mechanism.independent_joints
-    return [(joints[k], x) for k, x in stops.items() if abs(x - home[k]) > RANGE_END_TOLERANCE]
+    return [(joints[k], x) for k, x in stops.items() if abs(x - home[k]) > RANGE_ROUNDING]
 
 
 def pressed_stops(mechanism: Mechanism) -> list[str]:

@@ -13,13 +13,12 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.ball_angles import ball_angles
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.reach import Reach, reach, toggles
+from linkplan.models.poses.reach import RANGE_ROUNDING, Reach, reach, toggles
 from linkplan.models.reduction.reduced import linearised
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.sites import site_names
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
-    RANGE_END_TOLERANCE,
     feeble_drives,
     floating_columns,
     motors_hint,
@@ -196,12 +195,12 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
         )
         notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
-        if not joint.lower - RANGE_END_TOLERANCE <= x <= joint.upper + RANGE_END_TOLERANCE:
+        if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
             problems.append(
                 f"joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
             )
     for ball, angle in zip(mechanism.balls, ball_angles(mechanism, mechanism.home[None])[0], strict=True):
-        if angle > ball.largest + RANGE_END_TOLERANCE:
+        if angle > ball.largest + RANGE_ROUNDING:
             by, most = np.degrees([angle, ball.largest])
             problems.append(f"ball joint {ball.name} is turned by {by:.4g} deg at home, beyond its range of {most:.4g} deg")
     problems += pressed_stops(mechanism)

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.skeleton import view
 from linkplan.models.poses.solids import body_frames
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.ties import tied_points
 from linkplan.studies.demo.draw_gallery import FOLDER
 from linkplan.studies.output.draw_bodies import draw_bodies
 from linkplan.studies.output.drawing import page

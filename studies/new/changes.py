@@ -2,7 +2,8 @@
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
 are locked there, since a stop's force is not planned for. Of a rod that spins while all else rests, a hinge is locked:
-nothing drives the spin, and its equations are too small beside the others for the solver. Dry friction of a robot's leg
+nothing drives the spin, and its equations are too small beside the others for the solver. Of a rod between ball joints, a
+universal joint takes the place of one. Dry friction of a robot's leg
 sets in over a wider range of speeds: joints that hardly move would have a mesh as fine as the default range asks for. Links
 that overlap by construction, as an exporter leaves them on their pins, pass through each other. A drive whose limit is below
 the weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
@@ -20,6 +21,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.continuation import in_loops
 from linkplan.models.poses.felt_inertia import equality_rows
+from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.selection import floating_joints
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
@@ -59,6 +61,14 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         notes.append(
             f"weight and springs press joints onto their stops: they are locked there (mechanism.lock: {said});"
             " a motion on which they would leave their stops is another mechanism's"
+        )
+    if mechanism.dof and mechanism.n_u and (rods := _rods_on_balls(mechanism)):
+        given = table.get("lock_spin")
+        table = {**table, "lock_spin": [*(given if isinstance(given, list) else []), *rods]}
+        mechanism = _assembled(table)
+        notes.append(
+            "rods between ball joints spin about their own lines, which nothing drives and which moves nothing else: a"
+            f" universal joint takes the place of a ball joint of each (mechanism.lock_spin: {', '.join(rods)})"
         )
     if mechanism.dof and mechanism.n_u and (spins := _spins(mechanism)):
         table = _with_locks(table, spins)
@@ -169,6 +179,14 @@ def _spins(mechanism: Mechanism) -> dict[str, float]:
         for index, joint in joints.items()
         if joint.chart is None and joint.kind == "hinge"
     }
+
+
+def _rods_on_balls(mechanism: Mechanism) -> list[str]:
+    """Return the ball joints of rods whose undriven spins can be locked, by name."""
+    charts = {joint.chart for joint in np.array(mechanism.independent_joints, dtype=object)[~mechanism.steered]}
+    model = mechanism.model
+    balls = [j for j in range(model.njnt) if joint_label(model, j) in charts]
+    return [joint_label(model, j) for j in balls if spin_refusal(model, j) is None]
 
 
 def _is_spin(mechanism: Mechanism, column: int) -> bool:

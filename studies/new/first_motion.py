@@ -12,20 +12,15 @@ import numpy as np
 from linkplan.models.audit import audit
 from linkplan.models.closure.closed_pose import home_of
 from linkplan.models.deadline import Deadline
-from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.assembly import close_at, follow
-from linkplan.models.poses.ball_angles import beyond_balls
-from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
-from linkplan.models.poses.controls import control_excess
+from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.certificate.collisions import contact_notes, geom_names
+from linkplan.planner.certificate.collisions import contact_notes
 from linkplan.planner.diagnosis.reasons import nothing_found, solver_stopped
-from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
@@ -42,6 +37,7 @@ from linkplan.studies.new.changes import (
     raised_notes,
     with_exclusions,
 )
+from linkplan.studies.new.clear_way import obstacle_on_way
 from linkplan.studies.new.hanging import (
     at_gravity_equilibrium,
     at_rest,
@@ -140,7 +136,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:
-                return _without_contacts(_with_brief_search(found, answer), answer)
+                return _without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer)
     if not tried and obstacles:
         found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
@@ -151,11 +147,14 @@ def _first_try_s(mechanism: Mechanism) -> float:
     return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
 
 
-def _with_brief_search(found: FirstMotion, plan: Plan) -> FirstMotion:
-    """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan."""
+def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
+    """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan.
+
+    The limit is at least the time [s] that the plan took: with less, its certificate may not be reached.
+    """
     if plan.solved is not None or not is_large(found.mechanism):
         return found
-    limit = _first_try_s(found.mechanism)
+    limit = max(_first_try_s(found.mechanism), float(np.ceil(took_s)))
     note = (
         f"the solver finds no better motion than the smooth path within {limit:g} s of work: planning"
         " searches no longer (solver.max_time_s)"
@@ -258,7 +257,7 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
         problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
         if np.array_equal(start, goal):
             return "the joints cannot leave home"
-        if (obstacle := _obstacle(problem)) is not None:
+        if (obstacle := obstacle_on_way(problem)) is not None:
             return obstacle
         duration, slow = moderate_duration(problem)
     except LinkplanError as error:
@@ -325,58 +324,6 @@ def _rounded(joint: Joint, position: float, low: float, high: float) -> float:
         if abs(found - position) < 0.05 * (high - low) and low <= found <= high:
             return found
     return position
-
-
-def _obstacle(problem: Problem) -> str | None:
-    """Return what shuts the straight way from start to goal at one of 61 poses; None if it is clear.
-
-    On a clear way the loops close, the ranges are kept, det J_z stays above a quarter of its value at home, no geoms
-    collide, and the actuators can hold every pose, if they act on all coordinates.
-    """
-    mechanism, start, goal = problem.mechanism, problem.motion.start, problem.motion.goal
-    assert start is not None  # a reach has both
-    assert goal is not None
-    shares = np.linspace(0.0, 1.0, 61)
-
-    def position_at(at: np.ndarray) -> np.ndarray:
-        return start + np.asarray(at)[:, None] * (goal - start)
-
-    try:
-        home = mechanism.home[mechanism.independent]
-        lead = follow(mechanism, np.linspace(home, start, len(shares)), mechanism.home)
-        poses = follow(mechanism, position_at(shares), lead[-1])
-    except AssemblyError as error:
-        return one_line(error)
-    ranges = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
-    rounding = 1e-8  # the accuracy of assembly [rad or m]
-    outside = np.any((poses < ranges[:, 0] - rounding) | (poses > ranges[:, 1] + rounding), axis=0)
-    if outside.any():
-        return f"joint {mechanism.joints[int(np.argmax(outside))].name} is outside its range"
-    turned = np.any(beyond_balls(mechanism, poses) > rounding, axis=0)
-    if turned.any():
-        return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
-    if np.min(singularity_ratios(problem, poses)) < 0.25:
-        return "a singular pose is near"
-    if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
-        return sentence
-    met = new_meetings(meetings(mechanism, shares, poses, position_at))
-    return f"{geom_names(met[0])} collide" if met else None
-
-
-def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
-    """Return which actuator cannot hold the weight at one of the poses (n, n_q); None if all can, or if not all act."""
-    mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
-    hold, missing = needed_effort(mechanism, poses, still, still)
-    limit = problem.limits.effort
-    if np.abs(missing).max() >= 1e-9 * np.abs(limit).max():
-        return None
-    names = [actuator.name for actuator in mechanism.actuators]
-    weak = np.any((hold < limit[:, 0]) | (hold > limit[:, 1]), axis=0)
-    if weak.any():
-        return f"actuator {names[int(np.argmax(weak))]} is too weak to hold the weight"
-    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
-    short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)
-    return f"servo {names[int(np.argmax(short))]} cannot hold the weight within its ctrlrange" if short.any() else None
 
 
 def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[str, dict]:

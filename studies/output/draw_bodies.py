@@ -57,6 +57,7 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
                 _draw_stick(axes, stick, k, colour, float(alpha), 3.0 - 0.01 * depth)
         if named:
             axes.plot([], [], color=colour, marker="^" if stick.fixed else "s", linestyle="", label=name)
+    axes.autoscale_view()
     if any(solid.kind == "payload" for solid in shapes) and named:
         axes.plot([], [], color=_PAYLOAD_COLOUR, marker="s", linestyle="", label="payload")
 
@@ -88,7 +89,6 @@ def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> N
         face, line = (half, 1.0) if alpha == 1 else (colour, 0.5 * alpha), (colour, alpha)
         axes.add_patch(Polygon(edges, closed=True, facecolor=face, edgecolor=line, linewidth=1.0, zorder=layer))
         axes.update_datalim(edges)
-        axes.autoscale_view()
 
 
 def _draw_stick(axes, stick: Stick, k: int, colour: str, alpha: float, layer: float) -> None:

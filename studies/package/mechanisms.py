@@ -39,6 +39,7 @@ def load_mechanism(
     keyframe: str | None = None,
     exclude_contacts: Sequence[Sequence[str]] = (),
     drive: Sequence[str] | None = None,
+    lock_spin: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
@@ -63,6 +64,7 @@ def load_mechanism(
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
         drive: names of joints that get a motor, within the effort limit that the joint has; a URDF often names none.
+        lock_spin: names of ball joints of rods that do not spin about their own line: universal joints take their places.
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -81,6 +83,7 @@ def load_mechanism(
         "keyframe": keyframe,
         "exclude_contacts": exclude_contacts or None,
         "drive": drive,
+        "lock_spin": lock_spin,
     }
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": plain(table)})

@@ -16,7 +16,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.reach import reach
-from linkplan.models.tree.ties import tied_points
+from linkplan.models.ties import tied_points
 from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem, load_problem

@@ -109,7 +109,6 @@ MODELS = {
         replaced(RSSR, '<joint name="rocker" ', '<joint name="rod_rx" '),
         ["'rod_rx'", "two coordinates"],
     ),
-    "spatial tendon equality": (ROPE % '<tendon tendon1="rope"/>', ["spatial", "'rope'", "fixed"]),
     "a loop that a home keyframe leaves open": (
         replaced(
             replaced(TRUSS, '<body name="right" pos="0.2 0 0">', '<body name="right" pos="2 0 0">'),

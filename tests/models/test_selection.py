@@ -10,6 +10,7 @@ from linkplan.models.library import compile_model
 from linkplan.models.selected_model import whole_model_text
 from linkplan.models.selection import Selection
 from linkplan.studies.cli.main import main
+from tests.support.linkages import ROD
 
 # A floating body with an arm and two legs. A leg is a driven thigh, and a driven crank whose rod moves the shank. The arm is
 # one body with three joints, in a frame.
@@ -263,3 +264,46 @@ def test_pairs_of_another_form_are_answered_with_an_example(wrong):
         LinkplanError, match=r'exclude_contacts.* a list of pairs of names of bodies, such as \[\["base", "rod"\]\]'
     ):
         linkplan.Problem.from_tables("wrong", tables)
+
+
+def test_a_rod_without_its_spin_is_the_same_linkage():
+    whole, locked = linkplan.load_mechanism(ROD), linkplan.load_mechanism(ROD, lock_spin=["ball"])
+    assert (whole.dof, locked.dof) == (2, 1)
+    assert [joint.name for joint in locked.joints] == ["drive", "ball_1", "ball_2", "swing"]
+    assert "locked: ball against spin about the line of its rod" in locked.notes
+    drive = whole.independent_joints.index(next(joint for joint in whole.independent_joints if joint.name == "drive"))
+    speed, rate = np.zeros(2), np.array([1.3])
+    speed[drive] = rate[0]
+    ends = []
+    for mechanism, v in ((whole, speed), (locked, rate)):
+        model, data = mechanism.model, mujoco.MjData(mechanism.model)
+        data.qpos[:] = mechanism.qpos_of(mechanism.home)
+        data.qvel[:] = mechanism.qvel_of(mechanism.home, np.array(mechanism.dynamics.velocity_map(mechanism.home)) @ v)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        ends.append([data.site("pin").xpos.copy(), data.joint("swing").qvel.copy()])
+    np.testing.assert_allclose(ends[0][0], ends[1][0], atol=1e-12)
+    np.testing.assert_allclose(ends[0][1], ends[1][1], atol=1e-9)
+    still = [np.zeros(2), np.zeros(1)]
+    hold = [
+        np.array(m.dynamics.inverse_dynamics(m.home, rest, rest)).ravel()[0]
+        for m, rest in zip((whole, locked), still, strict=True)
+    ]
+    assert hold[0] == pytest.approx(hold[1], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (("ball", "drive"), "'drive' is no ball joint"),
+        (('damping=".01"', 'damping=".01" stiffness="1"'), "'ball' has a spring or a range"),
+        (('<site name="end" pos="0 .05 .2"/>', '<site name="end" pos="0 .05 .2"/><body pos="0 0 .1"><joint name="flap"/>'
+          '<geom size=".01" pos=".1 0 0"/></body>'), "'ball' carries no rod"),
+    ],
+)  # fmt: skip
+def test_a_spin_that_is_none_is_refused(changed, words):
+    text, name = (ROD, changed[1]) if changed[0] == "ball" else (ROD.replace(*changed), "ball")
+    with pytest.raises(LinkplanError, match=words):
+        linkplan.load_mechanism(text, lock_spin=[name])
+    with pytest.raises(LinkplanError, match=r"no joint is named 'bal'.*ball joints are ball"):
+        linkplan.load_mechanism(ROD, lock_spin=["bal"])

@@ -217,3 +217,11 @@ def test_a_urdf_without_motors_gets_those_that_the_problem_names(tmp_path, capsy
     assert f"--drive {asked} -o problem.toml" in said
     with pytest.raises(LinkplanError, match="no joint is named 'moter'; joints are motor, A, C"):
         linkplan.load_mechanism(path, drive=["moter"])
+
+
+def test_a_default_namespace_hides_no_element(tmp_path):
+    text = robot(FOUR_BAR, LOOP_JOINT, TRANSMISSION).replace("<robot ", '<robot xmlns="http://drake.mit.edu" ', 1)
+    assert "xmlns" in text
+    mechanism = linkplan.load_mechanism(written(tmp_path, text))
+    assert_four_bar(mechanism)
+    assert "closures from the URDF: B" in mechanism.notes

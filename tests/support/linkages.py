@@ -146,3 +146,13 @@ COUNTS = {
 def loaded(name: str) -> Mechanism:
     """Return one of the linkages, loaded once."""
     return load_mechanism(LINKAGES[name])
+
+# A motor's arm carries a rod between two ball joints; the rocker at its other end is a second arm.
+ROD = """<mujoco><compiler angle="degree"/><worldbody>
+<body name="arm"><joint name="drive" axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 .1 0 0"/>
+<body name="rod" pos=".1 0 0"><joint name="ball" type="ball" damping=".01" armature="1e-4" frictionloss=".002"/>
+<geom type="capsule" size=".005" fromto="0 0 0 0 .05 .2"/><site name="end" pos="0 .05 .2"/></body></body>
+<body name="rocker" pos="0 .05 .2"><joint name="swing" axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 .1 0 0"/>
+<site name="pin" pos=".1 0 0"/></body></worldbody>
+<equality><connect name="close" site1="end" site2="pin"/></equality>
+<actuator><motor name="motor" joint="drive" ctrlrange="-5 5"/></actuator></mujoco>"""

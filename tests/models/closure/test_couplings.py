@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.closure.equations import read_closures
+from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import reach
@@ -207,3 +208,36 @@ def test_the_gap_of_a_tendon_is_that_of_the_joint_that_moves_it_most(kind, unit,
     (closure,) = mechanism.closures
     assert closure.unit == unit
     assert closure.gap(np.array(mechanism.dynamics.closure(q)).ravel()) == pytest.approx(0.02)
+
+
+# A mass that slides along x and z on a rope of constant length over a site: a pendulum.
+ON_A_ROPE = """<mujoco><worldbody><site name="eye" pos="0 0 1"/>
+<body pos="0.3 0 0.6"><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="2" diaginertia=".01 .01 .01"/><site name="hook"/></body></worldbody>
+<tendon><spatial name="rope"><site site="eye"/><site site="hook"/></spatial></tendon>
+<equality><tendon name="taut" tendon1="rope"/></equality>
+<actuator><motor joint="x" ctrlrange="-50 50"/></actuator></mujoco>"""
+
+
+def test_a_rope_of_constant_length_is_a_pendulum():
+    mechanism = load_mechanism(ON_A_ROPE)
+    assert (mechanism.dof, [joint.name for joint in mechanism.independent_joints]) == (1, ["x"])
+    pose = mechanism.home.copy()
+    pose[0] = 0.1
+    pose = close_at(mechanism, pose[:1])
+    away, down = 0.3 + pose[0], 0.4 - pose[1]
+    assert np.hypot(away, down) == pytest.approx(0.5, abs=1e-11)
+    slope = away / down  # dz/dx along the circle
+    inertia = float(mechanism.dynamics.reduced_inertia(pose))
+    assert inertia == pytest.approx(2 * (1 + slope**2), rel=1e-12)
+    hold = float(mechanism.dynamics.inverse_dynamics(pose, np.zeros(1), np.zeros(1)))
+    assert hold == pytest.approx(2 * 9.81 * slope, rel=1e-12)
+
+
+def test_a_tendon_whose_length_has_no_expression_is_refused_with_the_remedy():
+    eyelet = '<site name="in" pos="0.1 0 0.9"/><geom name="eyelet" type="sphere" size="0.1" pos="0.1 0 0.9"/>'
+    inside = ON_A_ROPE.replace('<site name="eye"', f'{eyelet}<site name="eye"').replace(
+        '<site site="eye"/>', '<site site="eye"/><geom geom="eyelet" sidesite="in"/>'
+    )
+    with pytest.raises(ModelError, match="equality constraint 'taut' ties tendon 'rope', which passes through the inside"):
+        load_mechanism(inside)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from linkplan.models.errors import LockedError
+from linkplan.models.errors import LockedError, UnassembledError
 from linkplan.models.mechanism import load_mechanism
 from tests.support.linkages import WELDED
 from tests.support.mechanisms import TRUSS, replaced
@@ -54,3 +54,16 @@ def test_couplings_that_lock_two_bodies_are_named():
 
 def test_a_mechanism_that_moves_is_not_refused():
     assert load_mechanism(WELDED).dof >= 1
+
+
+def test_a_loop_that_locks_its_nearest_closed_pose_offers_no_pose():
+    shafts = "".join(
+        f'<body name="{name}" pos="{place}"><joint name="{name}" axis="0 0 1"/><geom size=".1"/></body>'
+        for name, place in (("in", "0 0 0"), ("out", ".5 0 .4"))
+    )
+    text = f"""<mujoco><worldbody>{shafts}<body name="disc" pos="0 0 .2"><freejoint name="disc"/><geom size=".1"/></body>
+    </worldbody><equality><weld body1="in" body2="disc" relpose="0 0 .2 1 0 0 0"/>
+    <weld body1="disc" body2="out" relpose="-.5 0 .2 1 0 0 0"/></equality></mujoco>"""
+    with pytest.raises(UnassembledError, match="at the nearest closed pose found, the loops lock every joint") as refused:
+        load_mechanism(text)
+    assert not refused.value.home

@@ -6,7 +6,7 @@ import numpy as np
 import linkplan
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import is_open, reach
-from linkplan.studies.new.first_motion import _obstacle
+from linkplan.studies.new.clear_way import obstacle_on_way
 from tests.support.hexapod import hexapod
 from tests.support.linkages import RSSR
 
@@ -62,5 +62,5 @@ def test_a_first_motion_of_a_stewart_platform_keeps_its_ball_joints_ranges():
             mechanism, start_m=dict.fromkeys(slides, 0.0), goal_m=dict.fromkeys(slides, 0.0) | dict.fromkeys(names, 0.02)
         )
 
-    assert _obstacle(lift(["s0"])) == "ball joint b0 is outside its range"
-    assert _obstacle(lift(slides)) is None
+    assert obstacle_on_way(lift(["s0"])) == "ball joint b0 is outside its range"
+    assert obstacle_on_way(lift(slides)) is None

@@ -1,0 +1,65 @@
+"""What shuts the straight way from a motion's start to its goal, in words."""
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError, one_line
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.ball_angles import beyond_balls
+from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
+from linkplan.models.poses.controls import control_excess
+from linkplan.models.poses.reach import RANGE_ROUNDING
+from linkplan.planner.certificate.collisions import geom_names
+from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.problem.problem import Problem
+
+
+def obstacle_on_way(problem: Problem) -> str | None:
+    """Return what shuts the straight way from start to goal at one of 61 poses; None if it is clear.
+
+    On a clear way the loops close, the ranges are kept, det J_z stays above a quarter of its value at home, no geoms
+    collide, and the actuators can hold every pose, if they act on all coordinates.
+    """
+    mechanism, start, goal = problem.mechanism, problem.motion.start, problem.motion.goal
+    assert start is not None  # a reach has both
+    assert goal is not None
+    shares = np.linspace(0.0, 1.0, 61)
+
+    def position_at(at: np.ndarray) -> np.ndarray:
+        return start + np.asarray(at)[:, None] * (goal - start)
+
+    try:
+        home = mechanism.home[mechanism.independent]
+        lead = follow(mechanism, np.linspace(home, start, len(shares)), mechanism.home)
+        poses = follow(mechanism, position_at(shares), lead[-1])
+    except AssemblyError as error:
+        return one_line(error)
+    ranges = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
+    outside = np.any((poses < ranges[:, 0] - RANGE_ROUNDING) | (poses > ranges[:, 1] + RANGE_ROUNDING), axis=0)
+    if outside.any():
+        return f"joint {mechanism.joints[int(np.argmax(outside))].name} is outside its range"
+    turned = np.any(beyond_balls(mechanism, poses) > RANGE_ROUNDING, axis=0)
+    if turned.any():
+        return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
+    if np.min(singularity_ratios(problem, poses)) < 0.25:
+        return "a singular pose is near"
+    if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
+        return sentence
+    met = new_meetings(meetings(mechanism, shares, poses, position_at))
+    return f"{geom_names(met[0])} collide" if met else None
+
+
+def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
+    """Return which actuator cannot hold the weight at one of the poses (n, n_q); None if all can, or if not all act."""
+    mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
+    hold, missing = needed_effort(mechanism, poses, still, still)
+    limit = problem.limits.effort
+    if np.abs(missing).max() >= 1e-9 * np.abs(limit).max():
+        return None
+    names = [actuator.name for actuator in mechanism.actuators]
+    weak = np.any((hold < limit[:, 0]) | (hold > limit[:, 1]), axis=0)
+    if weak.any():
+        return f"actuator {names[int(np.argmax(weak))]} is too weak to hold the weight"
+    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
+    short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)
+    return f"servo {names[int(np.argmax(short))]} cannot hold the weight within its ctrlrange" if short.any() else None
