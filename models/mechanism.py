@@ -239,7 +239,8 @@ def load_mechanism(
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
     exclude_contacts: Sequence[Sequence[str]] = (),
-    drive: Sequence[str] | None = None, lock_spin: Sequence[str] | None = None,
+    drive: Sequence[str] | None = None,
+    lock_spin: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -250,10 +251,8 @@ def load_mechanism(
             choose the branch. The default guess is the model's keyframe "home", else its reference pose.
         independent: names of the independent joints; by default the actuated joints, as far as the closure allows.
         solref: "stiff" simulates with the stiffest equality constraints that the timestep admits; default: the model's own.
-        closure_tolerance_m: the gap [m] up to which a motion that only rounding of the file locks counts as free; by default
-            1e-6 m, or 1e-5 of a small mechanism's extent.
-        friction_transition: the transition speed of dry friction [rad/s on a hinge; extents per second on a slide or
-            tendon]; by default two degrees per second.
+        closure_tolerance_m: the gap [m] that is a file's rounding; by default 1e-6 m, or 1e-5 of a small mechanism's extent.
+        friction_transition: of dry friction [rad/s; extents per second on a slide or tendon]; by default 2 deg/s.
         keep: names of bodies or joints of a larger robot, of which only these bodies are read, with their loops.
         fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
         lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
@@ -275,7 +274,8 @@ def load_mechanism(
         lock={} if lock is None else dict(lock),
         keyframe=keyframe,
         exclude_contacts=tuple((first, second) for first, second in exclude_contacts),
-        drive=tuple(drive or ()), lock_spin=tuple(lock_spin or ()),
+        drive=tuple(drive or ()),
+        lock_spin=tuple(lock_spin or ()),
     )
     name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)
