@@ -56,6 +56,10 @@ _COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
 _SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=HURRIED),)
 _IN_BRIEF = (solver_stopped, nothing_found)  # another motion is tried next: why one was not found does not matter yet
+_OTHER_HOME = (
+    "the motion begins at another home than the model's, where undriven joints hang at rest or the driven ones are in the"
+    " middle of their reach (mechanism.home_deg, home_m)"
+)
 _SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
 
 
@@ -134,7 +138,8 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             why = "" if answer.passed else answer.message
             if OF_TIME in why:
                 why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
-            found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why)
+            said = changes if moving is mechanism else (*changes, _OTHER_HOME)
+            found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)
             if found.planned:
                 return _without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer)
     if not tried and obstacles:
@@ -211,7 +216,7 @@ def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
     try:
         pose = close_at(mechanism, middle)
         home = home_of(mechanism.joints, pose)
-        source = {key: value for key, value in mechanism.source.items() if key not in ("home_deg", "home_m", "keyframe")}
+        source = {key: value for key, value in mechanism.source.items() if key not in ("home_deg", "home_m")}
         return mechanism_from_tables({"mechanism": source | home})
     except LinkplanError:
         return None

@@ -339,6 +339,7 @@ def test_where_a_servo_cannot_hold_home_the_motion_begins_in_the_middle_of_the_r
     assert found.planned, found.why
     start, goal = (found.plan.problem.motion.start, found.plan.problem.motion.goal)
     assert start[0] == pytest.approx(0.6, abs=0.03)
+    assert any("another home than the model's" in note for note in found.notes)
     assert start[0] != goal[0]
 
 
