@@ -148,9 +148,7 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
         poses = thinned(swept(mechanism, can), mechanism)
         inertia = sampled_where_moving(mechanism.dynamics.reduced_inertia, poses)
         title = f"the reach of {name}{others}"
-        found.append(
-            Sweep(mechanism=mechanism, title=title, coordinate=column, poses=poses, reduced_inertia=inertia)
-        )
+        found.append(Sweep(mechanism=mechanism, title=title, coordinate=column, poses=poses, reduced_inertia=inertia))
     return tuple(found)
 
 

@@ -223,9 +223,7 @@ def compare(
             results[name] = simulate_one(plant, tracker, reference)
     needs = {name: run_time(trackers[name], plan.problem.mechanism, rollout) for name, rollout in runs[0].items()}
     left_out = tuple(f"{name} is left out: {error}" for name, error in missing)
-    return Comparison(
-        plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1], run_time=needs, left_out=left_out
-    )
+    return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1], run_time=needs, left_out=left_out)
 
 
 def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:

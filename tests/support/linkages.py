@@ -147,6 +147,7 @@ def loaded(name: str) -> Mechanism:
     """Return one of the linkages, loaded once."""
     return load_mechanism(LINKAGES[name])
 
+
 # A motor's arm carries a rod between two ball joints; the rocker at its other end is a second arm.
 ROD = """<mujoco><compiler angle="degree"/><worldbody>
 <body name="arm"><joint name="drive" axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 .1 0 0"/>
