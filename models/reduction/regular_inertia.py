@@ -18,7 +18,7 @@ _SINGULAR_EIGENVALUE = 1e-12
 def is_regular(inertia: np.ndarray) -> np.ndarray:
     """Return a mask (...) of the reduced inertias (..., n_s, n_s) that are finite and positive definite beyond rounding."""
     diagonal = np.diagonal(inertia, axis1=-2, axis2=-1)
-    usable = np.isfinite(inertia).all(axis=(-2, -1)) & (diagonal > 0).all(axis=-1)
+    usable = np.asarray(np.isfinite(inertia).all(axis=(-2, -1)) & (diagonal > 0).all(axis=-1))
     scale = np.sqrt(np.where(usable[..., None], diagonal, 1.0))
     scaled = np.where(usable[..., None, None], inertia, np.eye(inertia.shape[-1])) / (
         scale[..., :, None] * scale[..., None, :]

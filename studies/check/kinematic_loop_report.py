@@ -278,8 +278,8 @@ def path_record(path: KinematicLoopPath) -> dict:
     mechanism = path.mechanism
     joints = list(enumerate(mechanism.joints))
     names = [joint.name for joint in mechanism.independent_joints]
-    whole = path.coordinate is None or has_whole_records(mechanism)
-    of = list(range(len(names))) if whole else [path.coordinate]
+    own = path.coordinate
+    of = list(range(len(names))) if own is None or has_whole_records(mechanism) else [own]
     independent = [names[column] for column in of]
     actuators = [actuator.name for actuator in mechanism.actuators]
 
@@ -288,7 +288,7 @@ def path_record(path: KinematicLoopPath) -> dict:
 
     return {
         "path": path.title,
-        "coordinate": None if path.coordinate is None else names[path.coordinate],
+        "coordinate": None if own is None else names[own],
         "time_s": path.time_s,
         "q_deg": {joint.name: np.degrees(path.poses[:, k]) for k, joint in joints if joint.kind == "hinge"},
         "q_m": {joint.name: path.poses[:, k] for k, joint in joints if joint.kind == "slide"},
