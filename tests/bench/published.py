@@ -73,6 +73,8 @@ def effort_error(plan: Plan, n: int = 41) -> float:
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     model, dynamics = mechanism.model, mechanism.dynamics
     data, step = mujoco.MjData(model), 1e-5 * trajectory.duration_s
+    slides = model.jnt_type[model.dof_jntid] == mujoco.mjtJoint.mjJNT_SLIDE
+    transition = mechanism.friction_transition * np.where(slides, mechanism.extent_m, 1.0)
     times = np.linspace(0.02, 0.98, n) * trajectory.duration_s
     times = times[np.abs(times[:, None] - trajectory.breaks_s).min(axis=1) > step]
     grid = np.sort(np.concatenate([times - step, times, times + step, [0.0]]))
@@ -88,7 +90,7 @@ def effort_error(plan: Plan, n: int = 41) -> float:
         by_joint = np.array([mechanism.rates_of(q, column)[mechanism.independent] for column in basis.T])
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        friction = model.dof_frictionloss * np.tanh(v / mechanism.friction_transition)
+        friction = model.dof_frictionloss * np.tanh(v / transition)
         needed = mass @ ((after - before) / (2 * step)) + data.qfrc_bias - data.qfrc_passive + friction
         projected = np.linalg.solve(by_joint, basis.T @ needed)
         own = np.array(dynamics.inverse_dynamics(q, s, accelerations[k])).ravel()
