@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.actions import Halve, ImposeRanges, Loosen, RaiseDegree, Restore, Tighten
+from linkplan.planner.refinement import decision
+from linkplan.planner.refinement.actions import (
+    Halve,
+    ImposeRanges,
+    Loosen,
+    RaiseDegree,
+    ReleaseArcs,
+    Restore,
+    Tighten,
+)
 from linkplan.planner.refinement.case import CertifiedIterate, ErrorReport, RefinementTarget
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.state import RefinementState, observed
@@ -254,3 +263,17 @@ def test_the_error_of_the_objective_is_its_largest_change_on_the_meshes_on_which
     for objective, error in ((1.1, 0.1 / 1.1), (1.1 * (1 + 1e-7), 0.1 / 1.1), (1.1, 1e-7)):
         now = observed(now, iterate(objective=objective))
         assert now.objective_error == pytest.approx(error, rel=1e-5)
+
+
+@pytest.mark.parametrize(("releases", "released"), [(0, True), (2, True), (3, False)])
+def test_wrongly_held_arcs_are_released_three_times(releases, released, monkeypatch):
+    monkeypatch.setattr(decision, "arcs_against_their_limits", lambda _: [1])
+    assert isinstance(next_action(state(iterate(), releases=releases)), ReleaseArcs) == released
+
+
+@pytest.mark.parametrize(("change", "finer"), [(3e-5, False), (3e-4, True)])
+def test_where_efforts_jump_a_change_of_the_objective_by_a_ten_thousandth_is_worth_150_intervals(change, finer):
+    at = iterate(exact=False, growth=9.0 * np.eye(150)[3], n=150)
+    target = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
+    action = next_action(state(at, target=target, change=change))
+    assert isinstance(action, Halve) == finer
