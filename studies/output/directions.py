@@ -10,4 +10,4 @@ def direction_name(direction: np.ndarray) -> str:
     k = int(np.argmax(np.abs(direction)))
     if 1.0 - abs(direction[k]) < 1e-6:
         return _AXES[k] if direction[k] > 0 else f"-{_AXES[k]}"
-    return "along (" + ", ".join(f"{x:.3g}" for x in direction) + ")"
+    return "along (" + ", ".join(f"{round(float(x), 6) + 0.0:.3g}" for x in direction) + ")"
