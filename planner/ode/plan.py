@@ -67,8 +67,8 @@ def plan_of(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate]
     status, reason = _verdict(problem, refined, unbounded)
     # The solver leaves about its tolerance at every limit that binds.
     left = SOLVER_TOLERANCE * (len(refined.motion.breaks_s) - 1)
-    # At most twice the largest of the last changes, if each mesh leaves at most half of the error before.
-    error = abs(objective) * max(6.0 * refined.objective_error, left)
+    # At most ten times the largest of the last changes, if each mesh leaves at most nine tenths of the error before.
+    error = abs(objective) * max(10.0 * refined.objective_error, left)
     error += abs(objective - certificate.integrated_objective)
     value, known, late = _value(problem, refined, error), _error_words(error), _out_of_time(problem)
     message = {
