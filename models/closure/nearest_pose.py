@@ -40,7 +40,7 @@ def nearest_closed_pose(
         return None
     shares = [_shares(loop, pose, unit) for pose in closed]
     largest = np.max(shares, axis=0)
-    # A value that is small at every pose must not be far smaller than at the others: at zero, the pose is singular.
+    # Some singular values are small at every closed pose. At a regular pose they are not far smaller than at the others.
     least = np.where(largest > _NEARLY_SINGULAR_SHARE, _NEARLY_SINGULAR_SHARE, _NEARLY_SINGULAR_SHARE * largest)
     least[largest <= loop.rank_tolerance] = 0.0
 
