@@ -163,7 +163,7 @@ def has_whole_records(mechanism: Mechanism) -> bool:
 
 
 def thinned(poses: np.ndarray, mechanism: Mechanism) -> np.ndarray:
-    """Return evenly spaced poses of a coordinate's path, as many as its record has room for: all, up to seven coordinates."""
+    """Return evenly spaced poses of a coordinate's path, as many as a record has room for: all, up to seven coordinates."""
     most = max(25, room_for_poses(mechanism))
     return poses if len(poses) <= most else poses[np.linspace(0, len(poses) - 1, most).round().astype(int)]
 

@@ -1,6 +1,7 @@
 """The quantities along a path of `linkplan check` as plots, and the figures of a path and of a mechanism's reach."""
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,15 +54,16 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     from linkplan.studies.output.figure import figure_of, one_screen
 
     reaches, mechanism = found.reaches[:MAX_FIGURES], found.mechanism
-    panels: list = []
+    rows: list[list] = []
     for can in reaches:
         swept = measure(mechanism, can.poses, "reach", coordinate=can.coordinate)
-        panels.append(lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can)))
-        panels += [_marked(plot, mechanism, can) for plot in path_plots(swept) if plot.title.startswith(_OF_REACH)]
-        panels += [None] * (-len(panels) % (2 if len(reaches) <= 1 else 4))
+        plots_of_reach = [plot for plot in path_plots(swept) if plot.title.startswith(_OF_REACH)]
+        rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can))])
+        rows[-1] += [_marked(plot, mechanism, can) for plot in plots_of_reach]
     names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
     others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"
-    columns = 2 if len(reaches) <= 1 else 4  # the panels of a coordinate fill a row
+    columns = 2 if len(rows) <= 1 else min(4, max(map(len, rows)))  # the panels of a coordinate begin a row
+    panels = [panel for row in rows for panel in (*row, *[None] * (-len(row) % columns))]
     size = one_screen(len(panels), columns, (5.3, 3.6))
     return figure_of(panels, path, title=f"{mechanism.name}{others}", columns=columns, panel_in=size)
 
@@ -121,9 +123,9 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
         weights += own(path.gravity_effort, effort_unit, ", weight alone")
     available: list[Line] = []
     if mechanism.actuators:
-        available += own(path.available_effort[:, :, 0], effort_unit, ", least")
-        available += own(path.available_effort[:, :, 1], effort_unit, ", most")
-        available += own(needed, effort_unit, ", holds it still")
+        low = own(path.available_effort[:, :, 0], effort_unit, ", least")
+        high = own(path.available_effort[:, :, 1], effort_unit, ", most")
+        available = list(chain.from_iterable(zip(low, high, own(needed, effort_unit, ", holds it still"), strict=True)))
     ratios, felt = _actuator_lines(path, joints)
     dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent]
     singular = [_line("least of J_z's blocks", path.singularity, "1")] if mechanism.closure_names else []
