@@ -39,7 +39,7 @@ def test_a_tolerance_on_the_integrated_state_is_kept():
 @pytest.mark.slow
 def test_a_tolerance_that_is_out_of_reach_is_said():
     short = ["motion.duration_s=0.13"]  # in 0.16 s the smooth path itself keeps the effort limits, and the tolerance
-    plan = planned("knee-reach", "mesh.scheme=radau-1", "mesh.tolerance_deg=1e-7", "mesh.intervals=4", *short)
+    plan = planned("knee-reach", "mesh.scheme=radau-1", "mesh.tolerance_deg=1e-7", "mesh.intervals=2", *short)
     assert plan.status == "failed"
     assert "the state integrated under the planned effort ends" in plan.message
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.compiled.cache import wanted_again
-from linkplan.models.compiled.functions import cached, compile_in_background, compiler
+from linkplan.models.compiled.functions import cached, compile_in_background, compiled_as_asked, compiler
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.transcription.system import NodeFunctions, build_node
@@ -33,6 +33,14 @@ def functions():
 def test_what_is_wanted_once_is_not_compiled(folder, functions):
     assert compile_in_background("k1", functions) is None
     assert [path.name for path in folder.iterdir()] == ["k1.wanted"]
+
+
+def test_only_auto_compiles_in_the_background(functions, monkeypatch):
+    asked = []
+    monkeypatch.setattr("linkplan.models.compiled.functions.compile_in_background", lambda key, _: asked.append(key))
+    for mode in ("never", "auto"):
+        assert compiled_as_asked("k1", NodeFunctions, lambda: functions, mode) is functions
+    assert asked == ["k1"]
 
 
 def test_what_is_wanted_again_is_compiled_kept_and_nothing_else_is_left(folder, functions):

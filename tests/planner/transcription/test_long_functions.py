@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.compiled import functions as compiled
+from linkplan.models.compiled.functions import compile_in_background  # itself: tests compile nothing in the background
 from linkplan.planner.transcription import system
 from tests.support.tolerances_planner import ROUNDING
 
@@ -55,4 +56,4 @@ def test_no_compiler_is_begun_on_what_none_ends(monkeypatch, tmp_path):
     long = _Code(value=ca.Function("value", [x], [ca.sin(x)]))
     monkeypatch.setattr(compiled, "_MAX_INSTRUCTIONS", 0)
     assert compiled.compiled("key", _Code, lambda: long) is long
-    assert [compiled.compile_in_background("key", long) for _ in range(2)] == [None, None]
+    assert [compile_in_background("key", long) for _ in range(2)] == [None, None]
