@@ -102,6 +102,11 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
             f" leaves {_held_gap(mechanism):.1g} of its size or rad"
         )
+    if moved := sorted(mechanism.source.keys() & {"home_deg", "home_m"} - table.keys()):
+        notes.append(
+            "the loops are open or singular at the model's own pose: home is the nearest closed pose that was found, on one"
+            f" of the branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
+        )
     return mechanism, tuple(notes)
 
 

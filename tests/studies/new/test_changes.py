@@ -224,6 +224,20 @@ def test_a_rod_between_ball_joints_loses_its_spin():
     assert any("mechanism.lock_spin: ball" in note for note in notes)
 
 
+def test_another_home_than_a_singular_pose_is_named():
+    flat = """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0"
+      conaffinity="0"/></default><worldbody><body><joint name="O"/><geom fromto="0 0 0 0.1 0 0"/>
+      <body name="coupler" pos="0.1 0 0">
+      <joint name="A"/><geom fromto="0 0 0 0.3 0 0"/></body></body><body name="rocker" pos="0.3 0 0"><joint name="C"/>
+      <geom fromto="0 0 0 0.1 0 0"/></body></worldbody>
+      <equality><connect body1="coupler" body2="rocker" anchor="0.3 0 0"/></equality>
+      <actuator><motor name="drive" joint="O" ctrlrange="-5 5"/></actuator></mujoco>"""
+    mechanism, notes = changed_mechanism({"model": flat})
+    assert "home_deg" in mechanism.source
+    assert "open or singular at the model's own pose" in notes[0]
+    assert "mechanism.home_deg" in notes[0]
+
+
 def test_a_ball_joint_that_a_default_limits_to_0_deg_is_named(tmp_path, ask):
     rod = """<mujoco><default><joint limited="true"/></default><worldbody><body>
       <joint name="arm" axis="0 1 0" range="-90 90"/>
