@@ -211,7 +211,10 @@ def _lock(
         _place(spec.body(model.body(body).name), pose)
     add_universal_joints(spec, model, [j for j in spins if j in locked], qpos)
     gone = {model.joint(j).name for j in locked}
-    acting = delete_users(spec, gone, away)
+    scalar = [j for j in locked if int(model.jnt_type[j]) in (HINGE, SLIDE)]
+    places = {j: [model.qpos0[k := int(model.jnt_qposadr[j])], qpos[k] if locked[j] is None else locked[j]] for j in scalar}
+    at_zero = {model.joint(j).name for j, place in places.items() if not np.any(place)}
+    acting = delete_users(spec, gone, away, at_zero)
     for name in gone:
         spec.delete(spec.joint(name))
     notes = ["locked: " + "; ".join(f"{', '.join(names)} {where}" for where, names in said.items())]
