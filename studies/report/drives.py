@@ -1,20 +1,16 @@
 """Marks of the actuators in an animation: arcs about axes, arrows along axes, tendons as lines."""
 
-import itertools
-
 import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN_JOINT, TRN_SITE, TRN_TENDON, gear_of
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.tendon_lines import tendon_lines
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 from linkplan.models.tree.tendons import is_fixed, path_of
 from linkplan.studies.output.document import Drive, Mark
 from linkplan.studies.output.numbers import rounded
-
-# MuJoCo's value of `wrap_obj` for a pulley.
-_PULLEY_OBJECT = -2
 
 
 def drives_of(
@@ -88,10 +84,7 @@ def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> li
         wraps = [(int(model.wrap_objid[k]), gear * float(np.sign(model.wrap_prm[k]))) for k in path_of(model, on)]
         return [mark for joint, pull in wraps for mark in _on_joint(model, data, joint, pull)]
     if kind == TRN_TENDON:
-        first, n = int(data.ten_wrapadr[on]), int(data.ten_wrapnum[on])
-        points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
-        pulleys = np.flatnonzero(np.array(data.wrap_obj).ravel()[first : first + n] == _PULLEY_OBJECT)
-        return [("line", part, np.zeros(3)) for part in _between(points, pulleys)]
+        return [("line", part, np.zeros(3)) for part in tendon_lines(data, on)]
     if kind == TRN_CRANK:  # along the slider's axis, which is its site's z
         axis = np.array(data.site_xmat[other]).reshape(3, 3)[:, 2] * np.sign(gear[0])
         return [("arrow", np.array(data.site_xpos[other]), axis)]
@@ -99,12 +92,6 @@ def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> li
         turned = np.array(data.site_xmat[on if other < 0 else other]).reshape(3, 3)
         return _wrench(np.array(data.site_xpos[on]), turned, gear)
     return []
-
-
-def _between(points: np.ndarray, pulleys: np.ndarray) -> list[np.ndarray]:
-    """Return the branches of a tendon's points (n, 3), split at its pulleys."""
-    ends = [-1, *pulleys.tolist(), len(points)]
-    return [points[a + 1 : b] for a, b in itertools.pairwise(ends) if b - a > 2]
 
 
 def _on_joint(model: mujoco.MjModel, data: mujoco.MjData, joint: int, gear: np.ndarray) -> list:
