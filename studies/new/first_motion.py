@@ -160,7 +160,7 @@ def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMo
 
     The limit is at least the time [s] that the plan took: with less, its certificate may not be reached.
     """
-    if plan.solved is not None or not is_large(found.mechanism):
+    if plan.solved is not None:
         return found
     limit = max(_first_try_s(found.mechanism), float(np.ceil(took_s)))
     note = (
