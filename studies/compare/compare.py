@@ -320,7 +320,7 @@ def servo_note(mechanism: Mechanism) -> str | None:
     return (
         "servos slow the simulation down: the model's integrator counts their damping in a step's inertia, which leaves"
         f" {100 * shares[column]:.2g} % of an effort's acceleration at {mechanism.independent_joints[column].name};"
-        ' plans are of efforts; with integrator="Euler" in the model\'s <option>, or a shorter timestep, servos give what is planned'
+        ' plans are of efforts; with integrator="Euler" in the model\'s <option>, or a shorter timestep, servos give them'
     )
 
 
