@@ -35,6 +35,18 @@ def stay_servos(mechanism: Mechanism) -> bool:
     return any(one.is_servo for one in mechanism.actuators) and int(mechanism.model.opt.integrator) not in _EXPLICIT
 
 
+def shares_in_a_step(mechanism: Mechanism) -> np.ndarray:
+    """Return the shares (n_s,) of an effort's acceleration that a step leaves at home, where servos stay servos.
+
+    An implicit integrator counts the damping of servos in a step's inertia.
+    """
+    kind = int(mechanism.model.opt.integrator)
+    if not stay_servos(mechanism) or kind == int(mujoco.mjtIntegrator.mjINT_DISCRETE):
+        return np.ones(mechanism.dof)
+    step_s = float(mechanism.model.opt.timestep)
+    return np.diagonal(_implicit_factor(mechanism, mechanism.home[None], np.zeros((1, mechanism.dof)), step_s, kind)[0])
+
+
 def simulator_step(
     mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timestep_s: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -33,7 +33,8 @@ def refuse_oversized(content: bytes, what: str) -> None:
             " loops by <connect> elements"
         )
     for name, value in _COUNT.findall(content):
-        most = 1e9 if name == b"memory" else 20_000  # 20,000 bodies of a replicate take seconds and a gigabyte
+        # Bytes, numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
+        most = {b"memory": 1e9, b"nstack": 1e8}.get(name, 20_000)
         if any(_number(word) > most for word in value.decode("utf-8", "replace").split()):
             text = shown(value.decode("utf-8", "replace"), 40)
             raise ModelError(f'{what} has {name.decode()} = "{text}"; at most {most:g} is read')

@@ -63,6 +63,7 @@ def add_universal_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Seq
             hinge = body.add_joint(name=f"{name}_{number}", type=mujoco.mjtJoint.mjJNT_HINGE, pos=former.pos, axis=along)
             for key in _COPIED:
                 setattr(hinge, key, getattr(former, key))
+            hinge.limited = mujoco.mjtLimited.mjLIMITED_FALSE  # a default class may limit all joints
 
 
 def _normal_to(line: np.ndarray, axis: np.ndarray | None) -> np.ndarray:

@@ -5,28 +5,26 @@ body's other joints before and after it. MuJoCo computes the second anchor of a 
 A lock changes that pose, so the closure is tied to sites at the original anchors.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
+from linkplan.models.floating import FREE, SLIDE, floating_bodies, floating_of, joints_of, subtree, tied_bodies
 from linkplan.models.names import nearest
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
 from linkplan.models.users import delete_users, leave_the_ground
 
-FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
-SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+BALL, HINGE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
 # The keyframe at which a mechanism is assembled by default.
 HOME_KEYFRAME = "home"
 _TIED = {
     int(mujoco.mjtEq.mjEQ_CONNECT): int(mujoco.mjtObj.mjOBJ_BODY),
     int(mujoco.mjtEq.mjEQ_WELD): int(mujoco.mjtObj.mjOBJ_BODY),
 }
-# Slides of an undriven base that moves in a plane.
-_PLANAR_SLIDES = 2
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -79,9 +77,10 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     locked = _asked_locks(model, asked.lock)
     spins = asked_spins(model, asked.lock_spin)
     locked |= dict.fromkeys(spins)
-    floating = _floating(model, below | above) if asked.fix_base else []
+    floating = floating_of(model, below | above) if asked.fix_base else []
+    hangs = bool({int(model.jnt_bodyid[j]) for j in floating} & set(floating_bodies(model)[0]))
     if asked.fix_base:
-        joints = [j for body in sorted(above) for j in _joints_of(model, body)] + floating
+        joints = [j for body in sorted(above) for j in joints_of(model, body)] + floating
         locked = dict.fromkeys(joints) | locked
     dropped = [body for body in range(1, model.nbody) if body not in below | above]
     locked = {j: position for j, position in locked.items() if int(model.jnt_bodyid[j]) not in dropped}
@@ -91,7 +90,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     notes = [
         *_lock(spec, model, locked, qpos, away, spins),
         *_drop(spec, model, dropped),
-        *(leave_the_ground(spec) if floating else ()),
+        *(leave_the_ground(spec) if hangs else ()),
     ]
     notes += _exclude(spec, asked.exclude_contacts)
     add_motors(spec, asked.drive)
@@ -143,18 +142,10 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
     return above
 
 
-def _subtree(model: mujoco.MjModel, body: int) -> set[int]:
-    found = {body}
-    for other in range(body + 1, model.nbody):
-        if int(model.body_parentid[other]) in found:
-            found.add(other)
-    return found
-
-
 def _closed_chain(model: mujoco.MjModel, chosen: Sequence[int]) -> set[int]:
     """Return bodies with what hangs on them, and every chain that a closure ties to them."""
-    kept = set().union(*(_subtree(model, body) for body in chosen))
-    pairs = [pair for i in range(model.neq) if len(pair := _tied_bodies(model, i)) > 1]
+    kept = set().union(*(subtree(model, body) for body in chosen))
+    pairs = [pair for i in range(model.neq) if len(pair := tied_bodies(model, i)) > 1]
     while True:
         above = {ancestor for body in kept for ancestor in _ancestors(model, body)}
         tied = {body for pair in pairs if pair & kept for body in pair - kept - above - {0}}
@@ -162,84 +153,7 @@ def _closed_chain(model: mujoco.MjModel, chosen: Sequence[int]) -> set[int]:
             return kept
         for body in tied:
             chain = [one for one in (body, *_ancestors(model, body)) if one not in above]
-            kept |= _subtree(model, chain[-1])
-
-
-def _tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
-    """Return the bodies that an equality constraint ties together."""
-    kind, ends = int(model.eq_type[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
-    ends = tuple(end for end in ends if end >= 0)
-    if kind == int(mujoco.mjtEq.mjEQ_JOINT):  # couplings have no type of object
-        return {int(model.jnt_bodyid[end]) for end in ends}
-    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
-        return set().union(*(_bodies_of_tendon(model, end) for end in ends))
-    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_BODY):
-        return set(ends)
-    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        return {int(model.site_bodyid[end]) for end in ends}
-    return set()
-
-
-def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
-    found = set()
-    for at in range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon])):
-        kind, element = int(model.wrap_type[at]), int(model.wrap_objid[at])
-        if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
-            found.add(int(model.jnt_bodyid[element]))
-        elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
-            found.add(int(model.site_bodyid[element]))
-        elif kind in (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER)):
-            found.add(int(model.geom_bodyid[element]))
-    return found
-
-
-def _joints_of(model: mujoco.MjModel, body: int) -> range:
-    first = int(model.body_jntadr[body])
-    return range(first, first + int(model.body_jntnum[body]))
-
-
-def _floating(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the joints of bodies on the world that translate in a plane or in space.
-
-    A base that actuators drive does not float, nor does one that loops tie to the world or to what else stands on it.
-    """
-    driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if int(model.actuator_trntype[a]) == 0}
-    found = []
-    for body in bodies:
-        joints = _joints_of(model, body)
-        kinds = [int(model.jnt_type[j]) for j in joints]
-        moves = FREE in kinds or kinds.count(SLIDE) >= _PLANAR_SLIDES
-        if int(model.body_parentid[body]) == 0 and moves and not driven & set(joints) and not _is_tied(model, body):
-            found += list(joints)
-    return found
-
-
-def _is_tied(model: mujoco.MjModel, base: int) -> bool:
-    """Return True if a loop ties the tree that a base carries to another tree or to the world."""
-    pairs = [_tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
-    return any(len(pair) > 1 and sum(int(model.body_rootid[body]) == base for body in pair) == 1 for pair in pairs)
-
-
-def floating_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints of bodies on the world that move freely in a plane or in space, and that nothing drives."""
-    return set(_floating(model, range(1, model.nbody)))
-
-
-def floating_sentence(model: mujoco.MjModel) -> str | None:
-    """Return the sentence on a base that floats, with the remedy; None if none does."""
-    joints = sorted(floating_joints(model))
-    if not joints:
-        return None
-    freedoms = sum({FREE: 6, BALL: 3}.get(int(model.jnt_type[j]), 1) for j in joints)
-    bases = dict.fromkeys(int(model.jnt_bodyid[j]) for j in joints)
-    names = ", ".join(model.body(base).name for base in bases)
-    hanging = [b for b in range(1, model.nbody) if int(model.body_parentid[b]) in bases]
-    moving = [b for b in hanging if any(model.body_dofnum[below] for below in _subtree(model, b))]
-    chains = ", ".join(model.body(b).name for b in moving) or "its bodies"
-    return (
-        f"the base {names} floats: nothing drives its {freedoms} degrees of freedom; take a chain with its loops out of the"
-        f" robot by mechanism.keep = [NAMES] and mechanism.fix_base = true; chains begin at {chains}"
-    )
+            kept |= subtree(model, chain[-1])
 
 
 def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, float | None]:
@@ -283,7 +197,7 @@ def _lock(
     said: dict[str, list[str]] = {}
     for body in sorted({int(model.jnt_bodyid[j]) for j in locked}):
         pose, before = _pose(model.body_pos[body], model.body_quat[body]), []
-        for j in _joints_of(model, body):
+        for j in joints_of(model, body):
             if j not in locked:
                 before.append(j)
                 continue
@@ -297,7 +211,10 @@ def _lock(
         _place(spec.body(model.body(body).name), pose)
     add_universal_joints(spec, model, [j for j in spins if j in locked], qpos)
     gone = {model.joint(j).name for j in locked}
-    acting = delete_users(spec, gone, away)
+    scalar = [j for j in locked if int(model.jnt_type[j]) in (HINGE, SLIDE)]
+    places = {j: [model.qpos0[k := int(model.jnt_qposadr[j])], qpos[k] if locked[j] is None else locked[j]] for j in scalar}
+    at_zero = {model.joint(j).name for j, place in places.items() if not np.any(place)}
+    acting = delete_users(spec, gone, away, at_zero)
     for name in gone:
         spec.delete(spec.joint(name))
     notes = ["locked: " + "; ".join(f"{', '.join(names)} {where}" for where, names in said.items())]

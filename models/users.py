@@ -7,23 +7,34 @@ import mujoco
 from linkplan.models.errors import ModelError
 
 
-def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str]) -> list[str]:
+def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], at_zero: set[str]) -> list[str]:
     """Delete what refers to locked joints, and return the names of their actuators and couplings.
+
+    A fixed tendon is the weighted sum of its joints: a joint that is locked at zero leaves it as it is.
 
     Args:
         spec: is changed.
         joints: names of the locked joints.
         away: names of the joints that are dropped. A coupling of locked and dropped joints alone is deleted.
+        at_zero: names of the joints that are locked at zero, which is their reference.
 
     Raises:
         ModelError: if a tendon or an equality constraint ties one of the joints to one that stays free.
     """
     names: list[str] = []
+    coupling = {one.name1 for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_TENDON}
+    coupling |= {one.name2 for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_TENDON}
     for tendon in list(spec.tendons):
         used = {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
         if used & joints and used - joints - away:
-            raise ModelError(f"joint '{min(used & joints)}' cannot be locked: tendon '{tendon.name}' uses it")
-        if used & joints:
+            if tendon.name in coupling or not used & joints <= at_zero:
+                name = min(used & joints - (set() if tendon.name in coupling else at_zero))
+                raise ModelError(
+                    f"joint '{name}' cannot be locked: tendon '{tendon.name}' uses it; it goes on with the others only if"
+                    " the joint is locked at 0 and the tendon couples nothing"
+                )
+            _leave_tendon(spec, tendon, joints)
+        elif used & joints:
             names += [f"tendon {tendon.name}", *_delete_tendon(spec, tendon)]
     for closure in [one for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT]:
         used = {closure.name1, closure.name2} - {""}
@@ -42,6 +53,20 @@ def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str]) -> list[
     for one in [*acting, *sensing]:
         spec.delete(one)
     return names
+
+
+def _leave_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon", joints: set[str]) -> None:
+    """Replace a fixed tendon by a copy without some joints."""
+    copy = spec.add_tendon()
+    own = {"compiler", "default", "id", "name", "path", "signature"}
+    for name in {name for name in dir(tendon) if not name.startswith(("_", "wrap_"))} - own:
+        setattr(copy, name, getattr(tendon, name))
+    for wrap in tendon.path:
+        if wrap.target.name not in joints:
+            copy.wrap_joint(wrap.target.name, wrap.coef)
+    name = tendon.name
+    spec.delete(tendon)
+    copy.name = name
 
 
 def _delete_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon") -> list[str]:

@@ -42,8 +42,18 @@ def find_passive_dofs(
     notes: list[str] = []
     if not dynamics.closure.size1_out(0):
         return (), []
+    rates = [np.array(dynamics.velocity_map(q)) for q in poses]
+    still = np.zeros(len(joints))
+    springs = [np.array(dynamics.passive(q, still)).reshape(-1, 1) for q in poses]
+    acting = [
+        np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), spring])
+        for q, spring in zip(poses, springs, strict=True)
+    ]
     for column, index in enumerate(independent.tolist()):
-        spinning = [_spinning(model, coordinates, dynamics, q, column, extent_m) for q in poses]
+        spinning = [
+            _spinning(model, coordinates, q, gamma[:, column], efforts, extent_m)
+            for q, gamma, efforts in zip(poses, rates, acting, strict=True)
+        ]
         if not spinning or not all(spinning):
             continue
         found.append(index)
@@ -54,11 +64,13 @@ def find_passive_dofs(
     return tuple(found), notes
 
 
-def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: int, extent_m: float) -> list[int]:
-    """Return the bodies that spin as coordinate `column` moves, empty if that motion is not a passive spin."""
-    gamma = np.array(dynamics.velocity_map(q))[:, column]
-    springs = np.array(dynamics.passive(q, np.zeros(len(q)))).reshape(-1, 1)
-    acting = np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), springs])
+def _spinning(
+    model: mujoco.MjModel, coordinates: Coordinates, q: np.ndarray, gamma: np.ndarray, acting: np.ndarray, extent_m: float
+) -> list[int]:
+    """Return the bodies that spin as coordinates move at rates `gamma` (n_q,), empty if that is not a passive spin.
+
+    `acting` (n_q, n_u + 1): the efforts on the coordinates of each actuator and of springs.
+    """
     least = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
     if np.abs(acting.T @ gamma).max() > least:
         return []

@@ -17,3 +17,14 @@ def ball_angles(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
 def beyond_balls(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     """Return how far ball joints are turned beyond their ranges [rad] (n, n_balls); values inside are negative."""
     return ball_angles(mechanism, poses) - [ball.largest for ball in mechanism.balls]
+
+
+def shut_balls(mechanism: Mechanism) -> str | None:
+    """Return a sentence on the ball joints with a range of 0 deg, as by a default limited="true"; else None."""
+    names = [ball.name for ball in mechanism.balls if ball.largest == 0]
+    if not names:
+        return None
+    return (
+        f'ball joint {", ".join(names)} may not turn: limited="true" with a range of 0 deg, which a default class gives to'
+        ' all joints; limited="false" at the joint, or a range, frees it'
+    )

@@ -6,10 +6,10 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.floating import floating_joints
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
 from linkplan.models.poses.reach import RANGE_ROUNDING
-from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit
@@ -34,7 +34,9 @@ def joints_to_drive(mechanism: Mechanism) -> list[str]:
 
 def motors_hint(mechanism: Mechanism) -> str:
     """Return a phrase on how a mechanism without actuators gets motors."""
-    names = json.dumps(joints_to_drive(mechanism))
+    names = json.dumps(joints_to_drive(mechanism), ensure_ascii=False)
+    if names == "[]":
+        return "none of its joints is a hinge or slide with a name, on which mechanism.drive puts a motor"
     return f"mechanism.drive = {names} puts motors on joints that fix its pose, within their effort limits"
 
 

@@ -8,14 +8,14 @@ from linkplan.models.audit import audit
 from linkplan.models.closure.closed_pose import keyframe_of
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.ball_angles import ball_angles
+from linkplan.models.poses.ball_angles import ball_angles, shut_balls
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import RANGE_ROUNDING, Reach, reach, toggles
 from linkplan.models.reduction.reduced import linearised
-from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.sites import site_names
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
@@ -200,10 +200,10 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
                 f"joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
             )
     for ball, angle in zip(mechanism.balls, ball_angles(mechanism, mechanism.home[None])[0], strict=True):
-        if angle > ball.largest + RANGE_ROUNDING:
+        if angle > ball.largest + RANGE_ROUNDING and ball.largest:
             by, most = np.degrees([angle, ball.largest])
             problems.append(f"ball joint {ball.name} is turned by {by:.4g} deg at home, beyond its range of {most:.4g} deg")
-    problems += pressed_stops(mechanism)
+    problems += [sentence for sentence in (shut_balls(mechanism),) if sentence is not None] + pressed_stops(mechanism)
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
     soft = softness_note(mechanism)

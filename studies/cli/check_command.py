@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.models.selection import floating_joints
+from linkplan.models.floating import floating_bodies
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
@@ -57,13 +57,16 @@ def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
     subject = shlex.join([arguments.model, *_selection_options(arguments)])
     from linkplan.studies.check.drives import joints_to_drive
 
-    if floating_joints(whole.found.mechanism.model):
+    mechanism = whole.found.mechanism
+    if mechanism.n_u == 0 and not joints_to_drive(mechanism):
+        further = f"linkplan check {subject}, with an actuator that a plan can use in the model's <actuator>"
+    elif floating_bodies(mechanism.model)[0]:
         further = (
             f"linkplan new {subject} -o problem.toml writes a first motion on the fixed base; --keep NAMES --fix-base takes"
             " one chain with its loops out of the robot"
         )
-    elif whole.found.mechanism.n_u == 0:
-        drive = ",".join(joints_to_drive(whole.found.mechanism))
+    elif mechanism.n_u == 0:
+        drive = ",".join(joints_to_drive(mechanism))
         further = f"linkplan new {subject} --drive {shlex.quote(drive)} -o problem.toml puts motors on these joints"
     elif arguments.model.endswith(".toml") or arguments.model in PROBLEMS:
         further = f"linkplan plan {subject} -o planned"

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from linkplan.controllers.integrator import shares_in_a_step
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
@@ -18,6 +19,7 @@ from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.controllers.trackers.pd import pd, scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, Tracker
 from linkplan.models.errors import GainError, ProblemError
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.collisions import geom_names
@@ -304,7 +306,22 @@ def comparison_notes(comparison: Comparison) -> list[str]:
     runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
-    return [*comparison.left_out, *pushed[:1], *([f"{found[0][0]}, {found[0][1]}"] if found else [])]
+    slow = servo_note(comparison.plan.problem.mechanism)
+    soft = [f"{found[0][0]}, {found[0][1]}"] if found else []
+    return [*comparison.left_out, *pushed[:1], *([] if slow is None else [slow]), *soft]
+
+
+def servo_note(mechanism: Mechanism) -> str | None:
+    """Return the sentence on servos whose damping leaves less than half of an effort's acceleration in a step, or None."""
+    shares = shares_in_a_step(mechanism)
+    column = int(np.argmin(shares))
+    if shares[column] > 0.5:
+        return None
+    return (
+        "servos slow the simulation down: the model's integrator counts their damping in a step's inertia, which leaves"
+        f" {100 * shares[column]:.2g} % of an effort's acceleration at {mechanism.independent_joints[column].name};"
+        ' plans are of efforts; with integrator="Euler" in the model\'s <option>, or a shorter timestep, servos give them'
+    )
 
 
 def comparison_record(comparison: Comparison) -> dict:

@@ -16,13 +16,13 @@ import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError
+from linkplan.models.floating import floating_joints, floating_words
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.continuation import in_loops
 from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
-from linkplan.models.selection import floating_joints
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.problem.build import mechanism_from_tables
@@ -45,14 +45,15 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         ModelError: if the model cannot be used.
     """
     mechanism, notes = _assembled(table), []
-    if floats := sorted(floating_joints(mechanism.model)):
-        base = ", ".join(dict.fromkeys(mechanism.model.body(int(mechanism.model.jnt_bodyid[j])).name for j in floats))
-        joints = ", ".join(joint_label(mechanism.model, j) for j in floats)
+    floats = sorted(floating_joints(mechanism.model))
+    if 0 < len(floats) < mechanism.model.njnt:
+        what, joints = floating_words(mechanism.model), [joint_label(mechanism.model, j) for j in floats]
+        shown = joints if len(joints) < 5 else [*joints[:3], f"{len(joints) - 3} more"]
         table = dict(table) | {"fix_base": True}
         mechanism = _assembled(table)
         notes.append(
-            f"the base {base} floats, and nothing holds it: it is fixed where it stands at home (mechanism.fix_base = true;"
-            f" joints {joints})"
+            f"{what}, and nothing holds what floats or is loose: it is fixed where it stands at home"
+            f" (mechanism.fix_base = true; joints {', '.join(shown)})"
         )
     if mechanism.dof and mechanism.n_u and (pressed := _pressed(mechanism)):
         table = _with_locks(table, pressed)
@@ -100,6 +101,11 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
             f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
             f" leaves {_held_gap(mechanism):.1g} of its size or rad"
+        )
+    if moved := sorted(mechanism.source.keys() & {"home_deg", "home_m"} - table.keys()):
+        notes.append(
+            "the loops are open or singular at the model's own pose: home is the nearest closed pose that was found, on one"
+            f" of the branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
         )
     return mechanism, tuple(notes)
 

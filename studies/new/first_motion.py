@@ -13,11 +13,12 @@ from linkplan.models.audit import audit
 from linkplan.models.closure.closed_pose import home_of
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
+from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.ball_angles import shut_balls
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
-from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import contact_notes
 from linkplan.planner.diagnosis.reasons import nothing_found, solver_stopped
@@ -143,7 +144,9 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             if found.planned:
                 return _without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer)
     if not tried and obstacles:
-        found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
+        most = obstacles.most_common(1)[0][0]
+        whole = most.startswith(f"mechanism '{mechanism.name}'")  # a refusal, of which no way is the reason
+        found = replace(found, why=most if whole else f"every straight way from home is shut; most often, {most}")
     return found
 
 
@@ -157,7 +160,7 @@ def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMo
 
     The limit is at least the time [s] that the plan took: with less, its certificate may not be reached.
     """
-    if plan.solved is not None or not is_large(found.mechanism):
+    if plan.solved is not None:
         return found
     limit = max(_first_try_s(found.mechanism), float(np.ceil(took_s)))
     note = (
@@ -275,12 +278,14 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
 
 
 def _refuse_undriven(mechanism: Mechanism) -> None:
-    """Refuse a mechanism without drives, with an actuator to add to its model."""
+    """Refuse a mechanism that nothing moves, with an actuator to add to its model, or whose ball joints may not turn."""
     joint = mechanism.joints[0]  # the first joint is on the world, where drives usually are
     force = "100" if joint.kind == "slide" else "10"
     line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
     if mechanism.dof == 0:
         raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom: its loops hold it still")
+    if (shut := shut_balls(mechanism)) is not None:
+        raise ProblemError(f"mechanism '{mechanism.name}': {shut}")
     if (floats := floating_sentence(mechanism.model)) is not None:
         raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
     if mechanism.n_u == 0:

@@ -10,6 +10,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN_JOINT, TRN_SITE, TRN_TENDON, gear_of
+from linkplan.models.poses.tendon_lines import tendon_lines
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 from linkplan.models.tree.tendons import is_fixed
 from linkplan.studies.render.shapes import Shape, arrow, load_colour
@@ -142,8 +143,6 @@ def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[
 
 
 def _along_tendon(data: mujoco.MjData, tendon: int, share: float, size: float) -> tuple[Shape, ...]:
-    first, n = int(data.ten_wrapadr[tendon]), int(data.ten_wrapnum[tendon])
-    points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
-    pairs = itertools.pairwise(points)
+    pairs = (pair for line in tendon_lines(data, tendon) for pair in itertools.pairwise(line))
     thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _SHAFT_RADIUS * size
     return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in pairs)

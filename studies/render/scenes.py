@@ -10,6 +10,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import pins_in_space
 from linkplan.models.poses.solids import Solid, body_frames, solids, visible_geoms
+from linkplan.models.poses.tendon_lines import tendon_lines
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
 from linkplan.studies.render.motion import Motion
@@ -200,6 +201,5 @@ def bounded_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 def _tendon_points(data: mujoco.MjData) -> np.ndarray:
     """Return the points (n, 3) [m] of the tendons' paths."""
-    paths = np.array(data.wrap_xpos).reshape(-1, 3)
-    each = [paths[first : first + n] for first, n in zip(data.ten_wrapadr, data.ten_wrapnum, strict=True)]
-    return np.vstack([np.zeros((0, 3)), *each])
+    lines = [line for tendon in range(len(data.ten_length)) for line in tendon_lines(data, tendon)]
+    return np.vstack([np.zeros((0, 3)), *lines])

@@ -1,20 +1,16 @@
 """Marks of the actuators in an animation: arcs about axes, arrows along axes, tendons as lines."""
 
-import itertools
-
 import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN_JOINT, TRN_SITE, TRN_TENDON, gear_of
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.tendon_lines import tendon_lines
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 from linkplan.models.tree.tendons import is_fixed, path_of
 from linkplan.studies.output.document import Drive, Mark
 from linkplan.studies.output.numbers import rounded
-
-# MuJoCo's value of `wrap_obj` for a pulley.
-_PULLEY_OBJECT = -2
 
 
 def drives_of(
@@ -59,11 +55,13 @@ def _finite(end: float) -> float | None:
 
 def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:
     """Return the k-th mark of an actuator over all frames; None for an arc whose axis lies in the plane of the drawing."""
-    shape = places[0][k][0]
-    at = np.array([marks[k][1] for marks in places]) @ frame.T
+    shape, parts = places[0][k][0], [marks[k][1] for marks in places]
+    if shape == "line":  # a tendon has two points more where it touches a geom: elsewhere its last point is repeated
+        most = max(len(part) for part in parts)
+        lines = np.array([np.pad(part, ((0, most - len(part)), (0, 0)), mode="edge") for part in parts]) @ frame.T
+        return Mark(shape=shape, at=rounded(lines.reshape(len(lines), -1)), axis=[])
+    at = np.array(parts) @ frame.T
     axis = np.array([marks[k][2] for marks in places])
-    if shape == "line":
-        return Mark(shape=shape, at=rounded(at.reshape(len(at), -1)), axis=[])
     if len(frame) == 2 and shape == "arc":
         axis = axis @ np.cross(frame[0], frame[1])[:, None]
         if np.abs(axis).max() < 1e-6:
@@ -86,10 +84,7 @@ def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> li
         wraps = [(int(model.wrap_objid[k]), gear * float(np.sign(model.wrap_prm[k]))) for k in path_of(model, on)]
         return [mark for joint, pull in wraps for mark in _on_joint(model, data, joint, pull)]
     if kind == TRN_TENDON:
-        first, n = int(data.ten_wrapadr[on]), int(data.ten_wrapnum[on])
-        points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
-        pulleys = np.flatnonzero(np.array(data.wrap_obj).ravel()[first : first + n] == _PULLEY_OBJECT)
-        return [("line", part, np.zeros(3)) for part in _between(points, pulleys)]
+        return [("line", part, np.zeros(3)) for part in tendon_lines(data, on)]
     if kind == TRN_CRANK:  # along the slider's axis, which is its site's z
         axis = np.array(data.site_xmat[other]).reshape(3, 3)[:, 2] * np.sign(gear[0])
         return [("arrow", np.array(data.site_xpos[other]), axis)]
@@ -97,12 +92,6 @@ def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> li
         turned = np.array(data.site_xmat[on if other < 0 else other]).reshape(3, 3)
         return _wrench(np.array(data.site_xpos[on]), turned, gear)
     return []
-
-
-def _between(points: np.ndarray, pulleys: np.ndarray) -> list[np.ndarray]:
-    """Return the branches of a tendon's points (n, 3), split at its pulleys."""
-    ends = [-1, *pulleys.tolist(), len(points)]
-    return [points[a + 1 : b] for a, b in itertools.pairwise(ends) if b - a > 2]
 
 
 def _on_joint(model: mujoco.MjModel, data: mujoco.MjData, joint: int, gear: np.ndarray) -> list:

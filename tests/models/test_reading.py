@@ -6,6 +6,7 @@ import tracemalloc
 import pytest
 
 from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import load_mechanism
 from linkplan.models.reading import parse_toml, read_file, read_head
 from tests.support.refusals import refusal
 
@@ -42,3 +43,8 @@ def test_a_key_of_thousands_of_parts_is_refused_before_the_parser_sees_it(key):
 @pytest.mark.parametrize("text", ['x = "' + "1.5, " * 500 + '"', "x = [" + "1.5," * 500 + "]", 'x = "' + "." * 500 + '"'])
 def test_points_in_values_are_no_depth(text):
     assert parse_toml(text, "it")["x"]
+
+
+def test_an_old_model_s_stack_of_some_megabytes_is_read():
+    old = '<mujoco><size nstack="300000"/><worldbody><body><joint name="arm"/><geom size="0.1"/></body></worldbody></mujoco>'
+    assert load_mechanism(old).dof == 1

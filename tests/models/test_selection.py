@@ -307,3 +307,15 @@ def test_a_spin_that_is_none_is_refused(changed, words):
         linkplan.load_mechanism(text, lock_spin=[name])
     with pytest.raises(LinkplanError, match=r"no joint is named 'bal'.*ball joints are ball"):
         linkplan.load_mechanism(ROD, lock_spin=["bal"])
+
+
+def test_a_universal_joint_has_no_range_where_a_default_limits_all_joints():
+    limited = ROD.replace("<worldbody>", '<default><joint limited="true" range="-90 90"/></default><worldbody>').replace(
+        'type="ball"', 'type="ball" limited="false"'
+    )
+    unset = limited.replace(' range="-90 90"', "").replace('name="drive"', 'name="drive" limited="false"')
+    unset = unset.replace('name="swing"', 'name="swing" limited="false"')
+    for model in (limited, unset):
+        rod = linkplan.load_mechanism(model, lock_spin=["ball"])
+        assert not rod.model.joint("ball_1").limited
+        assert not rod.model.joint("ball_2").limited

@@ -12,6 +12,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.compare.compare import servo_note
 from linkplan.studies.compare.lqr_weights import scaled
 from tests.support.parallel_ankle import soft_ankle
 
@@ -90,3 +91,10 @@ def test_gains_for_servos_are_optimal_for_mujocos_own_steps():
     P = scipy.linalg.solve_discrete_are(A, B, Q, R)
     assert law.gains[0] == pytest.approx(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A), rel=1e-6, abs=1e-6)
     assert spectral_radius(A - B @ law.gains[0]) < 1.0
+
+
+def test_servos_whose_damping_slows_a_step_down_are_named_with_what_is_left_of_an_effort():
+    note = servo_note(load_mechanism(BESIDE))
+    assert note is not None
+    assert "leaves 0.1 % of an effort's acceleration at wrist" in note  # 1e-4 of 1e-4 + 2 ms 50 N.m.s/rad
+    assert servo_note(load_mechanism(BESIDE.replace("implicitfast", "Euler"))) is None

@@ -58,6 +58,29 @@ def test_a_base_that_floats_is_fixed_and_named():
     assert "joints x, z, pitch" in notes[0]
 
 
+def test_a_loose_ball_is_fixed_and_the_ground_stays():
+    ball = '<geom name="floor" type="plane" size="1 1 1"/><body name="ball"><freejoint/><geom size="0.1" mass="1"/></body>'
+    mechanism, notes = changed_mechanism({"model": ARM.format(effort=30.0).replace("<worldbody>", f"<worldbody>{ball}")})
+    assert [joint.name for joint in mechanism.joints] == ["arm"]
+    assert "ball is loose" in notes[0]
+    assert "floor" in [mechanism.model.geom(g).name for g in range(mechanism.model.ngeom)]
+
+
+def test_what_hangs_on_unusable_tendons_alone_is_not_fixed_to_move_nothing(tmp_path, ask):
+    held = """<mujoco><worldbody><site name="hook" pos="0 0 1"/><body name="bone"><freejoint name="free"/>
+      <geom name="ball" size="0.1" mass="1"/><site name="eye" pos="0 0 0.05"/><site name="far" pos="0 0 -0.3"/></body>
+      </worldbody><tendon><spatial name="cord"><site site="hook"/><geom geom="ball" sidesite="eye"/><site site="far"/>
+      </spatial></tendon><actuator><motor name="pull" tendon="cord" ctrlrange="-9 0"/></actuator></mujoco>"""
+    (tmp_path / "held.xml").write_text(held, encoding="utf-8")
+    _, out, _ = ask("check", str(tmp_path / "held.xml"))
+    assert "bone is loose" in out
+    assert "drive = []" not in out
+    assert "linkplan new" not in out
+    code, _, err = ask("new", str(tmp_path / "held.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 2
+    assert "bone is loose" in err
+
+
 def test_fingers_on_their_stops_are_locked_there_and_keep_other_locks():
     mechanism, notes = changed_mechanism({"model": str(DATA / "adaptive_gripper.xml"), "lock": {"left_coupler_joint": 0.0}})
     assert mechanism.source["lock"] == {"left_coupler_joint": 0.0, "right_coupler_joint": 0.0}
@@ -199,3 +222,40 @@ def test_a_rod_between_ball_joints_loses_its_spin():
     assert mechanism.dof == 1
     assert mechanism.source["lock_spin"] == ["ball"]
     assert any("mechanism.lock_spin: ball" in note for note in notes)
+
+
+def test_another_home_than_a_singular_pose_is_named():
+    flat = """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0"
+      conaffinity="0"/></default><worldbody><body><joint name="O"/><geom fromto="0 0 0 0.1 0 0"/>
+      <body name="coupler" pos="0.1 0 0">
+      <joint name="A"/><geom fromto="0 0 0 0.3 0 0"/></body></body><body name="rocker" pos="0.3 0 0"><joint name="C"/>
+      <geom fromto="0 0 0 0.1 0 0"/></body></worldbody>
+      <equality><connect body1="coupler" body2="rocker" anchor="0.3 0 0"/></equality>
+      <actuator><motor name="drive" joint="O" ctrlrange="-5 5"/></actuator></mujoco>"""
+    mechanism, notes = changed_mechanism({"model": flat})
+    assert "home_deg" in mechanism.source
+    assert "open or singular at the model's own pose" in notes[0]
+    assert "mechanism.home_deg" in notes[0]
+
+
+def test_a_ball_joint_that_a_default_limits_to_0_deg_is_named(tmp_path, ask):
+    rod = """<mujoco><default><joint limited="true"/></default><worldbody><body>
+      <joint name="arm" axis="0 1 0" range="-90 90"/>
+      <geom size="0.05" fromto="0 0 0 0.3 0 0" type="capsule"/><body pos="0.3 0 0"><joint name="socket" type="ball"/>
+      <geom size="0.05" pos="0 0 -0.1"/></body></body></worldbody>
+      <actuator><motor name="drive" joint="arm"/></actuator></mujoco>"""
+    (tmp_path / "rod.xml").write_text(rod, encoding="utf-8")
+    code, out, _ = ask("check", str(tmp_path / "rod.xml"))
+    assert code == 1
+    assert "PROBLEM: ball joint socket may not turn" in out
+    code, _, err = ask("new", str(tmp_path / "rod.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 2
+    assert "ball joint socket may not turn" in err
+
+
+def test_forces_that_are_not_honoured_are_no_shut_way(tmp_path, ask):
+    clamped = ARM.format(effort=30.0).replace('name="arm"', 'name="arm" actuatorfrcrange="-20 20"')
+    twice = clamped.replace("</actuator>", '<motor name="second" joint="arm" ctrlrange="-9 9"/></actuator>')
+    (tmp_path / "arm.xml").write_text(twice, encoding="utf-8")
+    _, out, _ = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
+    assert "NOT planned: mechanism 'arm' cannot be planned, its model has forces that the planner does not honour" in out

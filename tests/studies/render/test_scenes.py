@@ -165,6 +165,20 @@ def test_every_kind_of_actuator_is_drawn_in_its_loads_colour_and_otherwise_for_t
     assert kind == "tendon" or np.abs(one[-1].end - other[-1].end).max() > 0.05
 
 
+def test_a_tendon_over_a_pulley_is_drawn_between_its_sites_only():
+    mechanism = load_mechanism(
+        """<mujoco><worldbody><site name="hook" pos="1 0 1"/><site name="eye" pos="1 0.5 1"/><body pos="2 0 0"><joint
+        axis="0 1 0"/><geom size="0.1"/><site name="end" pos="0 0 1"/></body></worldbody><tendon><spatial name="rope">
+        <site site="hook"/><site site="end"/><pulley divisor="2"/><site site="eye"/><site site="end"/></spatial></tendon>
+        <actuator><motor tendon="rope" ctrlrange="-1 0"/></actuator></mujoco>"""
+    )
+    data = mujoco.MjData(mechanism.model)
+    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], -0.5, 1.0, np.array([0.0, -1.0, 0.0]))
+    ends = [[*shape.start, *shape.end] for shape in shapes]
+    np.testing.assert_allclose(ends, [[1, 0, 1, 2, 0, 1], [1, 0.5, 1, 2, 0, 1]])
+
+
 def test_several_instants_in_one_picture_grow_stronger_and_the_last_is_whole():
     motion = waved("optimus-knee")
     scene = stroboscopic_scene(motion, np.array([0, 10, 20, 40]), (0.0, 0.0))

@@ -57,6 +57,16 @@ def test_a_tendon_over_a_pulley_is_a_line_for_each_branch():
     assert [len(mark.at[0]) for mark in marks] == [4, 4]
 
 
+def test_a_tendon_that_touches_a_geom_on_the_way_is_one_line_with_as_many_points_at_every_pose():
+    drum = '<geom name="drum" type="cylinder" size="0.05 0.05" zaxis="0 1 0" contype="0" conaffinity="0"/><site name="reel"'
+    around = replaced(ROPED, '<site name="reel"', drum).replace('<site site="guide"/>', '<geom geom="drum"/>')
+    straight, touching = np.array([[0.0, 0.0], [-1.5, 0.0]])  # at the second pose the drum lies between the reel and the tip
+    (mark,) = drawn(around, np.array([straight, touching]))["pull"].marks
+    points = np.array(mark.at, dtype=float).reshape(2, 4, 2)
+    np.testing.assert_allclose(points[0], [[0, 0.2], [0.5, 0], [0.5, 0], [0.5, 0]], atol=SHOWN)
+    np.testing.assert_allclose(np.linalg.norm(points[1, 1:3], axis=1), 0.05, atol=SHOWN)
+
+
 def test_a_site_s_force_is_an_arrow_there_that_turns_with_its_link():
     (mark,) = drawn(ROPED, POSES)["thrust"].marks
     assert mark.shape == "arrow"
