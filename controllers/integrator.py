@@ -36,9 +36,9 @@ def stay_servos(mechanism: Mechanism) -> bool:
 
 
 def shares_in_a_step(mechanism: Mechanism) -> np.ndarray:
-    """Return the shares (n_s,) of an effort's acceleration that a step leaves at home, where servos stay servos.
+    """Return the share (n_s,) of its acceleration that each coordinate reaches in a simulated step from rest at home.
 
-    An implicit integrator counts the damping of servos in a step's inertia.
+    It is below 1 where servos stay servos: an implicit integrator adds their damping to the inertia of a step.
     """
     kind = int(mechanism.model.opt.integrator)
     if not stay_servos(mechanism) or kind == int(mujoco.mjtIntegrator.mjINT_DISCRETE):

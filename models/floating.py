@@ -71,7 +71,7 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
 
 def _is_tied(model: mujoco.MjModel, base: int) -> bool:
-    """Return True if a loop ties the tree that a base carries to another tree or to the world."""
+    """Return True if a loop connects what stands on a base with the world or with another tree of bodies."""
     pairs = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
     return any(len(pair) > 1 and sum(int(model.body_rootid[body]) == base for body in pair) == 1 for pair in pairs)
 

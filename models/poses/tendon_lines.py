@@ -1,4 +1,4 @@
-"""Where tendons run at a pose: through sites and along geoms, a line for each branch between pulleys."""
+"""The lines along which tendons run at a pose, through sites and along geoms; pulleys divide a tendon into several."""
 
 import itertools
 

@@ -52,7 +52,7 @@ def obstacle_on_way(problem: Problem) -> str | None:
 def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     """Return the sentence on an actuator that cannot hold the weight at one of the poses (n, n_q), or None.
 
-    None also where the weight acts on a coordinate that no actuator moves.
+    Nothing is said of a weight on coordinates that no actuator moves.
     """
     mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
     hold, missing = needed_effort(mechanism, poses, still, still)

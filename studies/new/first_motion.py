@@ -119,6 +119,10 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     _refuse_undriven(mechanism)
     tables = _tables(mechanism, *_ends(mechanism, 0.0, 1))
     found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=_SHUT, changes=changes)
+    try:
+        Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
+    except ProblemError as error:  # what no motion changes, such as forces that are not honoured
+        return replace(found, why=one_line(error))
     deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
     tried: list[tuple[Mechanism, dict[str, dict]]] = []
     for rungs in (_SMOOTH, RUNGS):  # most motions are found at once from a smooth path
@@ -144,9 +148,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             if found.planned:
                 return _without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer)
     if not tried and obstacles:
-        most = obstacles.most_common(1)[0][0]
-        whole = most.startswith(f"mechanism '{mechanism.name}'")  # a refusal, of which no way is the reason
-        found = replace(found, why=most if whole else f"every straight way from home is shut; most often, {most}")
+        found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
 
 
@@ -278,7 +280,7 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
 
 
 def _refuse_undriven(mechanism: Mechanism) -> None:
-    """Refuse a mechanism that nothing moves, with an actuator to add to its model, or whose ball joints may not turn."""
+    """Refuse a mechanism that nothing moves, or whose ball joints may not turn; the text names the remedy."""
     joint = mechanism.joints[0]  # the first joint is on the world, where drives usually are
     force = "100" if joint.kind == "slide" else "10"
     line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
