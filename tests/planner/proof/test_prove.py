@@ -8,6 +8,7 @@ import pytest
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import blocks_of
@@ -31,6 +32,8 @@ TWO_HINGES = """<mujoco><option gravity="0 0 0"/><worldbody>
 <body pos="1 0 0"><joint name="two" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body></worldbody>
 <actuator><motor name="first" joint="one" ctrlrange="-4 4"/><motor name="second" joint="two" ctrlrange="-4 4"/></actuator>
 </mujoco>"""
+
+HINGE_AND_SLIDE = TWO_HINGES.replace('name="two" axis="0 1 0"', 'name="two" type="slide" axis="0 1 0"')
 
 
 def prove(*given) -> Proof:
@@ -226,15 +229,24 @@ def test_a_proof_whose_time_is_up_leaves_whole_intervals():
     assert len(sweep.closure.undecided) - len(first) == plan.intervals - 1
 
 
+def joins(plan: Plan, jump: float) -> str:
+    """Return the answer on the pieces of position after the second coordinate's first piece ends elsewhere [rad or m]."""
+    position = plan.trajectory.position.copy()
+    position[-1, 0, 1] += jump
+    found = end_findings(plan.problem, replace(plan.trajectory, position=position))
+    (answer,) = (finding.answer for finding in found if finding.name == "the pieces of position join")
+    return answer
+
+
 def test_a_joint_that_stands_still_may_jump_by_a_billionth_of_another_joint_s_span():
     ends = "start_deg = { one = 0.0, two = 30.0 }\ngoal_deg = { one = 90.0, two = 30.0 }\nduration_s = 1.0\n"
     plan = body_plan(TWO_HINGES, f'kind = "reach"\n{ends}')
-    for jump, answer in ((1e-9, "proved"), (1e-7, "refuted")):
-        position = plan.trajectory.position.copy()
-        position[-1, 0, 1] += jump * np.radians(90)
-        (join,) = (
-            found
-            for found in end_findings(plan.problem, replace(plan.trajectory, position=position))
-            if found.name == "the pieces of position join"
-        )
-        assert join.answer == answer
+    assert joins(plan, 1e-9 * np.radians(90)) == "proved"
+    assert joins(plan, 1e-7 * np.radians(90)) == "refuted"
+
+
+def test_a_slide_that_stands_still_may_jump_by_the_last_digit_of_its_position():
+    ends = "start_deg = { one = 0.0 }\ngoal_deg = { one = 90.0 }\nstart_m = { two = 0.11 }\ngoal_m = { two = 0.11 }\n"
+    plan = body_plan(HINGE_AND_SLIDE, f'kind = "reach"\nduration_s = 1.0\n{ends}')
+    assert joins(plan, float(np.spacing(0.11))) == "proved"
+    assert joins(plan, 1e-13) == "refuted"
