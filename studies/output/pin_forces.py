@@ -11,17 +11,20 @@ from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, sampled
 from linkplan.models.selected_model import whole_spec
-from linkplan.models.tree.coordinates import FREE, SLIDE, joint_label
+from linkplan.models.tree.coordinates import SLIDE, joint_label
 
 # The step [s] of the central difference for MuJoCo's accelerations of ball joints, whose coordinates are not its own.
 _DIFFERENCE_STEP_S = 1e-6
+# MuJoCo gives a body at most six freedoms, and three are added here.
+_MAX_OWN_FREEDOMS = 3
 
 
 def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
     """Return the size (n,) [N] of the force in every pin of the tree, by the names of the joints that share the pin.
 
     The force along the axis of a slide is no load of its guide and does not count. Where loops are overconstrained, the
-    forces of their closures have the least norm.
+    forces of their closures have the least norm. A body with more than three freedoms of its own, a free base among them,
+    stands on no pin.
 
     Args:
         mechanism: the mechanism.
@@ -64,9 +67,9 @@ def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray
 def _with_slides(mechanism: Mechanism) -> tuple[mujoco.MjModel, dict[int, str]]:
     """Return the model with three slides at the end of every jointed body, and the names of its pins by body."""
     names: dict[int, list[str]] = {}
-    for joint in range(mechanism.model.njnt):
-        if int(mechanism.model.jnt_type[joint]) != FREE:
-            names.setdefault(int(mechanism.model.jnt_bodyid[joint]), []).append(joint_label(mechanism.model, joint))
+    for joint, body in enumerate(mechanism.model.jnt_bodyid.tolist()):
+        if mechanism.model.body_dofnum[body] <= _MAX_OWN_FREEDOMS:
+            names.setdefault(body, []).append(joint_label(mechanism.model, joint))
     spec = whole_spec(mechanism)
     for key in list(spec.keys):  # their qpos would be too short
         spec.delete(key)

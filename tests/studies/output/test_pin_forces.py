@@ -98,3 +98,19 @@ def test_a_rod_on_a_ball_joint_balances_its_two_ends():
     accelerated = (centre(h) - 2 * centre(0.0) + centre(-h)) / h**2
     needed = linkage.model.body_mass[rod] * (accelerated - linkage.model.opt.gravity)
     assert pin_forces(linkage, q, v, a, u)["rod"] == pytest.approx(np.linalg.norm(needed - closure), rel=1e-6)
+
+
+SIX = """<mujoco><worldbody><body name="base"><joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+  <joint name="z" type="slide"/><joint name="rx" axis="1 0 0"/><joint name="ry" axis="0 1 0"/><joint name="rz"/>
+  <geom size="0.1" mass="4"/>{arm}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+ARM = '<body name="arm"><joint name="pin" axis="0 1 0"/><geom size="0.01" mass="2" pos="0 0 -0.5"/></body>'
+
+
+@pytest.mark.parametrize(("arm", "pins"), [("", []), (ARM, ["pin"])])
+def test_a_base_on_six_joints_stands_on_no_pin(arm, pins):
+    joints = ["x", "y", "z", "rx", "ry", "rz", *pins]
+    base = load_mechanism(SIX.format(arm=arm, motors="".join(f'<motor joint="{j}" ctrlrange="-99 99"/>' for j in joints)))
+    still = np.zeros((1, len(joints)))
+    u = base.equations.inverse_dynamics(base.home[None], still, still)
+    forces = pin_forces(base, base.home[None], still, still, u)
+    assert {name: float(force[0]) for name, force in forces.items()} == {pin: pytest.approx(2 * 9.81) for pin in pins}
