@@ -17,7 +17,7 @@ from linkplan.controllers.imperfections.batch_effects import ClosureWatch, Pushi
 from linkplan.controllers.imperfections.driving import Driving, act, driving, stretches, take
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import Plant, as_modelled, held_before, plant
-from linkplan.controllers.imperfections.servos import servo_inversion
+from linkplan.controllers.imperfections.servos import servo_inversion, speed_gains
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator
@@ -73,7 +73,7 @@ class MujocoPlant:
         )
         stepper = MujocoStepper(
             mechanism, plants, drives, substeps, base=base, pushes=pushing(machines, plants, mechanism, substeps),
-            threads=self.threads, watched=True,
+            gains=speed_gains(mechanism, reference, substeps), threads=self.threads, watched=True,
         )  # fmt: skip
         return stepper, failure
 
@@ -139,6 +139,7 @@ class MujocoStepper:
         substeps: simulator steps per control period.
         base: the plant of all unmodified machines; default: the first plant.
         pushes: external forces on the machines, or None.
+        gains: what the actuators' speeds (p, n_u) gain in a simulator step of each period, by the reference; default: 0.
         threads: simulator threads; 0 for one per core.
         watched: record closure gaps and contacts.
         actuators: the number of driven actuators, counted from the first; default: all.
@@ -156,6 +157,7 @@ class MujocoStepper:
         *,
         base: Plant | None = None,
         pushes: Pushing | None = None,
+        gains: np.ndarray | None = None,
         threads: int = 0,
         watched: bool = False,
         actuators: int | None = None,
@@ -170,6 +172,7 @@ class MujocoStepper:
         self.model, self.timestep_s = model, np.array([one.opt.timestep for one in models])
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
         self._servos = servo_inversion(mechanism) if actuators is None else None
+        self._gains = np.zeros((1, self.n_u)) if gains is None else gains
         self._batch = Batch(
             model, nsim=self.n, nthread=threads or min(self.n, os.cpu_count() or 1), persistent=self._servos is not None
         )
@@ -233,7 +236,8 @@ class MujocoStepper:
             effort = ctrl = act(drives, k, j)
             if servos is not None:
                 length, rate = self._lengths[rows][:, self._outputs], self._speeds[rows][:, self._outputs]
-                ctrl, effort = servos.controls(effort, length, rate)
+                at_the_end = rate + self._gains[min(k, len(self._gains) - 1)]
+                ctrl, effort = servos.controls(effort, length, at_the_end)
                 effort = np.minimum(np.maximum(effort, drives.clamp[..., 0]), drives.clamp[..., 1])
                 if j == 0:  # a later step overwrites them
                     speed[...] = rate

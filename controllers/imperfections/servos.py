@@ -5,7 +5,8 @@ At every step the ctrl c of a servo is computed from the desired effort u, the l
     u = gain c + bias,   gain = g0 + g1 l + g2 l',   bias = b0 + b1 l + b2 l',   c within its range.
 
 With explicit integrators such a servo is equivalent to a motor, and the simulation uses a motor. Implicit integrators add
-the derivatives of a servo's force to the step's inertia, for any ctrl, so the simulation keeps the servo.
+the derivatives of a servo's force to the step's inertia, for any ctrl, so the simulation keeps the servo. Its force follows
+from the speed at a step's end: the ctrl is computed for the speed at its beginning and what the reference gains in a step.
 """
 
 from dataclasses import dataclass
@@ -14,8 +15,10 @@ import mujoco
 import numpy as np
 
 from linkplan.controllers.integrator import stay_servos
+from linkplan.controllers.reference import SampledReference
 from linkplan.models.actuation.actuators import FIXED, LEAST_GAIN, NO_BIAS
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import joint_rates, sampled
 
 
 def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:
@@ -68,3 +71,17 @@ def servo_inversion(mechanism: Mechanism) -> ServoInversion | None:
         high=ranges[:, 1],
         motor=servos & (not stay),
     )
+
+
+def speed_gains(mechanism: Mechanism, reference: SampledReference, substeps: int) -> np.ndarray | None:
+    """Return what the actuators' speeds (n, n_u) gain along a reference in a simulator step of each control period.
+
+    None if no servo's force follows from the speed at a step's end. The discrete integrator takes the length there, too; its
+    efforts are left as they are.
+    """
+    discrete = int(mechanism.model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_DISCRETE)
+    if discrete or not stay_servos(mechanism):
+        return None
+    rates = joint_rates(mechanism, reference.pose_rad, reference.velocity_rad_s)
+    speeds = np.einsum("nju,nj->nu", sampled(mechanism.dynamics.effort_matrix, reference.pose_rad), rates)
+    return np.diff(speeds, axis=0, append=speeds[-1:]) / substeps

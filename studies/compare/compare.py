@@ -318,9 +318,9 @@ def servo_note(mechanism: Mechanism) -> str | None:
     if shares[column] > 0.5:
         return None
     return (
-        "servos slow the simulation down: the model's integrator counts their damping in a step's inertia, which leaves"
-        f" {100 * shares[column]:.2g} % of an effort's acceleration at {mechanism.independent_joints[column].name};"
-        ' plans are of efforts; with integrator="Euler" in the model\'s <option>, or a shorter timestep, servos give them'
+        "servos slow feedback down in simulation: the model's integrator counts their damping in a step's inertia, which"
+        f" leaves {100 * shares[column]:.2g} % of a feedback's acceleration at {mechanism.independent_joints[column].name};"
+        ' the planned efforts are unaffected; with integrator="Euler" in the model\'s <option> feedback acts in full'
     )
 
 

@@ -100,8 +100,9 @@ def test_a_rod_on_a_ball_joint_balances_its_two_ends():
     assert pin_forces(linkage, q, v, a, u)["rod"] == pytest.approx(np.linalg.norm(needed - closure), rel=1e-6)
 
 
-SIX = """<mujoco><worldbody><body name="base"><joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
-  <joint name="z" type="slide"/><joint name="rx" axis="1 0 0"/><joint name="ry" axis="0 1 0"/><joint name="rz"/>
+SIX = """<mujoco><worldbody><body name="base"><joint name="x" type="slide" axis="1 0 0"/>
+  <joint name="y" type="slide" axis="0 1 0"/><joint name="z" type="slide"/>
+  <joint name="rx" axis="1 0 0"/><joint name="ry" axis="0 1 0"/><joint name="rz"/>
   <geom size="0.1" mass="4"/>{arm}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
 ARM = '<body name="arm"><joint name="pin" axis="0 1 0"/><geom size="0.01" mass="2" pos="0 0 -0.5"/></body>'
 
