@@ -14,8 +14,6 @@ from linkplan.planner.trajectory import Trajectory
 # Largest jump between two pieces, and largest difference of a planned velocity from the slope of the position, as a share
 # of the motion's span or largest speed: rounding of the program's solution. Measured: 2e-10 on fine meshes.
 JOIN_SHARE = 1e-8
-# The span of coordinates that rest, as a share of their positions: the last digits of a position are no jump.
-_SPAN_AT_REST = 1e-6
 # Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.
 _EFFORT_JUMP = 1e-7
 # Largest difference of the start pose from the problem's own [rad or m].
@@ -25,7 +23,8 @@ START_POSE_ERROR = 1e-6
 def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     """Return the findings on breaks, ends and waypoints, and on the slope of the planned position."""
     moved, farthest = np.ptp(trajectory.position, axis=(0, 1)), np.abs(trajectory.position).max(axis=(0, 1))
-    span = np.maximum(_largest_of_unit(problem, np.maximum(moved, _SPAN_AT_REST * farthest)), 1e-9)
+    # The last digits of positions at rest are no jump.
+    span = np.maximum(_largest_of_unit(problem, np.maximum(moved, 1e-6 * farthest)), 1e-9)
     largest = _largest_of_unit(problem, np.abs(trajectory.velocity).max(axis=(0, 1)))
     speeds = np.maximum(largest, 1e-9 / trajectory.duration_s)
     found = []

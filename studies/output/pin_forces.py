@@ -15,8 +15,6 @@ from linkplan.models.tree.coordinates import SLIDE, joint_label
 
 # The step [s] of the central difference for MuJoCo's accelerations of ball joints, whose coordinates are not its own.
 _DIFFERENCE_STEP_S = 1e-6
-# MuJoCo gives a body at most six freedoms, and three are added here.
-_MAX_OWN_FREEDOMS = 3
 
 
 def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
@@ -68,7 +66,7 @@ def _with_slides(mechanism: Mechanism) -> tuple[mujoco.MjModel, dict[int, str]]:
     """Return the model with three slides at the end of every jointed body, and the names of its pins by body."""
     names: dict[int, list[str]] = {}
     for joint, body in enumerate(mechanism.model.jnt_bodyid.tolist()):
-        if mechanism.model.body_dofnum[body] <= _MAX_OWN_FREEDOMS:
+        if mechanism.model.body_dofnum[body] <= 3:  # MuJoCo gives a body at most six, and three are added
             names.setdefault(body, []).append(joint_label(mechanism.model, joint))
     spec = whole_spec(mechanism)
     for key in list(spec.keys):  # their qpos would be too short
