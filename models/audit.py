@@ -82,10 +82,14 @@ def _tendon_lengths(model: mujoco.MjModel) -> tuple[tuple[ca.SX | None, ...], ca
 
 def _surroundings(model: mujoco.MjModel):
     # MuJoCo clamps gravity compensation together with the sum of the efforts on a joint with actuatorgravcomp.
-    clamped = any(model.jnt_actgravcomp[j] and model.jnt_actfrclimited[j] for j in range(model.njnt))
-    for body in range(1, model.nbody):
-        if clamped and model.body_gravcomp[body] != 0:
-            yield f"gravcomp of body {model.body(body).name or body}, clamped by a joint's actuatorfrcrange"
+    clamped = [joint_label(model, j) for j in range(model.njnt) if model.jnt_actgravcomp[j] and model.jnt_actfrclimited[j]]
+    if clamped and (bodies := np.flatnonzero(model.body_gravcomp[1:]) + 1).size:
+        more = f" and {len(bodies) - 1} more" if len(bodies) > 1 else ""
+        yield (
+            f"gravcomp of body {model.body(bodies[0]).name or bodies[0]}{more}, clamped by the actuatorfrcrange of joint"
+            f" {clamped[0]}{f' and {len(clamped) - 1} more' if len(clamped) > 1 else ''}: without their actuatorgravcomp it"
+            " acts in full"
+        )
     yield from _uncompensated(model)
     if model.opt.density > 0 or model.opt.viscosity > 0:  # wind alone has no effect
         yield "fluid forces (option density or viscosity)"

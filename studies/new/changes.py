@@ -1,9 +1,9 @@
 """What a first motion changes of a model that has none as it is, each with a sentence for the user.
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
-are locked there, since a stop's force is not planned for. Of a rod that spins while all else rests, a hinge is locked:
-nothing drives the spin, and its equations are too small beside the others for the solver. Of a rod between ball joints, a
-universal joint takes the place of one. Dry friction of a robot's leg
+are locked there, since a stop's force is not planned for, and so are joints that a tendon's narrow range couples. Of a rod
+that spins while all else rests, a hinge is locked: nothing drives the spin, and its equations are too small beside the
+others for the solver. Of a rod between ball joints, a universal joint takes the place of one. Dry friction of a robot's leg
 sets in over a wider range of speeds: joints that hardly move would have a mesh as fine as the default range asks for. Links
 that overlap by construction, as an exporter leaves them on their pins, pass through each other. A drive whose limit is below
 the weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
@@ -25,6 +25,7 @@ from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.check.softness import STIFF_KEY
@@ -50,30 +51,38 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         what, joints = floating_words(mechanism.model), [joint_label(mechanism.model, j) for j in floats]
         shown = joints if len(joints) < 5 else [*joints[:3], f"{len(joints) - 3} more"]
         table = dict(table) | {"fix_base": True}
-        mechanism = _assembled(table)
+        mechanism = _assembled(table, mechanism)
         notes.append(
             f"{what}, and nothing holds what floats or is loose: it is fixed where it stands at home"
             f" (mechanism.fix_base = true; joints {', '.join(shown)})"
         )
     if mechanism.dof and mechanism.n_u and (pressed := _pressed(mechanism)):
         table = _with_locks(table, pressed)
-        mechanism = _assembled(table)
+        mechanism = _assembled(table, mechanism)
         said = ", ".join(f"{name} = {value:g}" for name, value in pressed.items())
         notes.append(
             f"weight and springs press joints onto their stops: they are locked there (mechanism.lock: {said});"
             " a motion on which they would leave their stops is another mechanism's"
         )
+    if mechanism.dof and mechanism.n_u and (coupled := _coupled_with_play(mechanism)):
+        table = _with_locks(table, coupled)
+        mechanism = _assembled(table, mechanism)
+        said = ", ".join(f"{name} = {value:g}" for name, value in coupled.items())
+        notes.append(
+            "only the narrow range of a tendon holds undriven joints, and a limit's force is not planned for: they are"
+            f" locked with what drives them (mechanism.lock: {said}); with an equality of the tendon they would move"
+        )
     if mechanism.dof and mechanism.n_u and (rods := _rods_on_balls(mechanism)):
         given = table.get("lock_spin")
         table = {**table, "lock_spin": [*(given if isinstance(given, list) else []), *rods]}
-        mechanism = _assembled(table)
+        mechanism = _assembled(table, mechanism)
         notes.append(
             "rods between ball joints spin about their own lines, which nothing drives and which moves nothing else: a"
             f" universal joint takes the place of a ball joint of each (mechanism.lock_spin: {', '.join(rods)})"
         )
     if mechanism.dof and mechanism.n_u and (spins := _spins(mechanism)):
         table = _with_locks(table, spins)
-        mechanism = _assembled(table)
+        mechanism = _assembled(table, mechanism)
         said = ", ".join(f"{name} = {value:g}" for name, value in spins.items())
         notes.append(
             "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked"
@@ -81,7 +90,7 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         )
     if mechanism.dof and (pairs := _overlapping_at_home(mechanism)):
         table = with_exclusions(table, pairs)
-        mechanism = _assembled(table)
+        mechanism = _assembled(table, mechanism)
         notes.append(overlap_sentence(pairs))
     rubs = max(mechanism.model.dof_frictionloss.max(initial=0.0), mechanism.model.tendon_frictionloss.max(initial=0.0)) > 0
     if rubs and is_large(mechanism) and "friction_transition_deg_s" not in table:
@@ -89,14 +98,14 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         # tracking error doubles.
         default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
         table = {**table, "friction_transition_deg_s": wide}
-        mechanism = _assembled(table)
+        mechanism = _assembled(table, mechanism)
         notes.append(
             f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
             " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
         )
     # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
     if "solref" not in table and _held_gap(mechanism) > 0.01:
-        mechanism = _assembled({**table, "solref": STIFF})
+        mechanism = _assembled({**table, "solref": STIFF}, mechanism)
         notes.append(
             "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
             f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
@@ -173,6 +182,20 @@ def _pressed(mechanism: Mechanism) -> dict[str, float]:
     """Return the positions [deg or m] of the hinges and slides that rest on their stops, by name."""
     resting = [*pressed_joints(mechanism), *sprung_stops(mechanism)]
     return {joint.name: joint.shown(x) + 0.0 for joint, x in resting if joint.chart is None}
+
+
+def _coupled_with_play(mechanism: Mechanism) -> dict[str, float]:
+    """Return the home positions [deg or m] of the joints that narrow ranges of fixed tendons couple with undriven hinges.
+
+    Exporters write differential drives so: the tendon of a waist is limited to a tenth of a degree of play.
+    """
+    hanging = set(mechanism.independent[hanging_columns(mechanism)].tolist())
+    found: dict[str, float] = {}
+    for tendon in limited_tendons(mechanism.model):
+        coupled = tendon_joints(mechanism.model, tendon.index) if is_fixed(mechanism.model, tendon.index) else {}
+        if tendon.unit == "" and tendon.span < 0.1 and not hanging.isdisjoint(coupled):  # [rad]
+            found |= {mechanism.joints[k].name: mechanism.joints[k].shown(mechanism.home[k]) + 0.0 for k in sorted(coupled)}
+    return found
 
 
 def _spins(mechanism: Mechanism) -> dict[str, float]:
@@ -262,9 +285,18 @@ def _with_locks(table: Mapping[str, object], locks: Mapping[str, float]) -> dict
     return {**table, "lock": {**(given if isinstance(given, Mapping) else {}), **locks}}
 
 
-def _assembled(table: Mapping[str, object]) -> Mechanism:
-    """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open."""
+def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> Mechanism:
+    """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open.
+
+    The search for that pose is not repeated if `before`, the mechanism without the last change, was assembled there and
+    the change leaves its joints.
+    """
     tables = {"mechanism": dict(table)}
+    if before is not None and (home := _home_found(table, before)):
+        try:
+            return mechanism_from_tables({"mechanism": {**table, **home}})
+        except LinkplanError:
+            pass
     try:
         return mechanism_from_tables(tables)
     except UnassembledError as error:
@@ -275,3 +307,16 @@ def _assembled(table: Mapping[str, object]) -> Mechanism:
             return mechanism_from_tables(tables)
         except LinkplanError:
             raise error from None
+
+
+def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, object]:
+    """Return the home of a mechanism that a [mechanism] table lacks, without the joints that the table locks or fixes."""
+    locked = table.get("lock")
+    fixed = {joint_label(before.model, j) for j in floating_joints(before.model)} if table.get("fix_base") else set()
+    names = {joint.name for joint in before.joints if not fixed.isdisjoint((joint.name, joint.chart))}
+    names |= set(locked) if isinstance(locked, Mapping) else set()
+    homes = {key: before.source[key] for key in ("home_deg", "home_m") if key in before.source and key not in table}
+    left = {
+        key: {n: x for n, x in home.items() if n not in names} for key, home in homes.items() if isinstance(home, Mapping)
+    }
+    return {key: home for key, home in left.items() if home}

@@ -42,3 +42,14 @@ def test_what_compensation_carries_is_no_weight_and_the_model_is_planned_as_it_i
     mechanism = load_mechanism(text)
     assert np.abs(np.array(mechanism.dynamics.gravity_effort(mechanism.home))).max() < 1e-12
     assert not [one for one in audit(mechanism.model) if one.falsifies]
+
+
+def test_compensation_that_joints_clamp_is_named_once_with_what_to_change():
+    text = LEG.replace("<body ", '<body gravcomp="1" ')
+    for joint in ("yaw", "pitch"):
+        clamped = f'<joint name="{joint}" actuatorgravcomp="true" actuatorfrcrange="-9 9"'
+        text = text.replace(f'<joint name="{joint}"', clamped)
+    (found,) = [one.text for one in audit(load_mechanism(text).model) if one.falsifies]
+    assert found.startswith("gravcomp of body hip and 4 more, clamped by the actuatorfrcrange of joint yaw and 1 more")
+    free = text.replace(' actuatorgravcomp="true"', "")
+    assert not [one for one in audit(load_mechanism(free).model) if one.falsifies]

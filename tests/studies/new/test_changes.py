@@ -5,6 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
+from linkplan.models.closure import closed_pose
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.planner.problem.problem import Problem
@@ -224,18 +225,33 @@ def test_a_rod_between_ball_joints_loses_its_spin():
     assert any("mechanism.lock_spin: ball" in note for note in notes)
 
 
+FLAT = """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0"
+  conaffinity="0"/></default><worldbody>{before}<body><joint name="O"/><geom fromto="0 0 0 0.1 0 0"/>
+  <body name="coupler" pos="0.1 0 0">
+  <joint name="A"/><geom fromto="0 0 0 0.3 0 0"/></body></body><body name="rocker" pos="0.3 0 0"><joint name="C"/>
+  <geom fromto="0 0 0 0.1 0 0"/></body>{after}</worldbody>
+  <equality><connect body1="coupler" body2="rocker" anchor="0.3 0 0"/></equality>
+  <actuator><motor name="drive" joint="O" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
 def test_another_home_than_a_singular_pose_is_named():
-    flat = """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0"
-      conaffinity="0"/></default><worldbody><body><joint name="O"/><geom fromto="0 0 0 0.1 0 0"/>
-      <body name="coupler" pos="0.1 0 0">
-      <joint name="A"/><geom fromto="0 0 0 0.3 0 0"/></body></body><body name="rocker" pos="0.3 0 0"><joint name="C"/>
-      <geom fromto="0 0 0 0.1 0 0"/></body></worldbody>
-      <equality><connect body1="coupler" body2="rocker" anchor="0.3 0 0"/></equality>
-      <actuator><motor name="drive" joint="O" ctrlrange="-5 5"/></actuator></mujoco>"""
-    mechanism, notes = changed_mechanism({"model": flat})
+    mechanism, notes = changed_mechanism({"model": FLAT.format(before="", after="")})
     assert "home_deg" in mechanism.source
     assert "open or singular at the model's own pose" in notes[0]
     assert "mechanism.home_deg" in notes[0]
+
+
+def test_the_closed_pose_of_a_robot_is_searched_for_once_whatever_is_changed(monkeypatch):
+    searched = []
+    search = closed_pose.nearest_closed_pose
+    monkeypatch.setattr(closed_pose, "nearest_closed_pose", lambda *given: searched.append(1) or search(*given))
+    base = '<body name="base"><freejoint name="root"/><geom type="sphere" size="0.1" mass="5"/>'
+    robot = FLAT.format(before=base, after="</body>").replace('<joint name="O"/>', '<joint name="O" frictionloss="0.1"/>')
+    mechanism, notes = changed_mechanism({"model": robot})
+    assert "the base base floats" in notes[0]
+    assert "open or singular at the model's own pose" in notes[-1]
+    assert [joint.name for joint in mechanism.joints] == ["O", "A", "C"]
+    assert len(searched) == 1
 
 
 def test_a_ball_joint_that_a_default_limits_to_0_deg_is_named(tmp_path, ask):
@@ -259,3 +275,33 @@ def test_forces_that_are_not_honoured_are_no_shut_way(tmp_path, ask):
     (tmp_path / "arm.xml").write_text(twice, encoding="utf-8")
     _, out, _ = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
     assert "NOT planned: mechanism 'arm' cannot be planned, its model has forces that the planner does not honour" in out
+
+
+WAIST = """<mujoco><compiler autolimits="true"/><default><joint axis="0 1 0" range="-90 90"/></default><worldbody>
+<body pos="-1 0 0"><joint name="left"/><inertial pos="0 0 0" mass="0.1" diaginertia="0.01 0.01 0.01"/></body>
+<body><joint name="roll"/><inertial pos="0 0 0.3" mass="1" diaginertia="0.1 0.1 0.1"/>
+<body pos="0 0 0.3"><joint name="neck"/><inertial pos="0 0 0.1" mass="0.2" diaginertia="0.01 0.01 0.01"/></body></body>
+</worldbody><tendon><fixed name="coupling" range="-{play} {play}"><joint joint="left" coef="0.5"/>
+<joint joint="roll" coef="1"/></fixed></tendon>
+<actuator><motor joint="left" ctrlrange="-9 9"/><motor joint="neck" ctrlrange="-9 9"/></actuator>{rest}</mujoco>"""
+NARROW = WAIST.replace("{play}", "0.001")
+
+
+def test_joints_that_a_tendon_couples_with_play_are_locked_with_their_drive(tmp_path, ask):
+    mechanism, (note,) = changed_mechanism({"model": NARROW.format(rest="")})
+    assert [joint.name for joint in mechanism.independent_joints] == ["neck"]
+    assert "mechanism.lock: left = 0, roll = 0" in note
+    (tmp_path / "robot.xml").write_text(NARROW.format(rest=""), encoding="utf-8")
+    assert ask("new", str(tmp_path / "robot.xml"), "-o", str(tmp_path / "first.toml"))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("model", "dof"),
+    [
+        (WAIST.format(play=1.0, rest=""), 3),
+        (NARROW.format(rest='<equality><tendon tendon1="coupling"/></equality>'), 2),
+    ],
+)
+def test_a_tendon_with_a_wide_range_or_an_equality_locks_no_joint(model, dof):
+    mechanism, notes = changed_mechanism({"model": model})
+    assert (mechanism.dof, notes) == (dof, ())
