@@ -93,8 +93,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         *(leave_the_ground(spec) if hangs else ()),
     ]
     notes += _exclude(spec, asked.exclude_contacts)
-    add_motors(spec, asked.drive)
-    notes += [f"motors added (mechanism.drive): {', '.join(asked.drive)}"] if asked.drive else []
+    notes += add_motors(spec, asked.drive)
     for key in list(spec.keys):
         spec.delete(key)
     small = spec.compile()

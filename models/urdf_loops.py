@@ -222,17 +222,29 @@ def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
             )
 
 
-def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-    """Add a motor on each of the named joints, within the effort limit that the joint has.
+def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> list[str]:
+    """Add a motor on each of the named joints, within the effort limit that the joint has, and return notes.
+
+    It replaces plugins that act on the joint, which no plan can use, with their sensors.
 
     Raises:
         ModelError: for a name that is no joint's, or a joint that has no motor's axis.
     """
+    replaced = []
     for name in names:
         joint = _joint(spec, name)
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             raise ModelError(f"joint '{name}' is no hinge and no slide, so that a motor has no axis there")
-        motor = spec.add_actuator(name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        on_joint = mujoco.mjtTrn.mjTRN_JOINT
+        plugins = [a for a in spec.actuators if a.plugin.active and a.trntype == on_joint and a.target == joint.name]
+        named = {plugin.name for plugin in plugins}
+        sensors = [s for s in spec.sensors if s.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and s.objname in named]
+        replaced += [plugin.name or f"a plugin on {joint.name}" for plugin in plugins]
+        for one in [*plugins, *sensors]:
+            spec.delete(one)
+        motor = spec.add_actuator(name=name, target=joint.name, trntype=on_joint)
         motor.set_to_motor()
         if joint.actfrcrange[1] > 0:
             motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, joint.actfrcrange
+    notes = [f"motors added (mechanism.drive): {', '.join(names)}"] if names else []
+    return notes + ([f"actuators replaced by motors, with their sensors: {', '.join(replaced)}"] if replaced else [])

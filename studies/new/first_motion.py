@@ -292,10 +292,9 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
         raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
     if mechanism.n_u == 0:
         unusable = "".join(f"; {item.text}" for item in audit(mechanism.model))
-        joints = ", ".join(j.name for j in mechanism.joints)
         raise ProblemError(
             f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
-            f" or add for example {line} to its model, with the effort that the drive has; joints are {joints}{unusable}"
+            f" or add for example {line} to its model, with the effort that the drive has{unusable}"
         )
     if not len(driven_columns(mechanism)):
         raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")

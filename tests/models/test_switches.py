@@ -118,3 +118,12 @@ def stepped(model) -> np.ndarray:
     for _ in range(5):
         mujoco.mj_step(model, data)
     return data.qvel.copy()
+
+
+def test_a_motor_asked_for_replaces_a_plugin_and_its_sensor():
+    text, _ = NAMED["an actuator that is a plugin"]
+    text = text.replace("</mujoco>", '<sensor><actuatorfrc actuator="hold"/></sensor></mujoco>')
+    mechanism = load_mechanism(text, drive=["elbow"])
+    assert [actuator.name for actuator in mechanism.actuators] == ["elbow"]
+    assert "actuators replaced by motors, with their sensors: hold" in mechanism.notes
+    assert not [item for item in audit(mechanism.model) if item.falsifies]
