@@ -38,7 +38,7 @@ def stay_servos(mechanism: Mechanism) -> bool:
 def shares_in_a_step(mechanism: Mechanism) -> np.ndarray:
     """Return the share (n_s,) of its acceleration that each coordinate reaches in a simulated step from rest at home.
 
-    It is below 1 where servos stay servos: an implicit integrator adds their damping to the inertia of a step.
+    It is below 1 where the simulation keeps servos and an implicit integrator adds their damping to a step's inertia.
     """
     kind = int(mechanism.model.opt.integrator)
     if not stay_servos(mechanism) or kind == int(mujoco.mjtIntegrator.mjINT_DISCRETE):

@@ -225,7 +225,7 @@ def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
 def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> list[str]:
     """Add a motor on each of the named joints, within the effort limit that the joint has, and return notes.
 
-    It replaces plugins that act on the joint, which no plan can use, with their sensors.
+    Plugins that act on such a joint are deleted with their sensors, since no plan can use them.
 
     Raises:
         ModelError: for a name that is no joint's, or a joint that has no motor's axis.

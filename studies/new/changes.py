@@ -9,7 +9,7 @@ that overlap by construction, as an exporter leaves them on their pins, pass thr
 the weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -35,6 +35,9 @@ from linkplan.studies.new.pace import is_large
 # An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
 _HOLD_MULTIPLE = 2.0
 
+# Keys of the [mechanism] table that a change sets, and the sentence on it.
+Change = tuple[dict[str, object], str]
+
 
 def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str, ...]]:
     """Return a model's mechanism with what a first motion changes of it, and a sentence on each change.
@@ -46,63 +49,12 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         ModelError: if the model cannot be used.
     """
     mechanism, notes = _assembled(table), []
-    floats = sorted(floating_joints(mechanism.model))
-    if 0 < len(floats) < mechanism.model.njnt:
-        what, joints = floating_words(mechanism.model), [joint_label(mechanism.model, j) for j in floats]
-        shown = joints if len(joints) < 5 else [*joints[:3], f"{len(joints) - 3} more"]
-        table = dict(table) | {"fix_base": True}
-        mechanism = _assembled(table, mechanism)
-        notes.append(
-            f"{what}, and nothing holds what floats or is loose: it is fixed where it stands at home"
-            f" (mechanism.fix_base = true; joints {', '.join(shown)})"
-        )
-    if mechanism.dof and mechanism.n_u and (pressed := _pressed(mechanism)):
-        table = _with_locks(table, pressed)
-        mechanism = _assembled(table, mechanism)
-        said = ", ".join(f"{name} = {value:g}" for name, value in pressed.items())
-        notes.append(
-            f"weight and springs press joints onto their stops: they are locked there (mechanism.lock: {said});"
-            " a motion on which they would leave their stops is another mechanism's"
-        )
-    if mechanism.dof and mechanism.n_u and (coupled := _coupled_with_play(mechanism)):
-        table = _with_locks(table, coupled)
-        mechanism = _assembled(table, mechanism)
-        said = ", ".join(f"{name} = {value:g}" for name, value in coupled.items())
-        notes.append(
-            "only the narrow range of a tendon holds undriven joints, and a limit's force is not planned for: they are"
-            f" locked with what drives them (mechanism.lock: {said}); with an equality of the tendon they would move"
-        )
-    if mechanism.dof and mechanism.n_u and (rods := _rods_on_balls(mechanism)):
-        given = table.get("lock_spin")
-        table = {**table, "lock_spin": [*(given if isinstance(given, list) else []), *rods]}
-        mechanism = _assembled(table, mechanism)
-        notes.append(
-            "rods between ball joints spin about their own lines, which nothing drives and which moves nothing else: a"
-            f" universal joint takes the place of a ball joint of each (mechanism.lock_spin: {', '.join(rods)})"
-        )
-    if mechanism.dof and mechanism.n_u and (spins := _spins(mechanism)):
-        table = _with_locks(table, spins)
-        mechanism = _assembled(table, mechanism)
-        said = ", ".join(f"{name} = {value:g}" for name, value in spins.items())
-        notes.append(
-            "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked"
-            f" (mechanism.lock: {said})"
-        )
-    if mechanism.dof and (pairs := _overlapping_at_home(mechanism)):
-        table = with_exclusions(table, pairs)
-        mechanism = _assembled(table, mechanism)
-        notes.append(overlap_sentence(pairs))
-    rubs = max(mechanism.model.dof_frictionloss.max(initial=0.0), mechanism.model.tendon_frictionloss.max(initial=0.0)) > 0
-    if rubs and is_large(mechanism) and "friction_transition_deg_s" not in table:
-        # With the default of 2 deg/s, xArm's first motion takes 16 s of processor time. With 10 it takes 2 s, and its
-        # tracking error doubles.
-        default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
-        table = {**table, "friction_transition_deg_s": wide}
-        mechanism = _assembled(table, mechanism)
-        notes.append(
-            f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
-            " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
-        )
+    for change in _CHANGES:
+        if (found := change(mechanism, table)) is not None:
+            keys, note = found
+            table = {**table, **keys}
+            mechanism = _assembled(table, mechanism)
+            notes.append(note)
     # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
     if "solref" not in table and _held_gap(mechanism) > 0.01:
         mechanism = _assembled({**table, "solref": STIFF}, mechanism)
@@ -117,6 +69,98 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             f" of the branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
         )
     return mechanism, tuple(notes)
+
+
+def _base_fixed(mechanism: Mechanism, _: Mapping[str, object]) -> Change | None:
+    floats = sorted(floating_joints(mechanism.model))
+    if not 0 < len(floats) < mechanism.model.njnt:
+        return None
+    what, joints = floating_words(mechanism.model), [joint_label(mechanism.model, j) for j in floats]
+    shown = joints if len(joints) < 5 else [*joints[:3], f"{len(joints) - 3} more"]
+    return {"fix_base": True}, (
+        f"{what}, and nothing holds what floats or is loose: it is fixed where it stands at home"
+        f" (mechanism.fix_base = true; joints {', '.join(shown)})"
+    )
+
+
+def _stops_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    return _locking(
+        table,
+        _pressed(mechanism) if _moves(mechanism) else {},
+        "weight and springs press joints onto their stops: they are locked there ({locks}); a motion on which they would"
+        " leave their stops is another mechanism's",
+    )
+
+
+def _couplings_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    return _locking(
+        table,
+        _coupled_with_play(mechanism) if _moves(mechanism) else {},
+        "only the narrow range of a tendon holds undriven joints, and a limit's force is not planned for: they are locked"
+        " with what drives them ({locks}); with an equality of the tendon they would move",
+    )
+
+
+def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    rods = _rods_on_balls(mechanism) if _moves(mechanism) else []
+    if not rods:
+        return None
+    given = table.get("lock_spin")
+    return {"lock_spin": [*(given if isinstance(given, list) else []), *rods]}, (
+        "rods between ball joints spin about their own lines, which nothing drives and which moves nothing else: a"
+        f" universal joint takes the place of a ball joint of each (mechanism.lock_spin: {', '.join(rods)})"
+    )
+
+
+def _spins_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    return _locking(
+        table,
+        _spins(mechanism) if _moves(mechanism) else {},
+        "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked ({locks})",
+    )
+
+
+def _overlaps_excluded(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    pairs = _overlapping_at_home(mechanism) if mechanism.dof else []
+    return (with_exclusions(table, pairs), overlap_sentence(pairs)) if pairs else None
+
+
+def _friction_widened(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    rubs = max(mechanism.model.dof_frictionloss.max(initial=0.0), mechanism.model.tendon_frictionloss.max(initial=0.0)) > 0
+    if not rubs or not is_large(mechanism) or "friction_transition_deg_s" in table:
+        return None
+    # With the default of 2 deg/s, xArm's first motion takes 16 s of processor time. With 10 it takes 2 s, and its tracking
+    # error doubles.
+    default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
+    return {"friction_transition_deg_s": wide}, (
+        f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
+        " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
+    )
+
+
+# In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
+_CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
+    _base_fixed,
+    _stops_locked,
+    _couplings_locked,
+    _ball_rods_locked,
+    _spins_locked,
+    _overlaps_excluded,
+    _friction_widened,
+)
+
+
+def _moves(mechanism: Mechanism) -> bool:
+    return mechanism.dof > 0 and mechanism.n_u > 0
+
+
+def _locking(table: Mapping[str, object], locks: Mapping[str, float], sentence: str) -> Change | None:
+    """Return the locks of joints [deg or m] beside those that a table has, and the sentence with them; None without any."""
+    if not locks:
+        return None
+    given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
+    whole = {**(given if isinstance(given, Mapping) else {}), **locks}
+    return {"lock": whole}, sentence.replace("{locks}", f"mechanism.lock: {said}")
 
 
 def with_exclusions(table: Mapping[str, object], pairs: Sequence[list[str]]) -> dict[str, object]:
@@ -187,7 +231,7 @@ def _pressed(mechanism: Mechanism) -> dict[str, float]:
 def _coupled_with_play(mechanism: Mechanism) -> dict[str, float]:
     """Return the home positions [deg or m] of the joints that narrow ranges of fixed tendons couple with undriven hinges.
 
-    Exporters write differential drives so: the tendon of a waist is limited to a tenth of a degree of play.
+    Exporters describe differential drives in this way: a tendon leaves a waist a tenth of a degree of play.
     """
     hanging = set(mechanism.independent[hanging_columns(mechanism)].tolist())
     found: dict[str, float] = {}
@@ -280,11 +324,6 @@ def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return (kind == connect) | ((kind == weld) & (number < 3))
 
 
-def _with_locks(table: Mapping[str, object], locks: Mapping[str, float]) -> dict[str, object]:
-    given = table.get("lock")
-    return {**table, "lock": {**(given if isinstance(given, Mapping) else {}), **locks}}
-
-
 def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> Mechanism:
     """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open.
 
@@ -310,7 +349,7 @@ def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> 
 
 
 def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, object]:
-    """Return the home of a mechanism that a [mechanism] table lacks, without the joints that the table locks or fixes."""
+    """Return the home before a change, for [mechanism] tables without one; joints that the table locks or fixes have none."""
     locked = table.get("lock")
     fixed = {joint_label(before.model, j) for j in floating_joints(before.model)} if table.get("fix_base") else set()
     names = {joint.name for joint in before.joints if not fixed.isdisjoint((joint.name, joint.chart))}

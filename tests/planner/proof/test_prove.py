@@ -230,7 +230,7 @@ def test_a_proof_whose_time_is_up_leaves_whole_intervals():
 
 
 def joins(plan: Plan, jump: float) -> str:
-    """Return the answer on the pieces of position after the second coordinate's first piece ends elsewhere [rad or m]."""
+    """Move the end of the second coordinate's first piece [rad or m], and return the answer on the joining pieces."""
     position = plan.trajectory.position.copy()
     position[-1, 0, 1] += jump
     found = end_findings(plan.problem, replace(plan.trajectory, position=position))
