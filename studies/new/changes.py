@@ -349,7 +349,7 @@ def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> 
 
 
 def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, object]:
-    """Return the home before a change, for [mechanism] tables without one; joints that the table locks or fixes have none."""
+    """Return the home before a change, for [mechanism] tables without one, without joints that the table locks or fixes."""
     locked = table.get("lock")
     fixed = {joint_label(before.model, j) for j in floating_joints(before.model)} if table.get("fix_base") else set()
     names = {joint.name for joint in before.joints if not fixed.isdisjoint((joint.name, joint.chart))}
