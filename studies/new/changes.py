@@ -21,7 +21,6 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.continuation import in_loops
-from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
@@ -31,6 +30,7 @@ from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.check.softness import STIFF_KEY
 from linkplan.studies.new.hanging import hanging_columns
 from linkplan.studies.new.pace import is_large
+from linkplan.studies.new.soft_loops import held_gap
 
 # An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
 _HOLD_MULTIPLE = 2.0
@@ -56,12 +56,12 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             mechanism = _assembled(table, mechanism)
             notes.append(note)
     # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
-    if "solref" not in table and _held_gap(mechanism) > 0.01:
+    if "solref" not in table and held_gap(mechanism) > 0.01:
         mechanism = _assembled({**table, "solref": STIFF}, mechanism)
         notes.append(
             "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
             f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
-            f" leaves {_held_gap(mechanism):.1g} of its size or rad"
+            f" leaves {held_gap(mechanism):.1g} of its size or rad"
         )
     if moved := sorted(mechanism.source.keys() & {"home_deg", "home_m"} - table.keys()):
         notes.append(
@@ -285,43 +285,6 @@ def _is_spin(mechanism: Mechanism, column: int) -> bool:
     same = np.abs(heavy - heavy[0]).max() < ROUNDING_SHARE * np.abs(heavy).max()
     about = abs(float(speed @ turn)) <= ROUNDING_SHARE * np.linalg.norm(turn) * np.linalg.norm(speed)  # and not along it
     return bool(same and about and turn.any())
-
-
-def _held_gap(mechanism: Mechanism) -> float:
-    """Return the largest closure gap in MuJoCo while the drives hold the weight at home; 0 without loops or drives.
-
-    It is a share of the mechanism's extent, or an angle [rad]. At rest the law a + R f = -K d r of a row (MuJoCo,
-    "Constraint model") gives r = R f / (K d), with the forces f that keep the rows J q'' at zero.
-    """
-    if not mechanism.closures or not mechanism.n_u or not mechanism.dof:
-        return 0.0
-    model, still = mechanism.model, np.zeros((1, mechanism.dof))
-    hold = needed_effort(mechanism, mechanism.home[None], still, still)[0][0]
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(mechanism.home)
-    mujoco.mj_forward(model, data)
-    rows, free = equality_rows(model, data)
-    pushed = rows @ free @ (data.qfrc_passive - data.qfrc_bias + _joint_efforts(mechanism, hold))
-    force = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
-    stiffness, _, impedance, _ = data.efc_KBIP.reshape(-1, 4)[: data.ne].T
-    gap = np.abs(data.efc_R[: data.ne] * force / (stiffness * impedance))
-    return float(np.max(gap / np.where(_are_lengths(model, data), mechanism.extent_m, 1.0), initial=0.0))
-
-
-def _joint_efforts(mechanism: Mechanism, effort: np.ndarray) -> np.ndarray:
-    """Return the forces (nv,) on MuJoCo's degrees of freedom by the actuators' efforts (n_u,) at home."""
-    on_joints = np.array(mechanism.dynamics.effort_matrix(mechanism.home)).reshape(mechanism.n_q, -1) @ effort
-    units = np.array([mechanism.qvel_of(mechanism.home, unit) for unit in np.eye(mechanism.n_q)])
-    return units.T @ on_joints
-
-
-def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return a mask of the equality rows whose gaps are lengths [m]: those of connects, and the first three of welds."""
-    owner = np.array(data.efc_id[: data.ne])
-    number = np.array([np.sum(owner[:k] == owner[k]) for k in range(data.ne)], dtype=int)
-    kind = model.eq_type[owner]
-    weld, connect = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT
-    return (kind == connect) | ((kind == weld) & (number < 3))
 
 
 def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> Mechanism:
