@@ -174,6 +174,7 @@ def _steady(mechanism, reference: SampledReference, tracker: AnyTracker, timing:
         under_way=reference.effort[:1],
         timing=timing,
         effort_limit=effort_limit,
+        motion=reference,
     )
     along, forward = _signals(reference, tracker, 1)
     states, commands = np.full((n, 1, 2 * mechanism.dof), np.inf), np.zeros((n, 1, mechanism.n_u))
@@ -239,6 +240,7 @@ def _measured(
         under_way=under_way,
         timing=timing,
         effort_limit=effort_limit,
+        motion=reference,
     )
     states, commands = batch.run(np.arange(size + 1), *_signals(reference, tracker, size + 1), gain)
     history = np.empty((n + 1, size + 1, size))

@@ -10,7 +10,9 @@ from linkplan.controllers.feedback_loop import run_loop, states_of
 from linkplan.controllers.imperfections.driving import driving
 from linkplan.controllers.imperfections.imperfections import Drives
 from linkplan.controllers.imperfections.plant import Plant, prepare
+from linkplan.controllers.imperfections.servos import speed_gains
 from linkplan.controllers.mujoco_plant import MujocoStepper, simulation_conditions
+from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
@@ -53,6 +55,8 @@ class SimulatedLoops:
         under_way: commands (p, n, n_u) of the last p = `timing.memory` periods before the start, or one (n, n_u) for all.
         timing: period, simulator steps, delay.
         effort_limit: (n_u, 2) [N.m or N].
+        motion: the reference of every `run`, from which servos under implicit integrators take what their speeds gain in a
+            step; default: constant states.
     """
 
     def __init__(
@@ -65,6 +69,7 @@ class SimulatedLoops:
         under_way: np.ndarray,
         timing: Sampling,
         effort_limit: np.ndarray,
+        motion: SampledReference | None = None,
     ) -> None:
         model = copy.copy(mechanism.model)
         prepare(model, mechanism, timing.timestep_s, np.array(effort_limit))
@@ -73,7 +78,8 @@ class SimulatedLoops:
         n, self.gain, self.timing, self.periods = len(pose), np.array(gain), timing, 0
         delays = [timing.delay_steps / timing.substeps] * n
         drives = driving([Drives()] * n, delays, [timing.timestep_s] * n, timing.substeps, effort_limit)
-        self._stepper = MujocoStepper(mechanism, starts, drives, timing.substeps)
+        gains = None if motion is None else speed_gains(mechanism, motion, timing.substeps)
+        self._stepper = MujocoStepper(mechanism, starts, drives, timing.substeps, gains=gains)
         self._stepper.under_way(np.broadcast_to(under_way, (timing.memory, n, mechanism.n_u)))
 
     def state(self) -> np.ndarray:

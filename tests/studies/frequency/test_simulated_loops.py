@@ -98,6 +98,7 @@ def test_a_servo_s_simulations_are_the_runs_of_its_loop_whatever_the_integrator(
         under_way=rollout.commanded[:1],
         timing=sampling(mechanism, period, 0),
         effort_limit=loop.effort_limit,
+        motion=reference,
     )
     along = np.concatenate([reference.position_rad, reference.velocity_rad_s], axis=1)[:, None]
     states, _ = batch.run(np.arange(1), along, reference.effort[:, None])
