@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.planner.certificate.saved import objective_value
@@ -30,9 +31,8 @@ def along_smooth_path(search: Search) -> Plan | None:
     asked = search.problem
     if asked.motion.kind != "reach" or search.verdicts:
         return None
-    # A search that is out of time has this motion at hand: it is judged until the deadline of every found motion.
-    problem = replace(asked, solver=replace(asked.solver, deadline=asked.solver.judging_deadline))
-    problem.solver.deadline.require_time()
+    # A search that is out of time has this motion at hand, however late the solver's first iteration let it end.
+    problem = replace(asked, solver=replace(asked.solver, deadline=Deadline().within(asked.solver.max_time_s)))
     try:
         if not _is_carried(problem, search):
             return None

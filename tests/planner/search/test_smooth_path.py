@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from linkplan.models import deadline
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.diagnosis.reasons import nothing_found
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.rungs import HURRIED, Rung
 from tests.support.plans import optimal
 
 STRONG = "limits.effort={ act_O1 = [-3.0, 3.0], act_O2 = [-3.0, 3.0] }"
@@ -32,6 +34,18 @@ def test_the_smooth_path_answers_where_no_rung_finds_a_motion(smooth):
     best = optimal("five-bar-reach", STRONG)
     assert smooth.trajectory.duration_s == pytest.approx(best.trajectory.duration_s)
     assert smooth.objective > 1.01 * best.objective, "a path that is not optimised costs more"
+
+
+def test_it_answers_however_late_the_search_ends():
+    """A compiler or a solver's first iteration cannot be interrupted."""
+
+    def compiling(_search, _budget):
+        deadline._CHILD_TIME.seconds += 1000.0
+
+    late = Rung(name="late", climb=compiling, budget=HURRIED)
+    problem = load_problem("five-bar-reach", [STRONG, "solver.max_time_s=20"])
+    plan = plan_motion(problem, rungs=(late,), diagnoses=(nothing_found,))
+    assert plan.status == "feasible", plan.message
 
 
 def test_it_is_a_quintic_in_the_independent_joints(smooth):
