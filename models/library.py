@@ -1,7 +1,6 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
 
 import itertools
-import threading
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from linkplan.models.model_text import MAX_MODEL_BYTES, refuse_oversized
 from linkplan.models.model_values import refuse_unusable
 from linkplan.models.mujoco_warnings import mujoco_warnings
 from linkplan.models.names import nearest
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import Payload, attach
 from linkplan.models.reading import read_file, shown
 from linkplan.models.selection import Selection, select
@@ -27,10 +27,9 @@ __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
 
 NOTHING_SELECTED = Selection()
-# One thread compiles at a time: Python's filters of warnings belong to the whole process.
-_ONE_COMPILATION = threading.RLock()
 
 
+@one_thread_at_a_time
 def compile_model(
     source: str | Path, payload: Payload | None = None, selection: Selection = NOTHING_SELECTED
 ) -> tuple[str, mujoco.MjModel, tuple[str, ...]]:
@@ -40,7 +39,7 @@ def compile_model(
         ModelError: if the source is neither a built-in name, nor a readable file, nor MJCF text; if MuJoCo refuses it
             (with MuJoCo's reason); or if the payload's body is not in it.
     """
-    with _ONE_COMPILATION, mujoco_warnings() as messages:
+    with mujoco_warnings() as messages:
         try:
             name, spec, notes = _selected(source, selection)
             if payload is not None:

@@ -27,6 +27,7 @@ from linkplan.models.equations import Equations
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism_html import mechanism_html
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
@@ -225,6 +226,7 @@ def _fingerprint(mechanism: Mechanism, payload_apart: bool) -> str:
     return digest.hexdigest()
 
 
+@one_thread_at_a_time
 def load_mechanism(
     source: str | Path,
     *,
@@ -331,8 +333,7 @@ def load_mechanism(
     passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
     notes = [*left_out, *(shift.sentence for shift in moved), *notes, *friction_notes(model, transition, extent)]
-    notes += conversion_notes(source, driven=model.nu > 0)
-    notes += _reference_notes(loop, reference, unit, rank)
+    notes += [*conversion_notes(source, driven=model.nu > 0), *_reference_notes(loop, reference, unit, rank)]
     mechanism = Mechanism(
         name=name,
         model=model,
@@ -369,10 +370,9 @@ def load_mechanism(
 def _loop(tree: Tree, closures: Sequence[Closure]) -> tuple[KinematicLoop, ca.Function]:
     """Return the closure as numbers, and its sparse Jacobian."""
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
-    jacobian = ca.jacobian(phi, tree.q)
-    function = ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(jacobian)])
-    rows = tuple(closure.rows for closure in closures)
-    return KinematicLoop(function=function, rows=rows), ca.Function("J", [tree.q], [jacobian])
+    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
+    function = ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(sparse(tree.q))])
+    return KinematicLoop(function=function, rows=tuple(closure.rows for closure in closures)), sparse
 
 
 def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]:

@@ -20,6 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
@@ -114,8 +115,8 @@ def motion_step(problem: Problem, numbered: Transcribed, found: NewtonStep, newt
 class Replanner:
     """A planner that keeps its last program; `plan` has the results of `plan_motion`, but is often faster.
 
-    Threads that share a planner wait for each other, because its solver is not reentrant. A copy is a new planner without
-    programs and solvers.
+    Threads that share a planner wait for each other, because its solver is not reentrant. `plan` waits for the plans of all
+    other threads as well (CasADi); `step` does not. A copy is a new planner without programs and solvers.
     """
 
     def __init__(self, say: Say = silent) -> None:
@@ -216,6 +217,7 @@ class Replanner:
             self._optimum = Optimum(x=solution.x, rows=rows, bounds=bounds)
         return last
 
+    @one_thread_at_a_time
     def _certified(self, problem: Problem, solution: Solution) -> Plan | None:
         """Return the plan of a warm solution, or None if the problem must be planned from the beginning."""
         problem.start_pose()  # raises if a pose is out of reach

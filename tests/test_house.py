@@ -22,10 +22,10 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload", "model_text",
-        "model_values", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings", "ties",
-        "rod_spins", "floating", "selection", "library", "digest", "pickling", "renamed", "tree", "closure", "reduction",
-        "actuation", "audit", "stiffness", "source_table", "coordinate_choice", "equations", "mechanism_html", "mechanism",
-        "selected_model", "poses", "transfer",
+        "model_values", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings", "one_thread",
+        "ties", "rod_spins", "floating", "selection", "library", "digest", "pickling", "renamed", "tree", "closure",
+        "reduction", "actuation", "audit", "stiffness", "source_table", "coordinate_choice", "equations",
+        "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "proof", "solvers", "refinement",

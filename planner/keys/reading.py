@@ -1,12 +1,12 @@
 """Conversion of a file's tables to typed sections, or a refusal in one line."""
 
-import threading
 from collections.abc import Mapping
 from typing import Any, TypeVar, get_args
 
 import msgspec
 
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.keys.kinds import Known
 from linkplan.planner.keys.sections import ProblemFile
 
@@ -16,10 +16,9 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     name: getattr(kind, "__struct_fields__", ()) for name, kind in _FIELDS.items() if name != "description"
 }
 Read = TypeVar("Read")
-# msgspec 0.22 prepares a type at its first conversion; two threads that do so at once end the process.
-_ONE_CONVERSION = threading.Lock()
 
 
+@one_thread_at_a_time
 def read(
     kind: type[Read],
     value: object,
@@ -42,8 +41,7 @@ def read(
         error: for a value of another type, in one line that names its key.
     """
     try:
-        with _ONE_CONVERSION:
-            return msgspec.convert(value, kind)
+        return msgspec.convert(value, kind)
     except UnicodeEncodeError as refused:
         raise error(f"{where} holds what is no text") from refused
     except (msgspec.ValidationError, AttributeError) as refused:  # AttributeError: an object that only resembles a table

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.ode.case import FirstSolution, OdeCase
 from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion
@@ -180,6 +181,7 @@ RUNGS: tuple[Rung[OdeSearch], ...] = (
 )
 
 
+@one_thread_at_a_time
 def plan_ode(problem: OdeProblem, say: Say = silent, ladder: Sequence[Rung[OdeSearch]] = RUNGS) -> OdePlan:
     """Return the solution of a problem; one without an answer says why in `message`.
 

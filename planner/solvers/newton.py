@@ -34,6 +34,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.compiled.on_arrays import on_arrays
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
@@ -89,6 +90,7 @@ class Conditions:
     columns: np.ndarray
 
 
+@one_thread_at_a_time
 def conditions_of(program: Program) -> Conditions:
     """Return the optimality conditions of a program."""
     functions, n = program.functions, program.layout.size

@@ -14,6 +14,7 @@ from linkplan.models.compiled.functions import compiler
 from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.interrupts import asked, solving
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
 from linkplan.planner.transcription.program import Program
@@ -76,6 +77,7 @@ class Solution:
     bound_multipliers: np.ndarray | None = None
 
 
+@one_thread_at_a_time
 def build_solver(
     program: Program,
     settings: SolverSettings | None = None,
