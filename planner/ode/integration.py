@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from linkplan.planner.certificate.boundary import relative_violation
-from linkplan.planner.certificate.flow import INTEGRATION_RTOL, Rate, flows, side_by_side
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL, Rate, called, flows, side_by_side
 from linkplan.planner.certificate.integration import RESTART_GROWTH
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
@@ -100,21 +100,13 @@ def _most(problem: OdeProblem) -> float:
 
 def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> IntegratedOde:
     """Return the errors of one integration."""
-    f, L, n_x = problem.at_instant("rate"), problem.at_instant("running_cost"), problem.n_x
-    has_cost = problem.running_cost is not None
-    p, breaks = problem.parameters, trajectory.breaks_s
-    n, planned = len(breaks) - 1, _planned(trajectory)
+    n_x, breaks, planned = problem.n_x, trajectory.breaks_s, _planned(trajectory)
+    n, widths, inputs = len(breaks) - 1, np.diff(breaks), _inputs(trajectory)
     errors, spent, beyond = np.full((n, n_x), np.inf), np.full(n, np.inf), np.full(n, np.inf)
+    function = _rate_on(problem, trajectory.effort.shape[0])
 
     def rate_on(k: int) -> Rate:
-        coefficients, width, t0 = trajectory.effort[:, k], breaks[k + 1] - breaks[k], breaks[k]
-
-        def rate(t: float, y: np.ndarray) -> np.ndarray:
-            x, u = y[:n_x], bernstein_value(coefficients, t / width)
-            running = float(L(x, u, p, t0 + t)) if has_cost else 0.0
-            return np.append(np.array(f(x, u, p, t0 + t)).ravel(), running)
-
-        return rate
+        return called(function, inputs[k], widths[k])
 
     begin = np.append(planned[0], 0.0)
     shares, until, end = np.append(points[:-1], 1.0), problem.solver.certificate_deadline, begin[:n_x]
@@ -141,11 +133,9 @@ def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, poin
     error, carried, restarts = np.zeros(n_x), np.eye(n_x), 0
     still = np.concatenate([[0.0], np.vstack([np.eye(n_x), np.zeros(n_x)]).ravel(order="F")])
     begins = np.hstack([planned[:-1], np.tile(still, (n, 1))])
-    efforts = trajectory.effort.transpose(1, 2, 0).reshape(n, -1)
-    inputs = np.column_stack([efforts, breaks[:-1], np.diff(breaks)])
     shares, end = np.append(points[1:-1], 1.0), planned[0]
     varied = _varied_on(problem, trajectory.effort.shape[0])
-    reached = side_by_side(varied, np.diff(breaks), inputs, begins, shares, problem.solver.certificate_deadline)
+    reached = side_by_side(varied, np.diff(breaks), _inputs(trajectory), begins, shares, problem.solver.certificate_deadline)
     if reached is None:
         return None
     states, transitions = reached[:, :, : n_x + 1], reached[:, :, n_x + 1 :].reshape(n, -1, n_x, n_x + 1).swapaxes(2, 3)
@@ -166,6 +156,13 @@ def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, poin
     return IntegratedOde(
         errors=errors, defects=added * share, objective=objective, misjudged=misjudged, beyond=beyond, restarts=restarts
     )
+
+
+def _inputs(trajectory: OdeTrajectory) -> np.ndarray:
+    """Return for every interval (n, k) the coefficients of its efforts, its beginning [s] and its width [s]."""
+    breaks = trajectory.breaks_s
+    efforts = trajectory.effort.transpose(1, 2, 0).reshape(len(breaks) - 1, -1)
+    return np.column_stack([efforts, breaks[:-1], np.diff(breaks)])
 
 
 def _planned(trajectory: OdeTrajectory) -> np.ndarray:
@@ -194,14 +191,31 @@ def _variation(problem: OdeProblem) -> ca.Function:
     return ca.Function("variation", [x, u, p, t], [ca.densify(value), ca.densify(ca.jacobian(value, x))])
 
 
-def _varied_on(problem: OdeProblem, n_coefficients: int) -> ca.Function:
-    """Return the rate of state, cost and transition matrix (column by column) within an interval, of `Rate`'s inputs.
+def _rate_on(problem: OdeProblem, n_coefficients: int) -> ca.Function:
+    """Return the rate of state and cost within an interval, of `called`'s inputs.
 
-    The arguments are the state, the efforts of an interval, its beginning [s] and width [s], and the share of the interval.
+    The arguments are the state with the cost, one of `_inputs`' rows, and the share of the interval.
     """
-    n_x, n_u = problem.n_x, problem.n_u
-    y, given, share = ca.SX.sym("y", (n_x + 1) ** 2), ca.SX.sym("c", n_coefficients * n_u + 2), ca.SX.sym("tau")
-    u = bernstein_value(ca.reshape(given[:-2], n_coefficients, n_u), share).T
-    value, slope = _variation(problem)(y[:n_x], u, ca.DM(problem.parameters), given[-2] + share * given[-1])
+    y, given, share = _arguments(problem, problem.n_x + 1, n_coefficients)
+    value, _ = _variation(problem)(*_at_share(problem, y, given, share, n_coefficients))
+    return ca.Function("rate", [y, given, share], [value], {"cse": True})
+
+
+def _varied_on(problem: OdeProblem, n_coefficients: int) -> ca.Function:
+    """Return the rate of state, cost and transition matrix (column by column) within an interval, as `_rate_on` does."""
+    n_x = problem.n_x
+    y, given, share = _arguments(problem, (n_x + 1) ** 2, n_coefficients)
+    value, slope = _variation(problem)(*_at_share(problem, y, given, share, n_coefficients))
     transition = ca.reshape(y[n_x + 1 :], n_x + 1, n_x)
     return ca.Function("varied", [y, given, share], [ca.vertcat(value, ca.vec(slope @ transition[:n_x, :]))], {"cse": True})
+
+
+def _arguments(problem: OdeProblem, n: int, n_coefficients: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return symbols for n integrated quantities, one of `_inputs`' rows, and the share of the interval."""
+    return ca.SX.sym("y", n), ca.SX.sym("c", n_coefficients * problem.n_u + 2), ca.SX.sym("tau")
+
+
+def _at_share(problem: OdeProblem, y: ca.SX, given: ca.SX, share: ca.SX, n_coefficients: int) -> tuple:
+    """Return (x, u, p, t) at a share of an interval."""
+    u = bernstein_value(ca.reshape(given[:-2], n_coefficients, problem.n_u), share).T
+    return y[: problem.n_x], u, ca.DM(problem.parameters), given[-2] + share * given[-1]

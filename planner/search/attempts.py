@@ -5,7 +5,7 @@ chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it
 to a thousandth of it, on finer meshes.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,9 +32,8 @@ from linkplan.planner.transcription.mesh import halved
 # A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
 # halving it for the smoothing.
 REPORTED_CHANGE = 1e-4
-# The smoothing is small enough if a step gains less than this share of the objective. Its mesh is halved up to so many
-# intervals.
-_MIN_GAIN_OF_STEP, _MAX_INTERVALS = 1e-5, 160
+# The mesh of a tracking motion is halved up to so many intervals.
+_MAX_INTERVALS = 160
 # An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
 _EXACT_TRACKING_SHARE = 1e-10
 
@@ -118,18 +117,19 @@ def certified(
     if colliding is not None:
         return finished(problem, found.motion, colliding, found.solution.objective, None)
     case = case_of(problem, kinks=kinks, enclosed=enclosed)
-    better = refine(case, found, warm=warm)
+    if problem.objective.is_smoothed and problem.objective.has("tracking"):
+        better, change = _unsmoothed(case, found, warm)
+    else:
+        better, change = refine(case, found, warm=warm), None
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         if problem.solver.judging_deadline.passed:
             message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
         return Plan(problem=problem, status="failed", message=message, history=recorded())
-    solved_for = better.solution
-    better, change = unsmoothed(case, better)
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
+    moved = better.moved if change is None else change
     against = better.against
-    moved = change if better.solution is not solved_for else better.moved
     # A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
     optimal = not len(against) and moved <= 5e-2
     plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)
@@ -221,58 +221,50 @@ def with_constant_efforts(problem: Problem, found: Iterate) -> Plan | None:
     return only_feasible(plan, why)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Smoothed:
-    """A motion refined with a weight on the effort rate, and its objective without that."""
-
-    case: MechanismCase
-    refined: Refined
-    objective: float
+def _own_objective(at: Iterate | Refined) -> float:
+    """Return the objective of a motion without the weight on its effort rate."""
+    return own_objective(at.solution.transcribed, at.solution.objective, at.motion)
 
 
-def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
-    """Return a tracking motion whose smoothing was taken out, and by what share a finer mesh changed its objective.
+def _smoothed(
+    case: MechanismCase, at: Iterate | Refined, smoothing: float, *, finer: bool = False
+) -> tuple[MechanismCase, Iterate] | None:
+    """Solve with a weight on the effort rate, on intervals that are all halved if `finer`; None if no motion is found."""
+    transcribed = at.solution.transcribed
+    mesh = transcribed.program.mesh
+    durations = np.bincount(mesh.segment, np.diff(at.motion.breaks_s))
+    if finer:
+        mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
+    now = replace(case.with_scheme(transcribed.scheme.name), smoothing=smoothing)
+    what = f"smoothing of efforts {smoothing / SMOOTHING_WEIGHT:.3g} of the first" + (", finer mesh" if finer else "")
+    found = attempt(now, now.start_from(at.motion), mesh, durations, what, warm=True)
+    return None if found is None else (now, found)
 
-    A motion without smoothing in its objective, or one that does not pass, is returned unchanged.
+
+def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refined | None, float | None]:
+    """Return a refined tracking motion whose smoothing was taken out, and by what share a finer mesh changed its objective.
+
+    The weight falls by a tenth from solve to solve. The motion with the least weight that passes once it is refined is
+    returned, and the first one if none passes.
     """
-    problem: Problem = case.problem
-    if not (problem.objective.is_smoothed and problem.objective.has("tracking") and refined.certificate.passed):
-        return refined, 0.0
-    unit = refined.solution.transcribed.units.objective
-
-    def solved(at: _Smoothed, smoothing: float, *, finer: bool = False) -> _Smoothed | None:
-        mesh, motion = at.refined.solution.transcribed.program.mesh, at.refined.motion
-        scheme = at.refined.solution.transcribed.scheme.name
-        durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
-        if finer:
-            mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
-        now = replace(at.case.with_scheme(scheme), smoothing=smoothing)
-        what = f"smoothing of efforts {smoothing / SMOOTHING_WEIGHT:.3g} of the first" + (", finer mesh" if finer else "")
-        found = attempt(now, now.start_from(motion), mesh, durations, what, warm=True)
-        better = None if found is None else refine(now, found, warm=True)
-        if better is None or not better.certificate.passed:
-            return None
-        objective = own_objective(better.solution.transcribed, better.solution.objective, better.motion)
-        return _Smoothed(case=now, refined=better, objective=objective) if objective <= at.objective else None
-
-    def settled(before: _Smoothed, after: _Smoothed, whole: bool) -> bool:
-        del whole
-        return before.objective - after.objective <= _MIN_GAIN_OF_STEP * after.objective
-
-    first = own_objective(refined.solution.transcribed, refined.solution.objective, refined.motion)
-    begin = _Smoothed(case=case, refined=refined, objective=first)
-    if first <= _EXACT_TRACKING_SHARE * unit:
-        return refined, 0.0
+    nothing = _EXACT_TRACKING_SHARE * first.solution.transcribed.units.objective
     steps = Steps(begin=case.smoothing, end=1e-3 * SMOOTHING_WEIGHT, factor=0.1, halvings=0)
-    at, change = followed(begin, steps, solved, enough=settled).stages[-1], 0.0
-    while (
-        2 * at.refined.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS
-        and at.objective > _EXACT_TRACKING_SHARE * unit
-    ):
-        finer = solved(at, at.case.smoothing, finer=True)
-        if finer is None:
+    solves = ((case, first),)
+    if _own_objective(first) > nothing:
+        solves = followed(solves[0], steps, lambda stage, weight: _smoothed(*stage, weight)).stages
+    at, change = None, None
+    for case, found in reversed(solves):
+        at = refine(case, found, warm=warm or found is not first)
+        if at is not None and at.certificate.passed:
             break
-        change, at = (at.objective - finer.objective) / finer.objective, finer
+    if at is None or not at.certificate.passed:
+        return at, None
+    while 2 * at.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS and _own_objective(at) > nothing:
+        solved = _smoothed(case, at, case.smoothing, finer=True)
+        finer = None if solved is None else refine(*solved, warm=True)
+        if finer is None or not finer.certificate.passed or _own_objective(finer) > _own_objective(at):
+            break
+        change, at = _own_objective(at) / _own_objective(finer) - 1, finer
         if change <= REPORTED_CHANGE:
             break
-    return at.refined, change
+    return at, change

@@ -10,6 +10,7 @@ share that did not survive.
 
 import argparse
 import ast
+import os
 import random
 import re
 import shutil
@@ -104,7 +105,10 @@ def verdict_on(mutant: Mutant, copy: Path, *, slow: bool, timeout_s: float) -> s
 
     def failed(tests: list[str]) -> list[str]:
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *marks, *tests]
-        run = subprocess.run(command, cwd=copy, capture_output=True, text=True, timeout=timeout_s, check=False)
+        environment = {**os.environ, "PYTHONPATH": str(copy)}  # commands that tests start import the copy, too
+        run = subprocess.run(
+            command, cwd=copy, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
+        )
         words = [line.split(" ")[1] for line in run.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
         return words or tests if run.returncode else []
 

@@ -253,7 +253,7 @@ for thread in threads:
 @pytest.mark.slow
 def test_threads_may_read_their_first_problems_at_once():
     """Without the lock, 18 of 40 such processes ended with a segmentation fault of msgspec or hung in MuJoCo; CasADi ends
-    one of 60 (three of 40 with a payload, whose constants it writes into formulas)."""
+    one of 60."""
     for _ in range(6):
         done = subprocess.run([sys.executable, "-c", AT_ONCE], capture_output=True, text=True, check=False, timeout=60)
         assert (done.returncode, done.stderr) == (0, "")

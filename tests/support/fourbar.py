@@ -53,9 +53,9 @@ class FourBar:
         return replace(self, lumps=self.lumps | {link: (*self.lumps[link], lump)})
 
     def angles(self, s: np.ndarray) -> np.ndarray:
-        """Return the links' absolute angles (3, n) [rad] at crank angles s (n,)."""
+        """Return the links' absolute angles (3, ..., n) [rad] at crank angles s (..., n), unwrapped along the last axis."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
-        to_C = np.array(self.ground)[:, None] - self.crank * _along(s)
+        to_C = np.array(self.ground).reshape(2, *[1] * s.ndim) - self.crank * _along(s)
         distance = np.hypot(*to_C)
         middle = (distance**2 + self.coupler**2 - self.rocker**2) / (2 * distance)
         height = np.sqrt(self.coupler**2 - middle**2)
@@ -66,7 +66,9 @@ class FourBar:
 
     def rates(self, s: np.ndarray) -> np.ndarray:
         """Return the links' angular rates (3, n) per unit crank rate."""
-        th = self.angles(s)
+        return self._rates_at(self.angles(s))
+
+    def _rates_at(self, th: np.ndarray) -> np.ndarray:
         turn = np.sin(th[2] - th[1])  # the transmission angle's sine: zero at a singular pose
         w_coupler = -self.crank * np.sin(th[2] - th[0]) / (self.coupler * turn)
         w_rocker = self.crank * np.sin(th[0] - th[1]) / (self.rocker * turn)
@@ -79,10 +81,12 @@ class FourBar:
 
     def inertia(self, s: np.ndarray) -> np.ndarray:
         """Return the reduced inertia M (n,) [kg m2]: twice the kinetic energy at unit crank rate."""
-        th, w = self.angles(s), self.rates(s)
-        total = np.zeros(th.shape[1])
+        return self._inertia_at(self.angles(s))
+
+    def _inertia_at(self, th: np.ndarray) -> np.ndarray:
+        w, total = self._rates_at(th), np.zeros(th.shape[1:])
         for i, link in enumerate(LINKS):
-            base = self.crank * _along_rate(th[0]) if link == "coupler" else np.zeros((2, 1))
+            base = self.crank * _along_rate(th[0]) if link == "coupler" else 0.0
             for lump in self.lumps[link]:
                 velocity = base + w[i] * _rotated_rate(lump.centre, th[i])
                 total += lump.mass * (velocity**2).sum(axis=0) + lump.inertia * w[i] ** 2
@@ -90,7 +94,14 @@ class FourBar:
 
     def potential(self, s: np.ndarray) -> np.ndarray:
         """Return the potential energy V (n,) [J], the pivot O at height zero."""
+        return self._potential_at(self.angles(s))
+
+    def energies(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the reduced inertia and the potential energy at crank angles s (..., n)."""
         th = self.angles(s)
+        return self._inertia_at(th), self._potential_at(th)
+
+    def _potential_at(self, th: np.ndarray) -> np.ndarray:
         bases = (0.0, self.crank * np.cos(th[0]), self.ground[1])
         return sum(
             G * lump.mass * (bases[i] + _rotated(lump.centre, th[i])[1])

@@ -27,6 +27,8 @@ _TURNING = 49
 _NEAR, _BASINS = np.geomspace(2e-3, 0.3, 6), 3
 # A motion that turns back is counted as faster than a straight one only by more than this.
 _FASTER = 1e-9
+# Crank angles [rad] and speeds [rad/s] at the ends of legs: numbers, or arrays of one shape.
+Angles = Speeds = float | np.ndarray
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -43,31 +45,41 @@ class Phase:
         """Return the phase plane of torques so many times as wide, about nought."""
         return replace(self, low=factor * self.low, high=factor * self.high)
 
-    def leg(self, a: float, b: float, va: float = 0.0, vb: float = 0.0, n: int = _FINE) -> float:
+    def leg(self, a: float, b: float, va: float = 0.0, vb: float = 0.0) -> float:
         """Return the least time [s] straight from a to b, with speeds va, vb at the ends; infinite where there is none."""
-        if a == b or min(va * (b - a), vb * (b - a)) < 0:
+        if np.any(np.isfinite(self.speed)):
+            return float(self.legs(a, b, va, vb, _FINE))
+        if not np.isfinite(self.legs(a, b, va, vb, _SETTLING)):
             return np.inf
-        parts, arcs = [(a, b)], []
+        return sum(self._arc(*arc) for arc in self._arcs(a, b, va, vb))
+
+    def _arcs(self, a: Angles, b: Angles, va: Speeds, vb: Speeds) -> list[tuple]:
+        """Return for both arcs of legs without a speed limit: the end, the switch, the torque, and the energy V + E."""
+        M, V = self.fourbar.energies(np.stack([a, b]))
+        push, brake = np.where(b > a, self.high, self.low), np.where(b > a, self.low, self.high)
+        first, last = 0.5 * M[0] * np.square(va), 0.5 * M[1] * np.square(vb)
+        switch = (last - first + V[1] - V[0] + push * a - brake * b) / (push - brake)
+        return [(a, switch, push, first + V[0]), (b, switch, brake, last + V[1])]
+
+    def legs(self, a: Angles, b: Angles, va: Speeds = 0.0, vb: Speeds = 0.0, n: int = _COARSE) -> np.ndarray:
+        """Return the least times [s] of legs between angles, arrays that are broadcast, by trapezia over n angles an arc."""
+        a, b, va, vb = np.broadcast_arrays(a, b, va, vb)
+        time, there = np.full(a.shape, np.inf), (a != b) & (va * (b - a) >= 0) & (vb * (b - a) >= 0)
+        ends = [a, b]
         if not np.any(np.isfinite(self.speed)):
-            V, M = self.fourbar.potential(np.array([a, b])), self.fourbar.inertia(np.array([a, b]))
-            push, brake = (self.high, self.low) if b > a else (self.low, self.high)
-            first, last = 0.5 * M[0] * va**2, 0.5 * M[1] * vb**2
-            switch = (last - first + V[1] - V[0] + push * a - brake * b) / (push - brake)
-            if not min(a, b) < switch < max(a, b):
-                return np.inf
-            parts = [(a, switch), (switch, b)]
-            arcs = [(a, switch, push, first + V[0]), (b, switch, brake, last + V[1])]
-        counted = _SETTLING if arcs and n == _FINE else n
-        s = np.concatenate([x + (y - x) * 0.5 * (1 - np.cos(np.linspace(0, np.pi, counted))) for x, y in parts])
-        energy, M = self.profile(s, va, vb)
-        if energy is None:
-            return np.inf
-        if arcs and n == _FINE:
-            return sum(self._arc(*arc) for arc in arcs)
-        v = np.sqrt(2 * energy / M)
-        step = np.abs(np.diff(s))
-        moved = step > 0
-        return float(np.sum(2 * step[moved] / (v[:-1] + v[1:])[moved]))
+            switch = self._arcs(a, b, va, vb)[0][1]
+            there &= (np.minimum(a, b) < switch) & (switch < np.maximum(a, b))
+            ends = [a, switch, b]
+        a, b, va, vb, *ends = (of[there] for of in (a, b, va, vb, *ends))
+        share = 0.5 * (1 - np.cos(np.linspace(0, np.pi, n)))
+        s = np.concatenate([x[:, None] + (y - x)[:, None] * share for x, y in itertools.pairwise(ends)], axis=1)
+        energy, M, is_leg = self._profiles(s, va, vb)
+        v = np.sqrt(2 * energy[is_leg] / M[is_leg])
+        step, both = np.abs(np.diff(s[is_leg])), v[:, :-1] + v[:, 1:]
+        found = np.full(len(is_leg), np.inf)
+        found[is_leg] = np.sum(np.divide(2 * step, both, out=np.zeros_like(step), where=step > 0), axis=1)
+        time[there] = found
+        return time
 
     def _arc(self, end: float, switch: float, torque: float, total: float) -> float:
         """Return the time [s] between an end and the switch under one torque, `total` the energy V + E at the end."""
@@ -81,26 +93,29 @@ class Phase:
 
     def profile(self, s: np.ndarray, va: float, vb: float) -> tuple[np.ndarray | None, np.ndarray]:
         """Return the largest energies (n,) [J] along a leg's angles, None where there is no such leg, and inertias (n,)."""
-        M, V = self.fourbar.inertia(s), self.fourbar.potential(s)
-        push, brake = (self.high, self.low) if s[-1] > s[0] else (self.low, self.high)
-        cap = np.full(len(s), np.inf)
+        energy, M, is_leg = self._profiles(s, va, vb)
+        return energy if is_leg else None, M
+
+    def _profiles(self, s: np.ndarray, va: Speeds, vb: Speeds) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the largest energies and the inertias (..., n) along angles (..., n), and a mask (...,) of the legs."""
+        M, V = self.fourbar.energies(s)
+        onward = s[..., -1:] > s[..., :1]
+        push, brake = np.where(onward, self.high, self.low), np.where(onward, self.low, self.high)
+        cap = np.full(s.shape, np.inf)
         if np.any(np.isfinite(self.speed)):
             w = self.fourbar.rates(s)
             for rate, limit in zip((w[0], w[1] - w[0], w[2]), self.speed, strict=True):
                 cap = np.minimum(cap, 0.5 * M * (limit / np.maximum(np.abs(rate), 1e-12)) ** 2)
-        first, last = 0.5 * M[0] * va**2, 0.5 * M[-1] * vb**2
-        size = np.ptp(V) + (abs(push) + abs(brake)) * abs(s[-1] - s[0])
-        if first > cap[0] or last > cap[-1]:
-            return None, M
-        cap[0], cap[-1] = first, last
+        first, last = 0.5 * M[..., 0] * np.square(va), 0.5 * M[..., -1] * np.square(vb)
+        size = np.ptp(V, axis=-1) + (abs(self.high) + abs(self.low)) * np.abs(s[..., -1] - s[..., 0])
+        is_leg = (first <= cap[..., 0]) & (last <= cap[..., -1])
+        cap[..., 0], cap[..., -1] = first, last
         A, B = push * s - V, brake * s - V
-        ahead = A + np.minimum.accumulate(cap - A)
-        behind = B + np.minimum.accumulate((cap - B)[::-1])[::-1]
+        ahead = A + np.minimum.accumulate(cap - A, axis=-1)
+        behind = B + np.minimum.accumulate((cap - B)[..., ::-1], axis=-1)[..., ::-1]
         energy = np.minimum(ahead, behind)
-        ends_met = abs(energy[0] - first) < 1e-12 * size and abs(energy[-1] - last) < 1e-12 * size
-        if not ends_met or not np.all(energy[1:-1] > 0) or np.any(np.isnan(energy)):
-            return None, M
-        return energy, M
+        is_leg &= (np.abs(energy[..., 0] - first) < 1e-12 * size) & (np.abs(energy[..., -1] - last) < 1e-12 * size)
+        return energy, M, is_leg & np.all(energy[..., 1:-1] > 0, axis=-1)
 
     def can_pause(self, a: float, b: float, va: float, vb: float) -> bool:
         """Return whether a leg may come to rest on its way and hold there, so that any longer duration will do too."""
@@ -123,8 +138,7 @@ class Phase:
         near = [x + way * np.sign(v) * _NEAR for x, v, way in ((a, va, 1), (b, vb, -1)) if v]
         points = np.sort(np.concatenate([np.linspace(*self.domain, n_points), *near]))
         points = points[(points >= self.domain[0]) & (points <= self.domain[1])]
-        cost = np.array([self.leg(a, p, va, 0.0, _COARSE) for p in points])
-        last = np.array([self.leg(p, b, 0.0, vb, _COARSE) for p in points])
+        cost, last = self.legs(a, points, va, 0.0), self.legs(points, b, 0.0, vb)
         best, path = self.leg(a, b, va, vb), ()
         routes = [(p,) for p in points]
         between = None
@@ -138,7 +152,7 @@ class Phase:
             if turn + 1 == turns:
                 break
             if between is None:
-                between = np.array([[self.leg(p, q, n=_COARSE) for q in points] for p in points])
+                between = self.legs(points[:, None], points)
             further = cost[:, None] + between
             before = np.argmin(further, axis=0)
             cost = further[before, np.arange(len(points))]
@@ -146,11 +160,14 @@ class Phase:
         return best, path
 
     def _settled(self, a: float, b: float, va: float, vb: float, turning: tuple) -> tuple[float, tuple]:
-        def time(x: np.ndarray, n: int = _SETTLING) -> float:
-            ends, speeds = [a, *x, b], [va, *(0.0 for _ in x), vb]
+        def time(x: np.ndarray) -> float:
             if np.any((x < self.domain[0]) | (x > self.domain[1])):
                 return np.inf
-            return sum(self.leg(ends[k], ends[k + 1], speeds[k], speeds[k + 1], n) for k in range(len(x) + 1))
+            return sum(self.legs(*legs_of(x), n=_SETTLING))
+
+        def legs_of(x: np.ndarray) -> np.ndarray:
+            ends, speeds = np.array([a, *x, b]), np.array([va, *(0.0 for _ in x), vb])
+            return np.array([ends[:-1], ends[1:], speeds[:-1], speeds[1:]])
 
         x = np.array(turning)
         spread = (self.domain[1] - self.domain[0]) / _TURNING
@@ -159,7 +176,7 @@ class Phase:
             time, x, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-9, "maxiter": 300}
         )
         x = found.x if found.fun <= time(x) else x
-        return time(x, _FINE), tuple(float(p) for p in x)
+        return sum(self.leg(*one) for one in legs_of(x).T), tuple(float(p) for p in x)
 
 
 def _lowest(values: np.ndarray) -> list[int]:

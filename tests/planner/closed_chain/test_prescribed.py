@@ -27,6 +27,14 @@ def test_a_reference_is_followed_between_the_breaks_too():
     assert motion.effort_at(t)[:, 0] == pytest.approx(-HINGE_INERTIA * PULSE**2 * swing, abs=1e-10)
 
 
+@pytest.mark.parametrize(("duration", "n_intervals"), [(2.0, 12), (3.0, 18), (0.5, 8)])
+def test_a_followed_reference_has_the_intervals_asked_for_in_each_period_and_at_least_eight(duration, n_intervals):
+    problem = followed("mesh.intervals=12", f"motion.duration_s={duration}")
+    motion = prescribe(problem, problem.start_pose())
+    np.testing.assert_allclose(motion.breaks_s, np.linspace(0.0, duration, n_intervals + 1), atol=1e-12)
+    assert motion.periodic is (duration == 2.0)
+
+
 @pytest.mark.parametrize(("duration", "instant"), [(2.0, 0.5), (0.4, 0.4)], ids=["within", "at the end"])
 def test_the_largest_excess_over_a_range_is_named_with_its_instant(duration, instant):
     problem = followed("limits.range_deg.J=[-90, 10]", f"motion.duration_s={duration}")
@@ -35,6 +43,14 @@ def test_the_largest_excess_over_a_range_is_named_with_its_instant(duration, ins
     assert demand.limit == pytest.approx(10.0)
     assert demand.needed == pytest.approx(5.0 + 20.0 * np.sin(PULSE * instant), rel=1e-6)
     assert demand.time_s == pytest.approx(instant, abs=1e-4)
+
+
+def test_the_largest_excess_over_a_speed_at_the_beginning_is_named_with_its_instant():
+    problem = followed("limits.speed_deg_s.J=[-90, 30]", "motion.duration_s=0.4")
+    demand = reference_demand(problem, problem.start_pose())
+    assert (demand.what, demand.unit) == ("speed", "deg/s")
+    assert demand.needed == pytest.approx(20.0 * PULSE, rel=1e-6)
+    assert demand.time_s == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_reference_within_its_limits_needs_nothing():

@@ -81,7 +81,8 @@ def test_a_spatial_loop_with_ball_joints_is_proved():
     crank = mechanism.independent_joints[0].name
     start = float(np.degrees(mechanism.home[mechanism.independent[0]]))
     problem = Problem.reach(mechanism, start_deg={crank: start}, goal_deg={crank: start + 60}, duration_s=0.8)
-    proof = plan_motion(problem).prove()
+    plan = plan_motion(problem)
+    proof = prove(problem, plan.trajectory)
     assert proof.complete
     assert answers(proof, "loops close") == {"proved"}
 

@@ -18,7 +18,7 @@ from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.ladder import Search, climb
 from linkplan.planner.search.rungs import Budget, Rung, Steps, followed
 from linkplan.planner.search.solving import first_mesh
-from linkplan.planner.search.starts import from_first_starts, no_time
+from linkplan.planner.search.starts import far_too_little_time, from_first_starts, no_time
 from linkplan.planner.solvers.solve import OUT_OF_TIME
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
@@ -221,6 +221,14 @@ def test_the_phase_plane_rules_out_a_duration_by_a_thousandth_and_along_speed_li
     known = replace(search.smooth, duration_s=1.0, switch_times_s=switch_times, boundaries_s=None)
     search.__dict__["quickest"] = known
     assert no_time(search) is too_short
+
+
+@pytest.mark.parametrize(("duration", "too_short"), [(0.78, False), (0.76, True)])
+def test_a_duration_is_far_too_short_below_the_phase_planes_by_a_factor_of_1_3(duration, too_short):
+    search = search_for(load_problem("knee-reach", [f"motion.duration_s={duration}"]))
+    search.__dict__["quickest"] = replace(search.smooth, duration_s=1.0, switch_times_s=[0.5], boundaries_s=None)
+    assert no_time(search)
+    assert far_too_little_time(search) is too_short
 
 
 @pytest.mark.parametrize(("change", "status"), [(0.04, "optimal"), (0.06, "feasible")])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.bounds import _boundary_groups, _hold_paths
+from linkplan.planner.transcription.bounds import _boundary_groups, _hold_paths, find_junctions
 from linkplan.planner.transcription.formulation import PhaseBoundary
 from linkplan.planner.transcription.mesh import segmented
 
@@ -64,3 +64,24 @@ def test_a_held_quantity_is_at_its_limit_at_every_node_of_its_arc_and_where_it_m
         open_ends[4] = -np.inf, np.inf
     np.testing.assert_array_equal(at_nodes[:, :, 0], expected)
     np.testing.assert_array_equal(at_open_ends[:, 0], open_ends)
+
+
+@pytest.mark.parametrize(("before", "after"), [(5.0, -5.0), (-5.0, 5.0), (5.0, 5.0)])
+def test_an_arc_meets_a_bang_without_a_jump_where_its_effort_beside_the_switch_has_the_bangs_sign(before, after):
+    """The effort along the arc from 1 s to 3 s is positive in its first half and negative in its second."""
+    durations = np.array([1.0, 2.0, 1.0])
+
+    def nodes(time: np.ndarray) -> tuple:
+        effort = np.where((time > 1.0) & (time < 3.0), np.sign(2.0 - time), 0.0)
+        return None, None, None, effort[:, None]
+
+    junctions = find_junctions(
+        SimpleNamespace(rows=SimpleNamespace(open_end_path=(0,))),
+        segmented(durations, 12),
+        durations,
+        SimpleNamespace(nodes=nodes),
+        np.array([[before], [np.nan], [after]]),
+        np.array([[0], [1], [0]]),
+    )
+    expected = [[int(before > 0)], [-int(after < 0)]]
+    assert (np.zeros((2, 1)) if junctions is None else junctions).tolist() == expected

@@ -1,0 +1,69 @@
+"""Intervals along limits, read from the rows of a program: the values of the rows are given, without a mechanism."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.refinement.constrained_arcs import own_arcs, path_arcs, standing_off
+
+LOW, HIGH = -2.0, 4.0
+
+
+def program_of(rows, *, limit=(LOW, HIGH), kind="speed", n_path=0, n_equations=0, n_nodes=0) -> SimpleNamespace:
+    """Return a program with rows (n, n_rows): of each interval's own limit, then of its nodes' equations and path limit."""
+    rows = np.array(rows, dtype=float)
+    n_own = rows.shape[1] - n_nodes * (n_equations + n_path)
+    interval = SimpleNamespace(
+        n_rows=rows.shape[1],
+        n_own=n_own,
+        own_kinds=(kind,) * n_own,
+        own_items=(0,) * n_own,
+        n_nodes=n_nodes,
+        n_equations=n_equations,
+        n_path=n_path,
+        node_kinds=("dynamics",) * n_equations + (kind,) * n_path,
+    )
+    functions = {"nlp": lambda _x, _parameters: (0.0, rows.ravel())}
+    program = SimpleNamespace(mesh=SimpleNamespace(n_intervals=len(rows)), interval=interval, functions=functions)
+    own, path = ({} if n_path else {kind: [np.array(limit)]}), np.array([limit])
+    return SimpleNamespace(program=program, parameters=None, formulation=SimpleNamespace(own=own, path=path))
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "is_off"),
+    [
+        ((0.0, HIGH, 0.0), True),  # the parabola's largest value is HIGH / 2
+        ((0.0, LOW, 0.0), True),
+        ((HIGH, HIGH, HIGH), False),  # it is at the limit
+        ((HIGH, 0.0, 0.0), False),  # it is at the limit at its beginning alone
+        ((0.0, 0.0, LOW), False),
+        ((0.0, 0.9 * HIGH, 0.0), False),  # neither is at the limit
+    ],
+)
+def test_coefficients_keep_a_parabola_off_a_limit_that_its_middle_coefficient_alone_touches(coefficients, is_off):
+    assert standing_off(program_of([coefficients]), np.zeros(0)).tolist() == [is_off]
+
+
+def test_a_limit_of_zero_or_none_keeps_nothing_off():
+    assert not standing_off(program_of([(-1.0, 0.0, -1.0)], limit=(-np.inf, 0.0)), np.zeros(0)).any()
+
+
+def test_an_interval_is_an_arc_where_all_of_its_coefficients_are_at_one_limit():
+    rows = [(HIGH, HIGH, HIGH), (HIGH, HIGH, 0.0), (LOW, LOW, LOW), (0.0, 0.0, 0.0)]
+    assert own_arcs(program_of(rows), np.zeros(0), ("speed",)).ravel().tolist() == [1, 0, -1, 0]
+    assert own_arcs(program_of(rows), np.zeros(0), ("motor",)).shape == (4, 0)
+
+
+@pytest.mark.parametrize(("kind", "arcs"), [("power", [1, 0, -1, 0]), ("work", [0, 0, 0, 0])])
+def test_an_interval_is_an_arc_of_a_path_limit_where_all_of_its_nodes_are_at_one_limit(kind, arcs):
+    """Every node has the row of an equation before that of the limit, and the interval one row of its own before them."""
+    nodes = [(HIGH, HIGH), (HIGH, 0.0), (LOW, LOW), (0.0, 0.0)]
+    rows = [(7.0, 0.0, first, 0.0, second) for first, second in nodes]
+    transcribed = program_of(rows, kind=kind, n_path=1, n_equations=1, n_nodes=2)
+    assert path_arcs(transcribed, np.zeros(0)).ravel().tolist() == arcs
+
+
+def test_a_path_equation_is_no_arc():
+    transcribed = program_of([(HIGH, HIGH)], limit=(HIGH, HIGH), kind="power", n_path=1, n_nodes=2)
+    assert path_arcs(transcribed, np.zeros(0)).tolist() == [[0]]

@@ -1,0 +1,25 @@
+"""The places of a program's unknowns: each index is used by one of them."""
+
+import numpy as np
+
+from linkplan.planner.transcription.layout import Layout
+
+
+def test_every_unknown_has_one_place_of_its_own():
+    counts = {"n_s": 2, "n_z": 3, "n_u": 2, "n_nodes": 3, "n_intervals": 4, "n_segments": 3, "n_x": 1, "n_effort": 2}
+    layout = Layout(**counts, n_extra=2, n_open_ends=1, n_z_open_end=2)
+    of_intervals = {
+        "acceleration": (layout.acceleration(), (4, 3, 2)),
+        "rate": (layout.rate(), (4, 3, 1)),
+        "dependent": (layout.dependent(), (4, 3, 3)),
+        "effort": (layout.effort(), (4, 2, 2)),
+        "open end": (layout.open_end_dependent(), (4, 1, 2)),
+    }
+    for name, (places, shape) in of_intervals.items():
+        assert places.shape == shape, name
+    ends = [layout.states(), layout.durations(), layout.extra()]
+    everything = np.concatenate([places.ravel() for places in (*ends, *(places for places, _ in of_intervals.values()))])
+    np.testing.assert_array_equal(np.sort(everything), np.arange(layout.size))
+    np.testing.assert_array_equal(layout.states(), [layout.state(k) for k in range(5)])
+    np.testing.assert_array_equal(layout.durations(), layout.states().max() + 1 + np.arange(3))
+    np.testing.assert_array_equal(layout.extra(), layout.durations().max() + 1 + np.arange(2))
