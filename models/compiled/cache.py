@@ -1,9 +1,9 @@
 """The cache of compiled functions: a folder of shared libraries that only this user may write, because they are run.
 
 An entry is a library and a record. The record's first line is the hash of the rest, which is JSON with the library's hash.
-Both hashes are checked before the library is loaded. A truncated, altered or foreign entry is ignored and compiled again.
-Files are moved into place whole, so parallel processes at worst compile the same functions twice. Work folders are locked
-while in use, and the next run removes those of killed processes.
+Both hashes are checked before the library is loaded. A truncated or altered entry is ignored and compiled again. Files are
+moved into place whole, so parallel processes at worst compile the same functions twice. Work folders of killed processes are
+removed when they are older than any compilation.
 
 The folder holds at most $LINKPLAN_CACHE_MB megabytes, 2048 by default. The entries that were unused for the longest time are
 removed first. A process keeps a library that it has loaded. A library that is removed between lookup and loading is compiled
@@ -24,16 +24,9 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # not POSIX
-    fcntl = None
-
 _WORK = ".work-"
 # A compilation that began longer ago than this [s] and left no library has failed.
 _MAX_COMPILATION_AGE_S = 600.0
-# The largest libraries (legs with thirteen joints) have ten megabytes, their records one.
-_MAX_LIBRARY_BYTES, _MAX_RECORD_BYTES = 256 << 20, 32 << 20
 # Names of an entry's two files. No other file of the folder is removed.
 _ENTRY = re.compile(r"(k[0-9a-f]{32})\.(so|json)")
 # Space for about a hundred of the largest libraries, or ten thousand of a four-bar's.
@@ -82,19 +75,14 @@ def trusted_folder(*, make: bool) -> Path:
         folder.chmod(0o700)  # an earlier version created it under a permissive umask
         found = folder.stat()
     above = dict.fromkeys([*Path(os.path.abspath(given)).parents, *folder.parents])  # parents of symbolic links count too
-    why = _whose(found) or next((why for one in above if (why := _replaceable(one))), None)
+    whose = "belongs to somebody else" if found.st_uid != os.geteuid() else None
+    open_to = "may be written by others" if found.st_mode & _WRITABLE_BY_OTHERS else None
+    why = whose or open_to or next((why for one in above if (why := _replaceable(one))), None)
     if why is not None:
         raise PermissionError(
             f"the cache '{folder}' {why}, and what is in it is run: name one of your own in LINKPLAN_CACHE"
         )
     return folder
-
-
-def _whose(found: os.stat_result) -> str | None:
-    """Return a phrase that names who else owns or may write a file of the cache; None if nobody."""
-    if _POSIX and found.st_uid != os.geteuid():
-        return "belongs to somebody else"
-    return "may be written by others" if _POSIX and found.st_mode & _WRITABLE_BY_OTHERS else None
 
 
 def _replaceable(above: Path) -> str | None:
@@ -111,14 +99,14 @@ def _replaceable(above: Path) -> str | None:
 
 
 def find_entry(folder: Path, key: str) -> tuple[Path, dict] | None:
-    """Return the library kept under a key and its record; None if there is no complete entry of this user."""
+    """Return the library kept under a key and its record; None if there is no complete entry."""
     library = folder / f"{key}.so"
     try:
-        check, _, text = _read(folder / f"{key}.json", _MAX_RECORD_BYTES).partition(b"\n")
+        check, _, text = (folder / f"{key}.json").read_bytes().partition(b"\n")
         if hashlib.sha256(text).hexdigest().encode() != check:
             return None
         record = json.loads(text)
-        return (library, record["functions"]) if hash_of(_read(library, _MAX_LIBRARY_BYTES)) == record["library"] else None
+        return (library, record["functions"]) if hash_of(library.read_bytes()) == record["library"] else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
@@ -192,20 +180,6 @@ def hash_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _read(path: Path, most: int) -> bytes:
-    """Return a file's content.
-
-    Raises:
-        OSError: when it is not a regular file, belongs to somebody else, or is too large.
-    """
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
-    with open(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or found.st_size > most or _whose(found) is not None:
-            raise PermissionError(f"'{path}' is not of this cache")
-        return file.read(found.st_size)
-
-
 @contextlib.contextmanager
 def work_folder(folder: Path) -> Iterator[Path]:
     """Yield a new folder to compile in, and remove it at the end.
@@ -213,25 +187,20 @@ def work_folder(folder: Path) -> Iterator[Path]:
     Raises:
         OSError: when it cannot be made.
     """
-    work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
-    lock = None
+    work = new_work_folder(folder)
     try:
-        lock = _locked(work)
         yield work
     finally:
         shutil.rmtree(work, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
 
 
-def detached_work_folder(folder: Path) -> tuple[Path, int | None]:
-    """Return a new folder to compile in and its lock; the process that takes them over removes the folder.
+def new_work_folder(folder: Path) -> Path:
+    """Return a new folder to compile in; whoever compiles there removes it.
 
     Raises:
         OSError: when it cannot be made.
     """
-    work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
-    return work, _locked(work)
+    return Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
 
 
 def wanted_again(folder: Path, key: str) -> bool:
@@ -257,31 +226,8 @@ def wanted_again(folder: Path, key: str) -> bool:
 
 
 def sweep(folder: Path) -> None:
-    """Remove the work folders of ended processes."""
-    if fcntl is None:
-        return
-    for left in [folder / entry.name for entry in os.scandir(folder) if entry.name.startswith(_WORK)]:
-        with contextlib.suppress(OSError):
-            lock = _locked(left)
-            try:
+    """Remove the work folders of processes that were killed."""
+    for left in [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(_WORK)]:
+        with contextlib.suppress(OSError):  # removed by another process meanwhile
+            if time.time() - left.stat().st_mtime > _MAX_COMPILATION_AGE_S:
                 shutil.rmtree(left, ignore_errors=True)
-            finally:
-                if lock is not None:
-                    os.close(lock)
-
-
-def _locked(work: Path) -> int | None:
-    """Return a descriptor that locks a folder until it is closed; None on systems without locks.
-
-    Raises:
-        OSError: when another process holds the lock.
-    """
-    if fcntl is None:
-        return None
-    descriptor = os.open(work, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        raise
-    return descriptor

@@ -2,7 +2,7 @@
 
     python -m linkplan.models.compiled.finish_compiling FOLDER WORK KEY TIMEOUT_S COMMAND...
 
-The process loads neither CasADi nor numpy, has a low priority, holds the lock of WORK, and removes WORK at its end.
+The process loads neither CasADi nor numpy, has a low priority, and removes WORK at its end.
 """
 
 import contextlib

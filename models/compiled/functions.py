@@ -26,11 +26,11 @@ from typing import TYPE_CHECKING, TypeVar
 import casadi as ca
 
 from linkplan.models.compiled.cache import (
-    detached_work_folder,
     evict,
     find_entry,
     keep_entry,
     mark_used,
+    new_work_folder,
     sweep,
     trusted_folder,
     wanted_again,
@@ -186,21 +186,16 @@ def compile_in_background(key: str, functions: DataclassInstance) -> subprocess.
         folder = trusted_folder(make=True)
         if not wanted_again(folder, key):
             return None
-        work, lock = detached_work_folder(folder)
-        try:
-            record, command = _written(functions, work, key)
-            (work / f"{key}.record").write_text(json.dumps(record), encoding="utf-8")
-            # -P: Python does not import from the current folder.
-            finish = [sys.executable, "-P", "-m", "linkplan.models.compiled.finish_compiling"]
-            nothing, passed = subprocess.DEVNULL, () if lock is None else (lock,)
-            # A new session: an interrupt of the planner does not end it. It inherits the lock of the work folder.
-            return _DetachedProcess(
-                [*finish, str(folder), str(work), key, str(_COMPILER_TIMEOUT_S), *command],
-                stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True, pass_fds=passed,
-            )  # fmt: skip
-        finally:
-            if lock is not None:
-                os.close(lock)
+        work = new_work_folder(folder)
+        record, command = _written(functions, work, key)
+        (work / f"{key}.record").write_text(json.dumps(record), encoding="utf-8")
+        # -P: Python does not import from the current folder.
+        finish = [sys.executable, "-P", "-m", "linkplan.models.compiled.finish_compiling"]
+        nothing = subprocess.DEVNULL
+        return _DetachedProcess(  # in a new session: an interrupt of the planner does not end it
+            [*finish, str(folder), str(work), key, str(_COMPILER_TIMEOUT_S), *command],
+            stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True,
+        )  # fmt: skip
     return None
 
 

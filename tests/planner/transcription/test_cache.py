@@ -146,31 +146,6 @@ def test_a_record_with_any_byte_altered_counts_as_none(folder):
     assert find_entry(folder, "k1") is not None
 
 
-@pytest.mark.parametrize("name", ["k1.json", "k1.so"])
-def test_a_file_larger_than_any_of_ours_is_not_read(name, folder):
-    kept(folder)
-    with (folder / name).open("r+b") as file:
-        file.truncate(1 << 40)  # takes no room, and more memory than there is
-    assert find_entry(folder, "k1") is None
-
-
-@needs_owners
-@pytest.mark.parametrize("name", ["k1.json", "k1.so"])
-def test_a_file_that_others_may_write_counts_as_none(name, folder):
-    kept(folder)
-    (folder / name).chmod(0o622)
-    assert find_entry(folder, "k1") is None
-
-
-@needs_owners
-@pytest.mark.parametrize("name", ["k1.json", "k1.so"])
-def test_a_link_counts_as_none(name, folder, tmp_path):
-    kept(folder)
-    (folder / name).rename(tmp_path / name)
-    (folder / name).symlink_to(tmp_path / name)
-    assert find_entry(folder, "k1") is None
-
-
 @needs_owners
 def test_somebody_elses_folder_is_not_used(folder, monkeypatch):
     kept(folder)
@@ -178,7 +153,7 @@ def test_somebody_elses_folder_is_not_used(folder, monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: other)
     with pytest.raises(PermissionError, match="belongs to somebody else"):
         trusted_folder(make=True)
-    assert find_entry(folder, "k1") is None
+    assert cached("k1", NodeFunctions) is None
 
 
 @needs_owners
@@ -293,10 +268,11 @@ def test_what_a_kill_left_in_the_cache_is_removed_by_the_next_run(folder):
     left = folder / ".work-left"
     left.mkdir()
     (left / "k1.c").write_text("int", encoding="utf-8")
+    os.utime(left, (1000.0, 1000.0))
     with work_folder(folder) as used:
         (used / "k2.c").write_text("int", encoding="utf-8")
         assert cached("k1", NodeFunctions) is None
-        assert (used / "k2.c").is_file()  # in use, and so left alone
+        assert (used / "k2.c").is_file()  # may be in use, and so left alone
     assert list(folder.iterdir()) == []
 
 
