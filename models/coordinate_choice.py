@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, constant_arms
+from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank
 from linkplan.models.errors import ModelError
 from linkplan.models.tree.joints import Joint, index_of
@@ -16,12 +17,10 @@ _SINGULAR_CHOICE_SHARE = 1e-6
 
 
 def choose_coordinates(
-    name: str,
-    joints: tuple[Joint, ...],
+    loop: KinematicLoop,
     model: mujoco.MjModel,
     actuators: Sequence[Actuator],
     jacobians: Sequence[np.ndarray],
-    share: float,
     asked: Sequence[str] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the independent rows of phi, the independent coordinates and the dependent coordinates.
@@ -29,21 +28,20 @@ def choose_coordinates(
     Named joints are independent. Driven joints are independent as far as the closure allows.
 
     Args:
-        name: of the mechanism.
-        joints: of the mechanism.
+        loop: the mechanism's closure.
         model: the compiled model.
         actuators: of the mechanism.
         jacobians: of phi at home and at nearby closed poses, (n_rows, n_q) each.
-        share: the rank's tolerance.
         asked: names of independent joints, or None.
 
     Raises:
         ModelError: if the named joints do not determine the others at home.
     """
+    joints, share = loop.joints, loop.rank_tolerance
     rank = numerical_rank(jacobians[0], share)
     regular = [jacobian for jacobian in jacobians if numerical_rank(jacobian, share) == rank]
     rows = independent_rows(regular, rank, share)
-    named = _named(name, joints, asked, len(joints) - rank)
+    named = _named(loop.name, joints, asked, len(joints) - rank)
     dependent = _dependent(joints, model, jacobians[0][rows], rank, actuators, named)
     independent = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
     return rows, independent, dependent

@@ -18,13 +18,12 @@ from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
-from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
 from linkplan.models.closure.snapping import SHIFT_SHARE, apply_shifts, needless_gaps, refuse_large_gaps, shifts
 from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
-from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
+from linkplan.models.errors import LockedError, ModelError, UnassembledError
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.one_thread import one_thread_at_a_time
@@ -292,48 +291,46 @@ def load_mechanism(
     joints = read_joints(name, model, tree.coordinates)
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
-    loop, sparse = _loop(tree, closures)
     extent = extent_m(model)
-    unit = unit_steps(joints, extent)
+    loop = _loop(name, joints, tree, closures, extent)
     tolerance = closure_tolerance(closure_tolerance_m, extent)
     reference = tree.coordinates.q_of(reference_qpos)
-    still = needless_gaps(loop, closures, reference, unit)
+    still = needless_gaps(loop, reference)
     along_axes = max(tolerance, SHIFT_SHARE * extent)
-    refuse_large_gaps(name, closures, still, along_axes)
+    refuse_large_gaps(loop, still, along_axes)
     moved = shifts(model, closures, still, reference_qpos, along_axes)
     if moved:
         apply_shifts(model, moved)
         closures = read_closures(model, tree)
-        loop, sparse = _loop(tree, closures)
+        loop = _loop(name, joints, tree, closures, extent)
     try:
-        pose = assemble(name, joints, loop, reference, home_positions(name, joints, home), tolerance)
+        pose = assemble(loop, reference, home_positions(loop, home), tolerance)
     except UnassembledError as error:
-        raise with_closed_pose(error, joints, loop, tree.coordinates, reference, unit) from None
-    _refuse_beyond_charts(name, tree.coordinates, pose)
-    mobility = judge_mobility(loop, pose, unit, tolerance)
-    loop, share = mobility.loop, mobility.loop.rank_tolerance
-    about = nearby_poses(loop, pose, unit)
-    jacobians = [loop.residual(q)[1] * unit for q in (pose, *about)]
-    refuse_locked(name, len(joints), closures, jacobians[0], mobility, tolerance)
-    rows, free, dependent = choose_coordinates(name, joints, model, actuators, jacobians, share, independent)
+        raise with_closed_pose(error, loop, reference) from None
+    mobility = judge_mobility(loop, pose, tolerance)
+    loop = mobility.loop
+    refuse_locked(mobility, pose, tolerance)
+    about = nearby_poses(loop, pose)
+    jacobians = [loop.jacobian(q) for q in (pose, *about)]
+    rows, free, dependent = choose_coordinates(loop, model, actuators, jacobians, independent)
     try:
-        refuse_singular_assembly(name, joints, loop, pose, free, extent, about)
+        refuse_singular_assembly(loop, pose, free, about)
     except LockedError as error:
-        raise locked_or_singular(error, joints, closures, loop, tree.coordinates, pose, unit) from None
+        raise locked_or_singular(error, loop, pose) from None
     except UnassembledError as error:
-        raise with_closed_pose(error, joints, loop, tree.coordinates, pose, unit) from None
+        raise with_closed_pose(error, loop, pose) from None
     B = effort_matrix(model, tree, actuators)
     noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
-    projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))
+    projected = projected_loops(loop, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))
     parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, lengths(model, tree, actuators))
     dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
     refuse_singular_inertia(name, joints, free, dynamics, pose)
     rank = len(dependent)
-    poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
+    poses = [q for q in (pose, *about) if loop.rank(q) == rank]
     passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
     notes = [*left_out, *(shift.sentence for shift in moved), *notes, *friction_notes(model, transition, extent)]
-    notes += [*conversion_notes(source, driven=model.nu > 0), *_reference_notes(loop, reference, unit, rank)]
+    notes += [*conversion_notes(source, driven=model.nu > 0), *_reference_notes(loop, reference, rank)]
     mechanism = Mechanism(
         name=name,
         model=model,
@@ -367,12 +364,17 @@ def load_mechanism(
     return mechanism
 
 
-def _loop(tree: Tree, closures: Sequence[Closure]) -> tuple[KinematicLoop, ca.Function]:
-    """Return the closure as numbers, and its sparse Jacobian."""
+def _loop(name: str, joints: tuple[Joint, ...], tree: Tree, closures: tuple[Closure, ...], extent: float) -> KinematicLoop:
+    """Return the closure as numbers."""
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
-    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
-    function = ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(sparse(tree.q))])
-    return KinematicLoop(function=function, rows=tuple(closure.rows for closure in closures)), sparse
+    return KinematicLoop(
+        name=name,
+        joints=joints,
+        coordinates=tree.coordinates,
+        closures=closures,
+        unit=unit_steps(joints, extent),
+        function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.jacobian(phi, tree.q)]),
+    )
 
 
 def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]:
@@ -383,18 +385,9 @@ def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]
     return {model.body(BODY_NAME).id: inertial}
 
 
-def _reference_notes(loop: KinematicLoop, reference: np.ndarray, unit: np.ndarray, rank: int) -> list[str]:
+def _reference_notes(loop: KinematicLoop, reference: np.ndarray, rank: int) -> list[str]:
     """Return a note if the closed reference pose is singular."""
-    phi, jacobian = loop.residual(reference)
-    there = numerical_rank(jacobian * unit, loop.rank_tolerance)
-    if loop.gap(phi) > 1e-6 or there == rank:  # [m]: the rank is meaningful only at a closed pose
+    there = loop.rank(reference)
+    if loop.gap(loop.residual(reference)[0]) > 1e-6 or there == rank:  # [m]: the rank is meaningful only at a closed pose
         return []
     return [f"the model's reference pose is singular: the closure has rank {there} there and {rank} at home"]
-
-
-def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray) -> None:
-    violation = coordinates.range_violation(pose)
-    if violation is not None:
-        raise AssemblyError(
-            f"mechanism '{name}' assembles with {violation}; give the model a keyframe 'home' near the pose meant"
-        )

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from linkplan.models.closure.equations import Closure
 from linkplan.models.closure.locked import locked_by
 from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.errors import AssemblyError, LockedError, UnassembledError
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
@@ -50,58 +48,33 @@ def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
-def with_closed_pose(
-    error: UnassembledError,
-    joints: Sequence[Joint],
-    loop: KinematicLoop,
-    coordinates: Coordinates,
-    reference: np.ndarray,
-    unit: np.ndarray,
-) -> UnassembledError:
+def with_closed_pose(error: UnassembledError, loop: KinematicLoop, reference: np.ndarray) -> UnassembledError:
     """Return an error that offers the closed pose nearest to `reference` (n_q,), or states why there is none to offer."""
-    return _offering(error, joints, loop, coordinates, nearest_closed_pose(loop, joints, reference, unit), unit)
+    return _offering(error, loop, nearest_closed_pose(loop, reference))
 
 
-def _offering(
-    error: UnassembledError,
-    joints: Sequence[Joint],
-    loop: KinematicLoop,
-    coordinates: Coordinates,
-    pose: np.ndarray | None,
-    unit: np.ndarray,
-) -> UnassembledError:
+def _offering(error: UnassembledError, loop: KinematicLoop, pose: np.ndarray | None) -> UnassembledError:
     if pose is None:
         hint = (
             "no closed pose was found near it: the links may be too short, or rounded, which"
             f" mechanism.closure_tolerance_m = {1.01 * error.gap_m:.3g} accepts; else name a pose with mechanism.home_deg"
         )
         return UnassembledError(f"{error}; {hint}", error.gap_m)
-    home = home_of(joints, pose)
-    if numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance) == len(joints):
+    home = home_of(loop.joints, pose)
+    if loop.rank(pose) == len(loop.joints):
         hint = "at the nearest closed pose found, the loops lock every joint"
         return UnassembledError(f"{error}; {hint}: {'; '.join(home_text(home).splitlines())}", error.gap_m)
     hint = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"
-    return UnassembledError(f"{error}; {hint}", error.gap_m, keyframe_of(coordinates, pose), home)
+    return UnassembledError(f"{error}; {hint}", error.gap_m, keyframe_of(loop.coordinates, pose), home)
 
 
-def locked_or_singular(
-    error: LockedError,
-    joints: Sequence[Joint],
-    closures: Sequence[Closure],
-    loop: KinematicLoop,
-    coordinates: Coordinates,
-    pose: np.ndarray,
-    unit: np.ndarray,
-) -> AssemblyError:
+def locked_or_singular(error: LockedError, loop: KinematicLoop, pose: np.ndarray) -> AssemblyError:
     """Return the error for a pose (n_q,) at which a joint cannot move.
 
     At a singular pose (a flat parallelogram) the error offers a regular closed pose. Otherwise the mechanism is locked (a
     flat truss) and the error names the closures that lock it.
     """
-    jacobian, share = loop.residual(pose)[1] * unit, loop.rank_tolerance
-    other = nearest_closed_pose(loop, joints, pose, unit)
-    if other is not None:
-        there = numerical_rank(loop.residual(other)[1] * unit, share)
-        if numerical_rank(jacobian, share) < there < len(joints):
-            return _offering(UnassembledError(str(error)), joints, loop, coordinates, other, unit)
-    return locked_by(error, closures, jacobian, share)
+    other = nearest_closed_pose(loop, pose)
+    if other is not None and loop.rank(pose) < loop.rank(other) < len(loop.joints):
+        return _offering(UnassembledError(str(error)), loop, other)
+    return locked_by(error, loop, pose)

@@ -10,9 +10,8 @@ import numpy as np
 
 from linkplan.models.closure import newton
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
-from linkplan.models.tree.joints import Joint, index_of, unit_steps, where
+from linkplan.models.tree.joints import index_of, where
 
 # Largest distance [rad or m] between a dependent joint's position in `home` and its closed position on the same branch.
 HOME_TOLERANCE = np.radians(5.0)
@@ -23,11 +22,11 @@ _HOME_STEPS = (0.02, 0.002)
 _NEARBY_STEP = 0.15
 
 
-def home_positions(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] | None) -> dict[int, float]:
+def home_positions(loop: KinematicLoop, home: Mapping[str, float] | None) -> dict[int, float]:
     """Return the positions [rad or m] in `home` by joint index."""
     asked = {}
     for joint, value in (home or {}).items():
-        index = index_of(name, joints, joint)
+        index = index_of(loop.name, loop.joints, joint)
         number = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not number or not abs(value) < 1000:
             raise ModelError(f"home of joint '{joint}' is a finite position within 1000 rad or m, got {value!r}")
@@ -35,14 +34,7 @@ def home_positions(name: str, joints: tuple[Joint, ...], home: Mapping[str, floa
     return asked
 
 
-def assemble(
-    name: str,
-    joints: tuple[Joint, ...],
-    loop: KinematicLoop,
-    reference: np.ndarray,
-    asked: dict[int, float],
-    tolerance_m: float = newton.CLOSED_M,
-) -> np.ndarray:
+def assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float], tolerance_m: float) -> np.ndarray:
     """Return a pose that closes every loop, with the asked joints at their values as far as the loops allow.
 
     The asked joints first move on a straight line from the closed reference pose, which keeps the reference's branch. If a
@@ -50,34 +42,32 @@ def assemble(
     rounding, a gap up to `tolerance_m` [m] is accepted (the points of the file may be rounded).
 
     Raises:
-        AssemblyError: if no closed pose is found.
+        AssemblyError: if no closed pose is found, or if a ball joint leaves its chart.
     """
     last = tolerance_m <= loop.closed_m
     try:
-        return _assemble(name, joints, loop, reference, asked, measured=last)
+        pose = _assemble(loop, reference, asked, measured=last)
     except AssemblyError:
         if last:
             raise
-        return _assemble(name, joints, replace(loop, closed_m=tolerance_m), reference, asked, measured=True)
+        pose = _assemble(replace(loop, closed_m=tolerance_m), reference, asked, measured=True)
+    violation = loop.coordinates.range_violation(pose)
+    if violation is not None:
+        raise AssemblyError(
+            f"mechanism '{loop.name}' assembles with {violation}; give the model a keyframe 'home' near the pose meant"
+        )
+    return pose
 
 
-def _assemble(
-    name: str,
-    joints: tuple[Joint, ...],
-    loop: KinematicLoop,
-    reference: np.ndarray,
-    asked: dict[int, float],
-    *,
-    measured: bool,
-) -> np.ndarray:
+def _assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float], *, measured: bool) -> np.ndarray:
     """Return a closed pose, or raise an error with the gap, which is the least one if it is `measured`."""
-    everything = list(range(len(joints)))
-    near, gap = newton.close(loop, reference, everything)
+    everything = list(range(len(loop.joints)))
+    near, gap = newton.close(loop, reference)
     if not asked:
         if gap > loop.closed_m:
             gap = min(gap, newton.least_gap(loop, near, everything)) if measured else gap
             raise UnassembledError(
-                f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm",
+                f"mechanism '{loop.name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm",
                 gap,
             )
         return near
@@ -85,7 +75,7 @@ def _assemble(
     start = np.array([asked.get(i, base[i]) for i in everything])
     unnamed = [i for i in everything if i not in asked]
     # Unnamed joints may belong to another branch than the reference's: quarter turns of them are further starts.
-    starts = [start, *(_turned(joints, start, unnamed) if len(asked) > 1 else [])]
+    starts = [start, *(_turned(loop, start, unnamed) if len(asked) > 1 else [])]
     from_reference = [newton.follow(loop, near, asked)] if gap <= loop.closed_m else []
     for pose, gap in itertools.chain(from_reference, _trial_poses(loop, starts, list(asked), unnamed)):
         away = max(abs(pose[i] - value) for i, value in asked.items())
@@ -93,7 +83,7 @@ def _assemble(
             return pose
     gap = min(newton.least_gap(loop, trial, unnamed) for trial in starts) if measured else np.inf
     raise AssemblyError(
-        f"mechanism '{name}' does not close at {where(joints, asked)}: the loop stays open by {1e3 * gap:.3g} mm"
+        f"mechanism '{loop.name}' does not close at {where(loop.joints, asked)}: the loop stays open by {1e3 * gap:.3g} mm"
     )
 
 
@@ -111,9 +101,9 @@ def _trial_poses(
             yield newton.close(loop, guess, free)
 
 
-def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
+def _turned(loop: KinematicLoop, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
     """Return `start` with all unnamed hinges turned by one, two and three quarter turns, as starts on other branches."""
-    hinges = [i for i in unnamed if joints[i].kind == "hinge" and joints[i].chart is None]
+    hinges = [i for i in unnamed if loop.joints[i].kind == "hinge" and loop.joints[i].chart is None]
     turned = []
     for quarter in (1, 2, 3) if hinges else ():
         trial = np.array(start)
@@ -122,69 +112,50 @@ def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
     return turned
 
 
-def nearby_poses(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray, n_poses: int = 4) -> list[np.ndarray]:
-    """Return closed poses near the home pose, in random directions that the loops leave free there.
-
-    Args:
-        loop: the closure.
-        home: a closed pose (n_q,).
-        unit: the length of one unit step of each joint (n_q,) [rad or m].
-        n_poses: number of directions.
-    """
-    jacobian = loop.residual(home)[1] * unit
-    rank = numerical_rank(jacobian, loop.rank_tolerance)
-    free = np.linalg.svd(jacobian)[2][rank:].T if jacobian.size else np.eye(len(home))
+def nearby_poses(loop: KinematicLoop, home: np.ndarray, n_poses: int = 4) -> list[np.ndarray]:
+    """Return closed poses near a closed home pose (n_q,), in random directions that the loops leave free there."""
+    jacobian = loop.jacobian(home)
+    free = np.linalg.svd(jacobian)[2][loop.rank(home) :].T if jacobian.size else np.eye(len(home))
     random = Random(0)  # the standard library's generator: numpy's takes as long to load as the assembly takes
     found = []
     for _ in range(n_poses if free.shape[1] else 0):
         direction = free @ [random.gauss(0.0, 1.0) for _ in range(free.shape[1])]
-        trial = home + _NEARBY_STEP * unit * direction / np.abs(direction).max()
-        pose, gap = newton.close(loop, trial, list(range(len(home))))
+        trial = home + _NEARBY_STEP * loop.unit * direction / np.abs(direction).max()
+        pose, gap = newton.close(loop, trial)
         if gap <= loop.closed_m:
             found.append(pose)
     return found
 
 
 def refuse_singular_assembly(
-    name: str,
-    joints: tuple[Joint, ...],
-    loop: KinematicLoop,
-    pose: np.ndarray,
-    independent: np.ndarray,
-    extent: float,
-    about: list[np.ndarray],
+    loop: KinematicLoop, pose: np.ndarray, independent: np.ndarray, about: list[np.ndarray]
 ) -> None:
     """Refuse a home pose at which an independent joint cannot move, or whose closure rank is below the rank nearby.
 
     A parallelogram drawn flat, or a truss of three bars in a line, has fewer independent rows there than elsewhere.
 
     Args:
-        name: of the mechanism.
-        joints: of the mechanism.
-        loop: its closure.
+        loop: the closure.
         pose: its home (n_q,).
         independent: indices of the independent joints.
-        extent: the mechanism's size [m].
         about: further closed poses.
 
     Raises:
         LockedError: if an independent joint cannot move.
         UnassembledError: if the pose is singular.
     """
-    unit = unit_steps(joints, extent)
-    rank = numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance)
-    held = [int(i) for i in independent]
-    rest = [i for i in range(len(joints)) if i not in held]
+    rank, held = loop.rank(pose), independent.tolist()
+    rest = [i for i in range(len(loop.joints)) if i not in held]
     # The rank is checked first: where several loops lie flat at once, a joint that cannot move alone is no sign of a lock.
-    away = [q for q in about if np.abs((q - pose) / unit).max() > 0.5 * _NEARBY_STEP]
-    _refuse_lower_rank(name, loop, rank, away, unit)
+    away = [q for q in about if np.abs((q - pose) / loop.unit).max() > 0.5 * _NEARBY_STEP]
+    _refuse_lower_rank(loop, rank, away)
     neighbours = list(about)
     for index in held:
         moved = False
         for step in _HOME_STEPS:
             for change in (step, -step):
                 trial = np.array(pose)
-                trial[index] += change * unit[index]
+                trial[index] += change * loop.unit[index]
                 neighbour, gap = newton.close(loop, trial, rest)
                 if gap <= loop.closed_m:
                     moved = True
@@ -193,19 +164,16 @@ def refuse_singular_assembly(
                 break
         if not moved and rank:
             raise LockedError(
-                f"mechanism '{name}' cannot move joint {joints[index].name} from its home pose: the loop is singular or"
-                " locked there; name another pose with mechanism.home_deg",
-                {},
+                f"mechanism '{loop.name}' cannot move joint {loop.joints[index].name} from its home pose: the loop is"
+                " singular or locked there; name another pose with mechanism.home_deg"
             )
-    _refuse_lower_rank(name, loop, rank, neighbours, unit)
+    _refuse_lower_rank(loop, rank, neighbours)
 
 
-def _refuse_lower_rank(name: str, loop: KinematicLoop, rank: int, neighbours: list[np.ndarray], unit: np.ndarray) -> None:
-    there = max(
-        (numerical_rank(loop.residual(neighbour)[1] * unit, loop.rank_tolerance) for neighbour in neighbours), default=rank
-    )
+def _refuse_lower_rank(loop: KinematicLoop, rank: int, neighbours: list[np.ndarray]) -> None:
+    there = max(map(loop.rank, neighbours), default=rank)
     if there != rank:
         raise UnassembledError(
-            f"mechanism '{name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"
+            f"mechanism '{loop.name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"
             " to it; name another pose with mechanism.home_deg"
         )

@@ -7,41 +7,31 @@ import numpy as np
 
 from linkplan.models.closure.equations import Closure
 from linkplan.models.closure.mobility import Mobility
+from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import numerical_rank, weak_rank
 from linkplan.models.errors import LockedError
 
 
-def refuse_locked(
-    name: str, n_joints: int, closures: Sequence[Closure], jacobian: np.ndarray, mobility: Mobility, tolerance_m: float
-) -> None:
-    """Refuse a mechanism with no degree of freedom.
-
-    Args:
-        name: of the mechanism.
-        n_joints: of its tree.
-        closures: of the mechanism.
-        jacobian: of phi at a closed pose (n_rows, n_joints), with columns per unit step of each joint [m].
-        mobility: its mobility there.
-        tolerance_m: the allowed gap [m].
+def refuse_locked(mobility: Mobility, pose: np.ndarray, tolerance_m: float) -> None:
+    """Refuse a mechanism with no degree of freedom at a closed pose (n_q,) with a mobility and an allowed gap [m].
 
     Raises:
         LockedError: if the mechanism is locked; the message names the closures that lock it.
     """
-    share = mobility.loop.rank_tolerance
-    rank = numerical_rank(jacobian, share)
+    loop = mobility.loop
+    rank, n_joints = loop.rank(pose), len(loop.joints)
     if rank < n_joints:
         return
     error = LockedError(
-        f"mechanism '{name}' is locked: {n_joints} joints less {rank} independent closure rows leave 0 degrees of"
-        f" freedom{_hint(weak_rank(jacobian, share), mobility.locked, tolerance_m)}",
-        {},
+        f"mechanism '{loop.name}' is locked: {n_joints} joints less {rank} independent closure rows leave 0 degrees of"
+        f" freedom{_hint(weak_rank(loop.jacobian(pose), loop.rank_tolerance), mobility.locked, tolerance_m)}"
     )
-    raise locked_by(error, closures, jacobian, share)
+    raise locked_by(error, loop, pose)
 
 
-def locked_by(error: LockedError, closures: Sequence[Closure], jacobian: np.ndarray, share: float) -> LockedError:
-    """Return the error with the closures that lock the mechanism added. The Jacobian is the one of `refuse_locked`."""
-    freed = freedoms_without(closures, jacobian, share)
+def locked_by(error: LockedError, loop: KinematicLoop, pose: np.ndarray) -> LockedError:
+    """Return the error with the closures added that lock the mechanism at a closed pose (n_q,)."""
+    freed = freedoms_without(loop.closures, loop.jacobian(pose), loop.rank_tolerance)
     return LockedError(f"{error}{_freed_text(freed)}", freed)
 
 

@@ -57,32 +57,28 @@ class Mobility:
     noise: float  # largest singular value due to rounding of the file, as a share of the largest; 0 without rounding
 
 
-def judge_mobility(loop: KinematicLoop, pose: np.ndarray, unit: np.ndarray, tolerance_m: float) -> Mobility:
-    """Return the closure's mobility and tolerances from trial motions at a closed pose.
+def judge_mobility(loop: KinematicLoop, pose: np.ndarray, tolerance_m: float) -> Mobility:
+    """Return the closure's mobility and tolerances from trial motions at a closed pose (n_q,).
 
-    Args:
-        loop: the closure.
-        pose: a closed pose (n_q,).
-        unit: the length of one unit step of each joint (n_q,) [rad or m].
-        tolerance_m: the gap [m] allowed for bearing play and rounding.
+    `tolerance_m` is the gap [m] allowed for bearing play and rounding.
     """
-    phi, jacobian = loop.residual(pose)
-    jacobian = jacobian * unit
-    if loop.gap(phi) > loop.closed_m:  # the points of the file are rounded, and the gap cannot get smaller
+    jacobian = loop.jacobian(pose)
+    if (
+        loop.gap(loop.residual(pose)[0]) > loop.closed_m
+    ):  # the points of the file are rounded, and the gap cannot get smaller
         loop = replace(loop, closed_m=tolerance_m)
     if not jacobian.size:
         return Mobility(loop=loop, freed_m=(), locked=(), noise=0.0)
-    _, values, directions = np.linalg.svd(jacobian)
-    values = np.append(values, np.zeros(max(0, len(pose) - len(values))))
+    values, directions = _all_values(jacobian)
     share = values / max(values[0], np.finfo(float).tiny)
     freed, locked, rank = [], [], int(np.sum(share > RANK_TOLERANCE))
     while rank > 1 and share[rank - 1] < WEAK_SHARE:
         cut = float(np.sqrt(share[rank - 2] * share[rank - 1]))
         free_loop = replace(loop, rank_tolerance=cut, closed_m=tolerance_m)
-        gap = _gap_of_motion(free_loop, pose, unit, directions[rank - 1], rank - 1)
+        gap = _gap_of_motion(free_loop, pose, directions[rank - 1], rank - 1)
         if gap > tolerance_m:
             weak = [directions[k] for k in range(rank) if share[k] < WEAK_SHARE]
-            locked = [(direction, _gap_of_step(loop, pose, unit, direction)) for direction in weak]
+            locked = [(direction, _gap_of_step(loop, pose, direction)) for direction in weak]
             break
         freed.append(gap)
         rank -= 1
@@ -98,20 +94,24 @@ def judge_mobility(loop: KinematicLoop, pose: np.ndarray, unit: np.ndarray, tole
     return Mobility(loop=loop, freed_m=tuple(freed), locked=tuple(locked), noise=noise)
 
 
-def _gap_of_motion(loop: KinematicLoop, pose: np.ndarray, unit: np.ndarray, direction: np.ndarray, rank: int) -> float:
+def _all_values(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the singular values (n_q,) of a Jacobian, zero beyond its rows, and their directions (n_q, n_q)."""
+    _, values, directions = np.linalg.svd(jacobian)
+    return np.append(values, np.zeros(len(directions) - len(values))), directions
+
+
+def _gap_of_motion(loop: KinematicLoop, pose: np.ndarray, direction: np.ndarray, rank: int) -> float:
     """Return the largest gap [m] of a trial motion along `direction`, infinite if neither sense can be followed."""
     gaps = []
     for sign in (1.0, -1.0):
         q, worst, made = np.array(pose), 0.0, 0.0
         along = sign * direction / np.abs(direction).max()
         while made < _TRIAL_LENGTH:
-            trial, gap = newton.close(loop, q + _TRIAL_STEP * unit * along, list(range(len(q))))
-            jacobian = loop.residual(trial)[1] * unit
-            _, values, right = np.linalg.svd(jacobian)
-            values = np.append(values, np.zeros(max(0, len(pose) - len(values))))
+            trial, gap = newton.close(loop, q + _TRIAL_STEP * loop.unit * along)
+            values, right = _all_values(loop.jacobian(trial))
             if gap > loop.closed_m or values[rank] > _MAX_ROUNDING_GROWTH * loop.rank_tolerance * values[0]:
                 break
-            moved = (trial - q) / unit
+            moved = (trial - q) / loop.unit
             worst, made, q = max(worst, gap), made + float(np.abs(moved).max()), trial
             if not np.any(moved):
                 break
@@ -123,10 +123,10 @@ def _gap_of_motion(loop: KinematicLoop, pose: np.ndarray, unit: np.ndarray, dire
     return min(gaps, default=np.inf)
 
 
-def _gap_of_step(loop: KinematicLoop, pose: np.ndarray, unit: np.ndarray, direction: np.ndarray) -> float:
+def _gap_of_step(loop: KinematicLoop, pose: np.ndarray, direction: np.ndarray) -> float:
     """Return the least gap [m] after one step along `direction`, with the joint that moves most held there."""
     lead = int(np.argmax(np.abs(direction)))
-    trial = pose + _LEAST_TRIAL_LENGTH * unit * direction / np.abs(direction[lead])
+    trial = pose + _LEAST_TRIAL_LENGTH * loop.unit * direction / np.abs(direction[lead])
     return newton.least_gap(loop, trial, [i for i in range(len(pose)) if i != lead])
 
 

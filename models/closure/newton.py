@@ -1,11 +1,15 @@
 """Closing loops numerically: a damped Gauss-Newton on phi(q) = 0 from a nearby pose."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.rank import RANK_TOLERANCE
+from linkplan.models.closure.equations import Closure
+from linkplan.models.closure.rank import RANK_TOLERANCE, numerical_rank
+from linkplan.models.tree.coordinates import Coordinates
+from linkplan.models.tree.joints import Joint
 
 # Largest gap [m] of a closed loop: a hundredth of the 1e-9 m that certificates promise, and far above rounding.
 CLOSED_M = 1e-11
@@ -18,14 +22,19 @@ _LEAST_SINGULAR_SHARE = 1e-10
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class KinematicLoop:
-    """The closure as numbers: `function` maps q to phi [m] and J, and each slice of `rows` is one gap.
+    """A mechanism's closure as numbers: `function` maps q (n_q,) to phi [m] and J, which is sparse.
 
-    A loop counts as closed below the gap `closed_m` [m]. Singular values below `rank_tolerance` times the largest count as
-    zero. Both tolerances are larger for a file with rounded numbers, see `closure.mobility`.
+    `unit` (n_q,) is a unit step of each joint [rad or m], see `tree.joints.unit_steps`. A loop counts as closed below the
+    gap `closed_m` [m]. Singular values below `rank_tolerance` times the largest count as zero. Both tolerances are larger
+    for a file with rounded numbers, see `closure.mobility`.
     """
 
+    name: str  # of the mechanism
+    joints: tuple[Joint, ...]
+    coordinates: Coordinates
+    closures: tuple[Closure, ...]
+    unit: np.ndarray
     function: ca.Function
-    rows: tuple[slice, ...]
     closed_m: float = CLOSED_M
     rank_tolerance: float = RANK_TOLERANCE
 
@@ -36,20 +45,45 @@ class KinematicLoop:
 
     def gap(self, phi: np.ndarray) -> float:
         """Return the largest gap [m] in values of phi; an angle counts with its lever."""
-        return max((float(np.linalg.norm(phi[rows])) for rows in self.rows), default=0.0)
+        return max((float(np.linalg.norm(phi[closure.rows])) for closure in self.closures), default=0.0)
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return J (n_rows, n_q) [m] with columns per unit step of each joint."""
+        return self.residual(q)[1] * self.unit
+
+    def rank(self, q: np.ndarray) -> int:
+        """Return the closure's rank at a pose."""
+        return numerical_rank(self.jacobian(q), self.rank_tolerance)
 
 
-def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
-    """Return the pose that Newton reaches from `start` by moving the joints in `free`, and its largest gap [m].
+def close(loop: KinematicLoop, start: np.ndarray, free: Sequence[int] | None = None) -> tuple[np.ndarray, float]:
+    """Return the pose that Newton reaches from `start` by moving the joints in `free`, by default all, and its gap [m].
+
+    The pose may be open.
+    """
+    rcond = _LEAST_SINGULAR_SHARE if loop.rank_tolerance <= RANK_TOLERANCE else loop.rank_tolerance
+    q, phi = solve(loop.residual, start, list(range(len(start)) if free is None else free), rcond)
+    return q, loop.gap(phi)
+
+
+def solve(
+    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray, free: list[int], rcond: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of least residual that Newton reaches by moving the joints in `free`, and its residual phi.
 
     The steps have minimum norm, so redundant rows and spare freedom do no harm. Steps are shortened if they are too long or
-    do not reduce the residual. The pose may be open.
+    do not reduce the residual.
+
+    Args:
+        residual: q -> phi, J.
+        start: the first pose (n_q,).
+        free: indices of joints.
+        rcond: singular values below this share of the largest are ignored.
     """
     q = np.array(start, dtype=float)
-    phi, jacobian = loop.residual(q)
+    phi, jacobian = residual(q)
     if phi.size == 0 or not free:
-        return q, loop.gap(phi)
-    rcond = _LEAST_SINGULAR_SHARE if loop.rank_tolerance <= RANK_TOLERANCE else loop.rank_tolerance
+        return q, phi
     for _ in range(100):
         step = np.zeros_like(q)
         step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=rcond)[0]
@@ -60,14 +94,14 @@ def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.n
         norm = np.linalg.norm(phi)
         while scale > 1e-6:
             trial = q + scale * step
-            phi_trial, jacobian_trial = loop.residual(trial)
+            phi_trial, jacobian_trial = residual(trial)
             if np.linalg.norm(phi_trial) < norm:
                 break
             scale *= 0.5
         else:
             break
         q, phi, jacobian = trial, phi_trial, jacobian_trial
-    return q, loop.gap(phi)
+    return q, phi
 
 
 def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:

@@ -23,6 +23,7 @@ from random import Random
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import ROUNDING_SHARE
 
 
@@ -40,15 +41,15 @@ class ProjectedLoops:
     inexact: bool = False
 
 
-def jacobians_at_random(jacobian: ca.Function) -> list[np.ndarray]:
-    """Return J (n_rows, n_q) at three random open poses, the same ones in every run."""
+def jacobians_at_random(loop: ca.Function) -> list[np.ndarray]:
+    """Return J (n_rows, n_q), a function's last output, at three random open poses, the same ones in every run."""
     random = Random(0)
-    poses = [[random.uniform(-1.0, 1.0) for _ in range(jacobian.size1_in(0))] for _ in range(3)]
-    return [np.array(jacobian(q)) for q in poses]
+    poses = [[random.uniform(-1.0, 1.0) for _ in range(loop.size1_in(0))] for _ in range(3)]
+    return [np.array(loop.call([q])[-1]) for q in poses]
 
 
 def projected_loops(
-    jacobian: ca.Function,
+    loop: KinematicLoop,
     rows: Sequence[int],
     dependent: Sequence[int],
     home: np.ndarray,
@@ -59,7 +60,7 @@ def projected_loops(
     """Return the loops whose dependent rows are not a constant combination of the independent rows.
 
     Args:
-        jacobian: q -> J (n_rows, n_q), sparse.
+        loop: the closure.
         rows: the independent rows of phi.
         dependent: indices of the dependent coordinates.
         home: a closed, regular pose (n_q,).
@@ -67,10 +68,10 @@ def projected_loops(
         inexact: True if only rounding of the file locks the motion.
     """
     found = []
-    samples = jacobians_at_random(jacobian) if len(rows) else []
-    at_home = np.array(jacobian(home))
+    samples = jacobians_at_random(loop.function) if len(rows) else []
+    at_home = loop.residual(home)[1]
     tolerance = max(ROUNDING_SHARE, noise)
-    for of, columns in _components(jacobian.sparsity_out(0), dependent):
+    for of, columns in _components(loop.function.sparsity_out(1), dependent):
         kept = [row for row in of if row in rows]
         if len(kept) == len(of) or not kept:
             continue

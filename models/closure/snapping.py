@@ -44,17 +44,17 @@ class Shift:
         return f"anchor of closure {self.name} moved by {length:.3g} mm along its hinge's axis, where no joint can close it"
 
 
-def needless_gaps(loop: KinematicLoop, closures: Sequence[Closure], reference: np.ndarray, unit: np.ndarray) -> np.ndarray:
+def needless_gaps(loop: KinematicLoop, reference: np.ndarray) -> np.ndarray:
     """Return the part (n_rows,) [m] of the gaps at the reference pose that no joint can change; zero in rows of angles."""
     phi, _ = loop.residual(reference)
     rng = Random(0)  # numpy.random takes long to load
     steps = [np.array([rng.uniform(-_POSE_DISTANCE, _POSE_DISTANCE) for _ in reference]) for _ in range(_NEARBY_POSES)]
-    poses = [reference, *(reference + step * unit for step in steps)]
+    poses = [reference, *(reference + step * loop.unit for step in steps)]
     still = np.zeros_like(phi)
-    for closure in closures:
+    for closure in loop.closures:
         if closure.kind != "point" or closure.rows.stop - closure.rows.start != 3:
             continue
-        rates = np.hstack([(loop.residual(q)[1] * unit)[closure.rows] for q in poses])
+        rates = np.hstack([loop.jacobian(q)[closure.rows] for q in poses])
         left, size, _ = np.linalg.svd(rates)
         directions = left[:, size <= _STILL_SHARE * size[0]]
         still[closure.rows] = directions @ (directions.T @ phi[closure.rows])
@@ -89,18 +89,19 @@ def shifts(
     return found
 
 
-def refuse_large_gaps(name: str, closures: Sequence[Closure], still: np.ndarray, limit_m: float) -> None:
+def refuse_large_gaps(loop: KinematicLoop, still: np.ndarray, limit_m: float) -> None:
     """Refuse gaps along a hinge's axis of more than `limit_m`, and name the tolerance that accepts them.
 
     Raises:
         UnassembledError: for the largest of them.
     """
-    gaps = {closure.name: float(np.linalg.norm(still[closure.rows])) for closure in closures}
+    gaps = {closure.name: float(np.linalg.norm(still[closure.rows])) for closure in loop.closures}
     widest = max(gaps, key=gaps.__getitem__, default="")
     if widest and gaps[widest] > limit_m:
         raise UnassembledError(
-            f"mechanism '{name}' does not close: closure {widest} is open by {1e3 * gaps[widest]:.4g} mm along its hinge's"
-            f" axis, which no joint can change; mechanism.closure_tolerance_m = {1.01 * gaps[widest]:.3g} moves its anchor",
+            f"mechanism '{loop.name}' does not close: closure {widest} is open by {1e3 * gaps[widest]:.4g} mm along its"
+            " hinge's axis, which no joint can change; mechanism.closure_tolerance_m ="
+            f" {1.01 * gaps[widest]:.3g} moves its anchor",
             gaps[widest],
         )
 
