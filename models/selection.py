@@ -1,8 +1,8 @@
 """One closed sub-chain of a robot: bodies that are dropped, and joints that are locked, in a model's specification.
 
-A locked joint's motion L is moved into its body's pose: P A L C = (P L) (L^-1 A L) C, where A and C are the motions of its
-body's other joints before and after it. MuJoCo computes the second anchor of a closure between bodies at the reference pose.
-A lock changes that pose, so the closure is tied to sites at the original anchors.
+A body with locked joints is fixed at its pose in its parent at the locked positions, and its other joints act about the axes
+that they have there. MuJoCo computes the second anchor of a closure between bodies at the reference pose. A lock changes
+that pose, so the closure is tied to sites at the original anchors.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +13,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.floating import FREE, SLIDE, floating_bodies, floating_of, joints_of, subtree, tied_bodies
+from linkplan.models.kinematics import data_at, fix_in_parent, in_body
 from linkplan.models.names import nearest
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
@@ -194,20 +195,19 @@ def _lock(
         return []
     _tie_to_sites(spec, model)
     said: dict[str, list[str]] = {}
+    place = np.array(model.qpos0)
+    for j, position in locked.items():
+        place[_slice(model, j)] = qpos[_slice(model, j)] if position is None else position
+    data = data_at(model, place)
     for body in sorted({int(model.jnt_bodyid[j]) for j in locked}):
-        pose, before = _pose(model.body_pos[body], model.body_quat[body]), []
-        for j in joints_of(model, body):
-            if j not in locked:
-                before.append(j)
-                continue
-            position = qpos[_slice(model, j)] if locked[j] is None else np.array([locked[j]])
-            motion = _motion(model, j, position)
-            pose = motion if int(model.jnt_type[j]) == FREE else pose @ motion
-            for other in before:
-                _move_joint(spec.joint(model.joint(other).name), np.linalg.inv(motion))
-            where = "against spin about the line of its rod" if j in spins else _words(model, j, position)
+        own = [j for j in joints_of(model, body) if j in locked]
+        for j in own:
+            where = "against spin about the line of its rod" if j in spins else _words(model, j, place[_slice(model, j)])
             said.setdefault(where, []).append(model.joint(j).name or f"of {model.body(body).name}")
-        _place(spec.body(model.body(body).name), pose)
+        for j in set(range(joints_of(model, body)[0], own[-1])) - set(own):  # joints after them keep their axes
+            joint = spec.joint(model.joint(j).name)
+            joint.pos, joint.axis = in_body(data, body, data.xanchor[j]), data.xmat[body].reshape(3, 3).T @ data.xaxis[j]
+        fix_in_parent(spec.body(model.body(body).name), model, data, body)
     add_universal_joints(spec, model, [j for j in spins if j in locked], qpos)
     gone = {model.joint(j).name for j in locked}
     scalar = [j for j in locked if int(model.jnt_type[j]) in (HINGE, SLIDE)]
@@ -225,46 +225,6 @@ def _words(model: mujoco.MjModel, joint: int, position: np.ndarray) -> str:
     if kind == HINGE:
         return f"at {np.degrees(position[0]):.6g} deg"
     return f"at {position[0]:.6g} m" if kind == SLIDE else "at home"
-
-
-def _pose(place: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn.reshape(3, 3), place
-    return pose
-
-
-def _motion(model: mujoco.MjModel, joint: int, position: np.ndarray) -> np.ndarray:
-    """Return the motion (4, 4) of a joint at a position, in its body's frame; of a free joint the pose in the world."""
-    kind, axis, anchor = int(model.jnt_type[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
-    if kind == FREE:
-        return _pose(position[:3], position[3:])
-    travel = float(position[0] - model.qpos0[int(model.jnt_qposadr[joint])])
-    if kind == SLIDE:
-        return _pose(travel * axis, np.array([1.0, 0, 0, 0]))
-    turn = np.array(position, dtype=float)
-    if kind == HINGE:
-        turn = np.zeros(4)
-        mujoco.mju_axisAngle2Quat(turn, axis, travel)
-    about = _pose(np.zeros(3), turn)
-    about[:3, 3] = anchor - about[:3, :3] @ anchor
-    return about
-
-
-def _move_joint(joint: "mujoco._specs.MjsJoint", motion: np.ndarray) -> None:
-    joint.pos = motion[:3, :3] @ joint.pos + motion[:3, 3]
-    joint.axis = motion[:3, :3] @ joint.axis
-
-
-def _place(body: "mujoco._specs.MjsBody", pose: np.ndarray) -> None:
-    """Set a body's pose (4, 4) in its parent."""
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, pose[:3, :3].ravel())
-    if body.frame is not None:
-        body.set_frame(body.parent.add_frame())
-    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    body.pos, body.quat = pose[:3, 3], quaternion
 
 
 def _tie_to_sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

@@ -3,6 +3,8 @@
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import data_at
+
 BALL, FREE, HINGE = (
     int(kind) for kind in (mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE)
 )
@@ -63,9 +65,7 @@ def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> n
     if int(model.jnt_type[joint]) == FREE:
         ties = [[_moving(model, tied) for tied, _ in tied_points(model, index)] for index in range(model.neq)]
         before = [other for pair in ties if body in pair for other in pair if other != body]
-    data = mujoco.MjData(model)
-    data.qpos[:] = reference
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model, reference)
     frame = data.xmat[body].reshape(3, 3)
     for carrier in before:
         for k in reversed(range(int(model.body_jntnum[carrier]))):

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
+from linkplan.models.kinematics import data_at
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
 
@@ -74,10 +75,7 @@ def _spinning(
     least = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
     if np.abs(acting.T @ gamma).max() > least:
         return []
-    data = mujoco.MjData(model)
-    data.qpos[:] = coordinates.qpos_of(q)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    data = data_at(model, coordinates.qpos_of(q))
     qvel = coordinates.qvel_of(q, gamma)
     linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
     speeds, turns = np.zeros(model.nbody), np.zeros(model.nbody)

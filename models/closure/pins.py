@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
+from linkplan.models.kinematics import data_at, in_body, in_world
 from linkplan.models.ties import tied_points
 from linkplan.models.tree.coordinates import BALL, HINGE
 
@@ -26,9 +27,7 @@ def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mappi
         home: the closed home pose (nq,).
         extent: the mechanism's size [m].
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = home
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model, home)
     found: list[tuple[int, np.ndarray]] = []
     for joint in range(model.njnt):
         if int(model.jnt_type[joint]) in (HINGE, BALL):
@@ -36,11 +35,10 @@ def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mappi
             found += [(end, data.xanchor[joint].copy()) for end in (body, int(model.body_parentid[body]))]
     for index in np.flatnonzero(model.eq_active0):
         for body, place in tied_points(model, int(index)):
-            found.append((body, data.xpos[body] + data.xmat[body].reshape(3, 3) @ place))
+            found.append((body, in_world(data, body, place)))
     shared: dict[tuple[int, int], list[Point]] = {}
     for (one, here), (other, there) in combinations(found, 2):
         a, b = sorted((int(model.body_weldid[one]), int(model.body_weldid[other])))
         if a != b and np.linalg.norm(here - there) <= FILE_ROUNDING_SHARE * extent:
-            local = data.xmat[one].reshape(3, 3).T @ (here - data.xpos[one])
-            shared.setdefault((a, b), []).append((one, local))
+            shared.setdefault((a, b), []).append((one, in_body(data, one, here)))
     return {pair: tuple(points) for pair, points in shared.items()}

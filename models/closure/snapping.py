@@ -15,6 +15,7 @@ import numpy as np
 from linkplan.models.closure.equations import CONNECT, Closure, earlier_pin
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.errors import UnassembledError
+from linkplan.models.kinematics import data_at
 from linkplan.models.ties import tied_points
 
 # The largest shift without a tolerance of the user's, as a share of the mechanism's size.
@@ -73,9 +74,7 @@ def shifts(
         qpos: MuJoCo's reference pose (nq,).
         limit_m: larger gaps are left.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model, qpos)
     found = []
     for closure in closures:
         gap = still[closure.rows]

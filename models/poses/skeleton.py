@@ -7,6 +7,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import data_at
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.ties import tied_points
@@ -97,9 +98,7 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
 
 def view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the drawing's right and up directions (3,), normal to the hinges' common axis, with up near +z."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    axes = np.array(data.xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
+    axes = np.array(data_at(model).xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
     normal = np.array([0.0, 1.0, 0.0])
     if len(axes):
         normal = np.linalg.svd(axes)[2][0]

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, ModelError, one_line
+from linkplan.models.kinematics import data_at, fix_in_parent
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.selected_model import exact_text, whole_spec
 from linkplan.models.transfer.output_map import OutputMap, output_map, transmission
@@ -137,12 +138,10 @@ def _below(model: mujoco.MjModel, body: int, bodies: set[int]) -> bool:
 def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjSpec:
     """Return the model without the linkage's joints, closures and motors, and with motors on the output joints."""
     mechanism, model, spec = outputs.mechanism, outputs.mechanism.model, whole_spec(outputs.mechanism)
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(mechanism.home)
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model, mechanism.qpos_of(mechanism.home))
     bodies = {int(model.jnt_bodyid[model.joint(name).id]) for name in removed}
     for body in sorted(bodies):
-        _weld(spec.bodies[body], model, data, body)
+        fix_in_parent(spec.bodies[body], model, data, body)
     for body in range(model.nbody):
         if _below(model, body, bodies):
             for geom in spec.bodies[body].geoms:
@@ -160,16 +159,6 @@ def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjS
 
 def _free_name(spec: mujoco.MjSpec, name: str) -> str:
     return name if spec.actuator(name) is None else f"{name}_motor"
-
-
-def _weld(body, model: mujoco.MjModel, data: mujoco.MjData, index: int) -> None:
-    """Fix a body in its parent at the pose of `data`."""
-    parent = int(model.body_parentid[index])
-    inverse, position, turn = np.zeros(4), np.zeros(3), np.zeros(4)
-    mujoco.mju_negQuat(inverse, data.xquat[parent])
-    mujoco.mju_rotVecQuat(position, data.xpos[index] - data.xpos[parent], inverse)
-    mujoco.mju_mulQuat(turn, inverse, data.xquat[index])
-    body.pos, body.quat, body.alt.type = position, turn, mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
 def _drop(spec: mujoco.MjSpec, mechanism: Mechanism, removed: list[str], motors: list[str]) -> None:

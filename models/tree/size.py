@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import data_at, in_world
 from linkplan.models.ties import tied_points
 
 
@@ -13,8 +14,7 @@ def extent_m(model: mujoco.MjModel) -> float:
     MuJoCo's own extent.
     """
     stated = float(model.stat.extent)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model)
     moving = np.flatnonzero(np.asarray(model.body_weldid) != 0)
     points = [data.xpos[moving], data.xipos[moving], data.xanchor]
     geoms = np.isin(model.geom_bodyid, moving)
@@ -22,7 +22,7 @@ def extent_m(model: mujoco.MjModel) -> float:
         points.append(data.geom_xpos[geoms] + sign * model.geom_rbound[geoms, None])
     for index in range(model.neq):
         for body, place in tied_points(model, index):
-            points.append((data.xpos[body] + data.xmat[body].reshape(3, 3) @ place)[None])
+            points.append(in_world(data, body, place)[None])
     box = np.ptp(np.vstack(points), axis=0)
     size = float(box.max()) if len(moving) else 0.0
     return stated if size <= 0 or size / 3.0 <= stated <= size * 3.0 else size

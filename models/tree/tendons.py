@@ -11,6 +11,7 @@ import casadi as ca
 import mujoco
 
 from linkplan.models.errors import ModelError
+from linkplan.models.kinematics import data_at
 from linkplan.models.tree.passive import limits_off
 from linkplan.models.tree.wrapping import CYLINDER, SPHERE, side_of, wrapped_length
 
@@ -58,8 +59,7 @@ def _geoms_of(model: mujoco.MjModel, tendon: int) -> list[int]:
 
 def _sides(model: mujoco.MjModel, tendon: int) -> dict[int, str | None]:
     """Return the side of the rope at each geom of a tendon's path, at the model's reference pose."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model)
     return {k: side_of(model, data, k) for k in _geoms_of(model, tendon)}
 
 
