@@ -1,4 +1,4 @@
-"""The built-in models and payloads by name, and checks of paths. Importing this file is fast."""
+"""The built-in models and payloads by name. Importing this file is fast."""
 
 import itertools
 from collections.abc import Iterable
@@ -30,22 +30,6 @@ def is_text(source: str) -> bool:
     return source.lstrip().startswith("<")
 
 
-def is_file(path: Path) -> bool:
-    """Return True if a path is a file; False for a name that no file can have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-def is_there(path: Path) -> bool:
-    """Return True if a path exists and is not a folder; False for a name that no file can have."""
-    try:
-        return path.exists() and not path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
 def nearest_source(source: str, names: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the closest built-in name or neighbouring file of a path."""
     path = Path(source)
@@ -58,11 +42,3 @@ def nearest_source(source: str, names: Iterable[str]) -> str:
         path.name, [*([] if lead else names), *(name for name in there if name != path.name and not name.startswith("."))]
     )
     return "" if match is None else f" (did you mean '{lead}{match}'?)"
-
-
-def is_folder(path: Path) -> bool:
-    """Return True if a path is a folder; False for a name that no folder can have."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False

@@ -1,6 +1,7 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
 
 import itertools
+import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,8 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from linkplan.models.catalogue import MODELS as BUILT_IN
-from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text, is_there
+from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.errors import ModelError, one_line
 from linkplan.models.missing_files import leave_out_missing_files
 from linkplan.models.model_text import MAX_MODEL_BYTES, refuse_oversized
@@ -22,9 +22,6 @@ from linkplan.models.reading import read_file, shown
 from linkplan.models.selection import Selection, select
 from linkplan.models.urdf import mesh_hint, urdf_root
 from linkplan.models.urdf_loops import complete
-
-__all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
-
 
 NOTHING_SELECTED = Selection()
 
@@ -83,7 +80,7 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     if root is not None:
         notes = complete(spec, source, root)
     else:
-        notes = () if is_text(str(source)) or str(source) in BUILT_IN else leave_out_missing_files(spec, Path(source))
+        notes = () if is_text(str(source)) or str(source) in MODELS else leave_out_missing_files(spec, Path(source))
     _name_all(spec.bodies, "body")
     if not selection:
         return name, spec, notes
@@ -106,19 +103,18 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     text = str(source)
     if not text.isprintable() and not is_text(text):
         raise ModelError(f"a model's name has characters that cannot be shown: '{text}'")
-    if text in BUILT_IN:
+    if text in MODELS:
         return text, _parse(text, built_in_text(text))
     if is_text(text):
         refuse_oversized(text.encode("utf-8", "replace"), "MJCF text")
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
     path = Path(text)
-    if is_folder(path):
+    if os.path.isdir(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
-    if not is_there(path):
+    if not os.path.exists(path):
         raise ModelError(
-            f"unknown model '{shown(text)}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)})"
-            " nor a file"
+            f"unknown model '{shown(text)}'{nearest(text, MODELS)}: neither a built-in name ({', '.join(MODELS)}) nor a file"
         )
     content = read_file(path, f"model '{text}'", MAX_MODEL_BYTES, ModelError)
     if not content.strip():

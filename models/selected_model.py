@@ -2,12 +2,12 @@
 
 import contextlib
 import ctypes
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
 
-from linkplan.models.catalogue import is_file
 from linkplan.models.library import model_spec
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.ties import tied_points
@@ -40,7 +40,7 @@ def whole_spec(mechanism: Mechanism) -> mujoco.MjSpec:
             on.add_site(name=f"{name} anchor of end {end}", pos=place)
         closure.objtype = mujoco.mjtObj.mjOBJ_SITE
         closure.name1, closure.name2 = (f"{name} anchor of end {end}" for end in (1, 2))
-    if is_file(Path(source)):
+    if os.path.isfile(source):
         folder = Path(source).resolve().parent
         spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
     return spec

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import asdict
 
-from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError
 from linkplan.models.poses.contacts import Meeting
@@ -162,7 +161,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
 def _from(place: Path, problem: Problem) -> str | None:
     """Return the path of a problem's model file relative to a plan's folder; None for a built-in model."""
     model = problem.source.get("mechanism", {}).get("model")
-    if not isinstance(model, str) or not is_file(Path(model)):
+    if not isinstance(model, str) or not os.path.isfile(model):
         return None
     try:
         return Path(os.path.relpath(Path(model).resolve(), place.resolve())).as_posix()
@@ -325,14 +324,14 @@ def _guess_is_lost(tables: dict) -> bool:
     """Check whether the initial guess was a saved plan that is no longer there."""
     guess = tables.get("guess")
     plan = guess.get("plan") if isinstance(guess, dict) else None
-    return isinstance(plan, str) and not is_file(Path(plan) / "trajectory.npz")
+    return isinstance(plan, str) and not os.path.isfile(Path(plan) / "trajectory.npz")
 
 
 def _possible_models(saved: PlanRecord, folder: Path) -> list[str | None]:
     """Return the names or paths under which a saved plan's model may be found, the path relative to the plan first."""
     section, relative = saved.problem.get("mechanism"), saved.model_from_here
     models: list[str | None] = [section.get("model")] if isinstance(section, dict) else [None]
-    if relative is not None and is_file(folder / relative):
+    if relative is not None and os.path.isfile(folder / relative):
         models.insert(0, str((folder / relative).resolve()))
     return list(dict.fromkeys(model for model in models if model is None or isinstance(model, str)))
 

@@ -6,6 +6,7 @@ values.
 """
 
 import itertools
+import os
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from linkplan.models.catalogue import is_folder, is_there, nearest_source
+from linkplan.models.catalogue import nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import read_toml
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
@@ -68,9 +69,9 @@ def _batch_tables(path: Path) -> dict:
     """Return a batch file's tables; refuse other files."""
     legal = "a batch is a TOML file with problem, and [[case]] or [sweep]"
     refuse_saved_plan(str(path), "batch", legal)
-    if is_folder(path):
+    if os.path.isdir(path):
         raise ProblemError(f"batch '{path}' is a folder; {legal}")
-    if not is_there(path):
+    if not os.path.exists(path):
         raise ProblemError(f"batch '{path}'{nearest_source(str(path), ())} is not a file; {legal}")
     tables = read_toml(path, f"batch '{path}'")
     if "motion" in tables and "problem" not in tables:

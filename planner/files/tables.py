@@ -4,6 +4,7 @@
 """
 
 import math
+import os
 import re
 import tomllib
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from linkplan.models.catalogue import PAYLOADS, is_folder, is_there, nearest_source
+from linkplan.models.catalogue import PAYLOADS, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import parse_toml, read_toml
 from linkplan.models.reading import shown as shown_name
@@ -111,9 +112,9 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
         raise ProblemError(f"a problem's name is empty; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
     path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
     refuse_saved_plan(text, "problem", f"a problem is a TOML file or one of {', '.join(BUILT_IN)}")
-    if is_folder(path):
+    if os.path.isdir(path):
         raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
-    if not is_there(path):
+    if not os.path.exists(path):
         raise ProblemError(
             f"unknown problem '{shown}'{nearest_source(text, BUILT_IN)}: neither a built-in name"
             f" ({', '.join(BUILT_IN)}) nor a file"
@@ -139,7 +140,10 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
     """
     path = Path(source)
     try:
-        is_plan, in_plan = (path / PLAN_FILE).is_file(), path.name in PLAN_FILES and (path.parent / PLAN_FILE).is_file()
+        is_plan, in_plan = (
+            (path / PLAN_FILE).is_file(),
+            path.name in PLAN_FILES and (path.parent / PLAN_FILE).is_file(),
+        )
     except (OSError, ValueError):
         return
     if is_plan or in_plan:

@@ -9,6 +9,7 @@ The builders `Problem.reach`, `periodic` and `track` first write their arguments
 
 import copy
 import functools
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.catalogue import MODELS, is_file
+from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import nearest
@@ -130,7 +131,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
     asked = read(MechanismSection, section, "mechanism", error=ModelError)
     place = path_beside(asked.model, folder)
-    if asked.model not in MODELS and is_file(place):
+    if asked.model not in MODELS and os.path.isfile(place):
         section["model"] = str(place.resolve())
     mechanism = load_mechanism(
         section["model"],

@@ -3,12 +3,12 @@
 A guess is a table of positions at equidistant times, or a saved plan's motion.
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.catalogue import is_folder
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import path_beside
@@ -100,7 +100,7 @@ def guess_place(section: GuessSection, folder: Path | None) -> Path | None:
     if section.path_deg or section.path_m:
         raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
     place = path_beside(section.plan, folder)
-    if not is_folder(place):
+    if not os.path.isdir(place):
         where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
         raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")
     return place

@@ -1,6 +1,7 @@
 """Functions shared by the commands: they read arguments, and refuse them by their names on the command line."""
 
 import argparse
+import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_source
+from linkplan.models.catalogue import MODELS, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.models.mechanism import Mechanism
@@ -192,7 +193,7 @@ def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
     if source in names:
         return
     refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
-    if source in PROBLEMS or not (is_there(Path(source)) or is_folder(Path(source))):
+    if source in PROBLEMS or not os.path.exists(source):
         raise ModelError(
             f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name ({', '.join(names)})"
             " nor a file"

@@ -3,7 +3,7 @@
 import textwrap
 from pathlib import Path
 
-from linkplan.models.library import BUILT_IN as MODELS
+from linkplan.models.catalogue import MODELS
 from linkplan.studies.new.first_motion import FirstMotion, model_beside
 from linkplan.studies.new.problem_text import problem_text
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.solids import along_poses
 from linkplan.models.poses.skeleton import view
+from linkplan.models.poses.solids import along_poses
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.output.directions import direction_name
 from linkplan.studies.output.document import Animation, Ghost

@@ -6,12 +6,12 @@ The page fetches nothing: its content security policy allows its own scripts by 
 import base64
 import hashlib
 import html
+import os
 from importlib import resources
 from pathlib import Path
 
 import msgspec
 
-from linkplan.models.catalogue import is_folder, is_there
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import read_head
 from linkplan.planner.files.single_file import write_over
@@ -75,9 +75,9 @@ def refuse_other_files(path: Path) -> None:
     Raises:
         PlanFileError: with the path.
     """
-    if is_folder(path):
+    if os.path.isdir(path):
         raise PlanFileError(f"a report is one HTML file, and '{path}' is a folder; name a file in it")
-    if not is_there(path):
+    if not os.path.exists(path):
         return
     try:
         begin = read_head(path, f"'{path}'", 1000, PlanFileError)

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkplan.models.audit import audit
+from linkplan.models.catalogue import MODELS
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
-from linkplan.models.library import BUILT_IN
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import choose
 from linkplan.models.payload import SHANK, Payload
@@ -29,7 +29,7 @@ FOUR_BAR = CRANK_ROCKER.mjcf(np.random.default_rng(0), bare=True)
     [("optimus-kne", "optimus-knee"), ("Optimus-Knee", "optimus-knee"), ("optimus-knee-sauce", "optimus-knee-source")],
 )
 def test_a_misspelt_model_is_refused_with_the_nearest_name(asked, nearest):
-    assert_names(refusal(lambda: load_mechanism(asked)), f"'{asked}'", f"did you mean '{nearest}'?", *BUILT_IN)
+    assert_names(refusal(lambda: load_mechanism(asked)), f"'{asked}'", f"did you mean '{nearest}'?", *MODELS)
 
 
 @pytest.mark.parametrize("asked", ["qqq", "no/such/folder/model.xml", "", "None"])

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.models.library import built_in_text
+from linkplan.models.catalogue import built_in_text
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import sampled
 from tests.support.mechanisms import PENDULUM, SLIDER_CRANK, Simulated, random_tree, replaced, simulated

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import ModelError
-from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
