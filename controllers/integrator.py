@@ -15,6 +15,9 @@ The loop constraint is assumed to be rigid. MuJoCo's constraint is soft: with an
 load, and it closes a gap within the time constant in `solref`. `rollout.conditions` records both.
 """
 
+import functools
+
+import casadi as ca
 import mujoco
 import numpy as np
 
@@ -22,9 +25,7 @@ from linkplan.controllers.linearisation import linearise
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, sampled
-
-_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
-_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+from linkplan.models.tree.passive import joint_passive
 
 # Integrators that do not use the derivatives of a servo's force.
 _EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
@@ -111,20 +112,14 @@ def _implicit_factor(mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarra
     """Return the factor F (n, n_s, n_s) by which implicit damping reduces an acceleration."""
     model, n, n_s = mechanism.model, len(pose), mechanism.dof
     rates = joint_rates(mechanism, pose, velocity)
-    if kind == int(mujoco.mjtIntegrator.mjINT_IMPLICIT):
-        bias, passive = mechanism.dynamics.bias.jacobian(), mechanism.dynamics.passive.jacobian()
-        D = np.empty((n, mechanism.n_q, mechanism.n_q))
-        for k in range(n):
-            n_q = mechanism.n_q
-            of_bias = np.array(bias(pose[k], rates[k], np.zeros(n_q))[1])
-            D[k] = of_bias - np.array(passive(pose[k], rates[k], np.zeros(n_q))[1])
-        D = (D + _servo_terms(mechanism, pose, 2)) * _related(model)
-    elif kind == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
-        D = _diagonal(_damping(model, rates)) + _tendon_terms(mechanism, pose, rates)[0]
-        D = (D + _servo_terms(mechanism, pose, 2)) * _related(model)
-    else:
+    if kind == int(mujoco.mjtIntegrator.mjINT_EULER):
         disabled = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP))
-        D = _diagonal(np.zeros_like(rates) if disabled else _damping(model, rates))
+        D = 0.0 if disabled else -sampled(_slope(mechanism, "joint dampers"), pose, rates)
+    else:
+        D = _servo_terms(mechanism, pose, 2) - sampled(_slope(mechanism, "dampers"), pose, rates)
+        if kind == int(mujoco.mjtIntegrator.mjINT_IMPLICIT):
+            D = D + sampled(_slope(mechanism, "bias"), pose, rates)
+        D = D * _related(model)
     if not np.any(D):
         return np.broadcast_to(np.eye(n_s), (n, n_s, n_s))
     M = sampled(mechanism.dynamics.mass_matrix, pose)
@@ -137,20 +132,29 @@ def _reduced(gamma: np.ndarray, of_all: np.ndarray) -> np.ndarray:
     return gamma.swapaxes(1, 2) @ of_all @ gamma
 
 
-def _diagonal(values: np.ndarray) -> np.ndarray:
-    return values[:, :, None] * np.eye(values.shape[1])
+@functools.lru_cache(maxsize=64)
+def _slope(mechanism: Mechanism, of: str) -> ca.Function:
+    """Return q, q' -> the derivative (n_q, n_q) of a force on the tree, by q of "springs" of joints, else by q'."""
+    q, qd = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("qd", mechanism.n_q)
+    if of in ("springs", "joint dampers"):
+        T = mechanism.coordinates.velocity_matrix(q)
+        velocity = ca.SX.zeros(mechanism.n_q) if of == "springs" else T @ qd
+        force = T.T @ joint_passive(mechanism.model, q, velocity)[0]
+    else:
+        force = {"dampers": mechanism.dynamics.passive, "bias": mechanism.dynamics.bias}[of](q, qd)
+    return ca.Function("slope", [q, qd], [ca.densify(ca.jacobian(force, q if of == "springs" else qd))])
 
 
 def _discrete_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return D and K (n, n_q, n_q) of the effective metric M + h D + h^2 K, from joints, tendons and servos.
 
-    The dual solver, PGS, omits tendons and actuators (MuJoCo, "Numerical integration").
+    The dual solver, PGS, omits tendons and actuators (MuJoCo, "Numerical integration"). Negative stiffness becomes zero.
     """
-    D, K = _diagonal(_damping(mechanism.model, rates)), _diagonal(_stiffness(mechanism.model, pose))
+    K = np.maximum(-sampled(_slope(mechanism, "springs"), pose, rates), 0.0)
     if int(mechanism.model.opt.solver) == int(mujoco.mjtSolver.mjSOL_PGS):
-        return D, K
-    by_speed, by_length = _tendon_terms(mechanism, pose, rates)
-    return D + by_speed + _servo_terms(mechanism, pose, 2), K + by_length + _servo_terms(mechanism, pose, 1)
+        return -sampled(_slope(mechanism, "joint dampers"), pose, rates), K
+    D = _servo_terms(mechanism, pose, 2) - sampled(_slope(mechanism, "dampers"), pose, rates)
+    return D, K + _tendon_stiffness(mechanism, pose) + _servo_terms(mechanism, pose, 1)
 
 
 def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarray:
@@ -166,39 +170,25 @@ def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarr
     return (moments * own) @ moments.swapaxes(1, 2)
 
 
-def _tendon_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the contributions of tendon dampers, their actuators' damping and tendon springs to D and K (n, n_q, n_q)."""
+def _tendon_stiffness(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
+    """Return the contribution of tendon springs to K (n, n_q, n_q) at poses (n, n_q)."""
     model, n_q = mechanism.model, mechanism.n_q
-    D, K = np.zeros((2, len(pose), n_q, n_q))
-    owners = [(a, int(model.actuator_trnid[a, 0])) for a in range(model.nu) if int(model.actuator_trntype[a]) == _TENDON]
-    forces = model.tendon_damping, model.tendon_dampingpoly, model.tendon_stiffness, model.tendon_stiffnesspoly
-    if not any(np.any(force) for force in (*forces, [model.actuator_damping[a] for a, _ in owners])):
-        return D, K
-    data, flags = mujoco.MjData(model), model.opt.disableflags
-    for k, (q, rate) in enumerate(zip(pose, rates, strict=True)):
+    K = np.zeros((len(pose), n_q, n_q))
+    springs = np.any(model.tendon_stiffness) or np.any(model.tendon_stiffnesspoly)
+    if not springs or model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SPRING):
+        return K
+    data = mujoco.MjData(model)
+    for k, q in enumerate(pose):
         data.qpos[:], arms = mechanism.qpos_of(q), np.zeros((model.ntendon, model.nv))
         mujoco.mj_fwdPosition(model, data)
         mujoco.mju_sparse2dense(arms, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
         arms = arms @ np.array([mechanism.qvel_of(q, unit) for unit in np.eye(n_q)]).T
-        for tendon, arm in enumerate(arms):
-            both, speed = np.outer(arm, arm), abs(float(arm @ rate))
-            if not flags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER):
-                drag = _slope(model.tendon_damping[tendon], model.tendon_dampingpoly[tendon], speed)
-                for actuator in (a for a, pulled in owners if pulled == tendon):
-                    own = _slope(model.actuator_damping[actuator], model.actuator_dampingpoly[actuator], speed)
-                    drag += float(model.actuator_gear[actuator, 0]) ** 2 * own
-                D[k] += drag * both
-            low, high = model.tendon_lengthspring[tendon]
-            x = max(data.ten_length[tendon] - high, 0.0) + min(data.ten_length[tendon] - low, 0.0)
-            slack = low < data.ten_length[tendon] < high
-            if not slack and not flags & int(mujoco.mjtDisableBit.mjDSBL_SPRING):
-                K[k] += max(_slope(model.tendon_stiffness[tendon], model.tendon_stiffnesspoly[tendon], x), 0.0) * both
-    return D, K
-
-
-def _slope(a: float, poly: np.ndarray, x: float) -> float:
-    """Return the slope of a x + b x^2 + c x^3."""
-    return float(a + 2 * poly[0] * x + 3 * poly[1] * x**2)
+        low, high = model.tendon_lengthspring.T
+        x = np.maximum(data.ten_length - high, 0.0) + np.minimum(data.ten_length - low, 0.0)
+        a, (b, c) = model.tendon_stiffness, model.tendon_stiffnesspoly.T
+        taut = (low >= data.ten_length) | (data.ten_length >= high)
+        K[k] = arms.T @ (np.where(taut, np.maximum(a + 2 * b * x + 3 * c * x**2, 0.0), 0.0)[:, None] * arms)
+    return K
 
 
 def _related(model: mujoco.MjModel) -> np.ndarray:
@@ -210,27 +200,3 @@ def _related(model: mujoco.MjModel) -> np.ndarray:
             related[dof, above] = related[above, dof] = True
             above = int(model.dof_parentid[above])
     return related
-
-
-def _damping(model: mujoco.MjModel, rates: np.ndarray) -> np.ndarray:
-    """Return the derivative (n, n_q) of the joints' damping, plus gear^2 times the actuators', at rates (n, n_q)."""
-    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER):
-        return np.zeros_like(rates)
-    a, (b, c) = np.array(model.dof_damping), np.array(model.dof_dampingpoly).T
-    total = a + 2 * b * np.abs(rates) + 3 * c * rates**2
-    for actuator in range(model.nu):
-        if int(model.actuator_trntype[actuator]) in _JOINT_TRANSMISSIONS:
-            dof = int(model.jnt_dofadr[model.actuator_trnid[actuator, 0]])
-            a, (b, c) = float(model.actuator_damping[actuator]), model.actuator_dampingpoly[actuator]
-            rate = rates[:, dof]
-            total[:, dof] += float(model.actuator_gear[actuator, 0]) ** 2 * (a + 2 * b * np.abs(rate) + 3 * c * rate**2)
-    return total
-
-
-def _stiffness(model: mujoco.MjModel, pose: np.ndarray) -> np.ndarray:
-    """Return the stiffness (n, n_q) of the joints' springs at poses (n, n_q); negative values become zero."""
-    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SPRING):
-        return np.zeros_like(pose)
-    x = pose - model.qpos_spring[model.jnt_qposadr]
-    a, (b, c) = np.array(model.jnt_stiffness), np.array(model.jnt_stiffnesspoly).T
-    return np.maximum(a + 2 * b * x + 3 * c * x**2, 0.0)
