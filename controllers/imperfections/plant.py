@@ -16,15 +16,15 @@ from linkplan.controllers.integrator import stay_servos
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
+from linkplan.models.closure.newton import solve
 from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
+from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.stiffness import make_dry
 
-# Newton's method stops below this residual [m or rad], which is rounding for poses of about a metre.
-_ROUNDING_RESIDUAL = 1e-13
 # Largest accepted residual [m or rad], far below the gap of a soft loop.
 _MAX_RESIDUAL = 1e-9
 # MuJoCo raises a loop constraint's time constant to at least this many timesteps.
@@ -37,24 +37,15 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     Raises:
         AssemblyError: if the loop does not close there.
     """
-    dependent = mechanism.dependent
-    q, best, residual = np.array(pose, dtype=float), np.array(pose, dtype=float), np.inf
-    for _ in range(50):
-        r, J = _equalities(model, data, mechanism, q)
-        size = float(np.abs(r).max(initial=0.0))
-        if not size < residual:
-            break
-        best, residual = q.copy(), size
-        if size < _ROUNDING_RESIDUAL:
-            break
-        q[dependent] -= np.linalg.lstsq(J[:, dependent], r, rcond=None)[0]
+    q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
+    residual = float(np.abs(r).max(initial=0.0))
     if residual > _MAX_RESIDUAL:
         joints = zip(mechanism.independent_joints, q[mechanism.independent], strict=True)
         where = ", ".join(f"{joint.name} = {joint.said(x, 4)} {joint.unit}" for joint, x in joints)
         raise AssemblyError(
             f"the loop does not close at the start, {where}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
         )
-    return best
+    return q
 
 
 def closed_rates(
@@ -74,17 +65,10 @@ def _equalities(
     """Return the equality constraints' residual (n_r,) and Jacobian (n_r, n_q) at a pose (n_q,)."""
     data.qpos[:] = mechanism.qpos_of(q)
     mujoco.mj_fwdPosition(model, data)
-    rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-    J = np.zeros((len(rows), model.nv))
-    if mujoco.mj_isSparse(model):
-        for row, begin, count in zip(J, data.efc_J_rowadr, data.efc_J_rownnz, strict=True):
-            row[data.efc_J_colind[begin : begin + count]] = data.efc_J[begin : begin + count]
-    else:
-        J[:] = data.efc_J.reshape(J.shape)
-    J = J[rows]
+    J = equality_jacobian(model, data)
     if not mechanism.coordinates.trivial:
         J = J @ mechanism.qvel_of(np.tile(q, (model.nv, 1)), np.eye(model.nv)).T
-    return data.efc_pos[rows].copy(), J
+    return data.efc_pos[: data.ne].copy(), J
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

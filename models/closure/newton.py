@@ -67,7 +67,10 @@ def close(loop: KinematicLoop, start: np.ndarray, free: Sequence[int] | None = N
 
 
 def solve(
-    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray, free: list[int], rcond: float
+    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    start: np.ndarray,
+    free: list[int],
+    rcond: float = _LEAST_SINGULAR_SHARE,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pose of least residual that Newton reaches by moving the joints in `free`, and its residual phi.
 

@@ -30,10 +30,16 @@ def felt_inertia(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
 
 def equality_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows J (n, nv) of MuJoCo's equality constraints, and M^-1 (nv, nv), at the pose of a forward pass."""
-    mass, rows = np.zeros((model.nv, model.nv)), np.zeros((data.nefc, model.nv))
+    mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
+    return equality_jacobian(model, data), np.linalg.inv(mass)
+
+
+def equality_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return the rows J (n, nv) of MuJoCo's equality constraints at the pose of a forward pass."""
+    rows = np.zeros((data.nefc, model.nv))
     if mujoco.mj_isSparse(model):
         mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
     else:
         rows[:] = data.efc_J.reshape(rows.shape)
-    return rows[: data.ne], np.linalg.inv(mass)
+    return rows[: data.ne]
