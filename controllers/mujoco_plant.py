@@ -5,7 +5,7 @@ any number of machines and threads. Only this file and rigid_plant.py hold simul
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,11 +39,6 @@ class MujocoPlant:
     loop: ControlLoop
     threads: int = 0  # of the simulator; 0 for one for each core
     built: dict[tuple[SampledReference, Imperfections], Plant | str] = field(default_factory=dict)
-
-    @property
-    def measured(self) -> np.ndarray:
-        """The columns of a pose that the law measures."""
-        return self.mechanism.independent
 
     def begin(
         self, reference: SampledReference, machines: Sequence[Imperfections]
@@ -90,43 +85,25 @@ class MujocoPlant:
 class PlantAsItStands:
     """An unchanged model: it starts at the file's reference pose, with its contacts and timestep, and loops may be open.
 
-    `mechanism` supplies the model, its joints and its first actuator, which must drive a joint; its assembly is not used.
-    `idle_ctrl` holds constant controls of the other actuators, by MuJoCo's control index.
+    Of the mechanism's assembly only the choice of independent coordinates is used.
     """
 
     mechanism: Mechanism
-    idle_ctrl: Mapping[int, float]
 
     @property
     def loop(self) -> ControlLoop:
-        """The first actuator's own limits, without delay."""
-        return ControlLoop(effort_limit=self.mechanism.effort_limit[:1])
-
-    @property
-    def measured(self) -> np.ndarray:
-        """The column of a pose that the law measures: the first actuator's joint."""
-        return np.array([self.mechanism.actuators[0].joint])
+        """The actuators' own limits, without delay."""
+        return ControlLoop(effort_limit=self.mechanism.effort_limit)
 
     def begin(
         self, reference: SampledReference, machines: Sequence[Imperfections]
     ) -> tuple["MujocoStepper", list[str | None]]:
-        """Return a copy of the model for each machine. Only the machines' drives are used.
-
-        Raises:
-            LinkplanError: if the first actuator does not drive a joint.
-        """
+        """Return a copy of the model for each machine. Only the machines' drives are used."""
         mechanism, n = self.mechanism, len(machines)
-        actuator, model, data = mechanism.actuators[0], mechanism.model, mujoco.MjData(mechanism.model)
-        if actuator.joint is None:
-            raise LinkplanError(f"the first actuator, {actuator.name}, must drive a joint; it acts on {actuator.target}")
-        pose = mechanism.q_of(data.qpos)
-        one = Plant(model=model, pose=pose, rates=np.zeros(mechanism.n_q))
+        one = Plant(model=mechanism.model, pose=mechanism.q_of(mechanism.model.qpos0), rates=np.zeros(mechanism.n_q))
         periods = [reference.period_s] * n
         drives = driving([machine.drives for machine in machines], [0.0] * n, periods, 1, self.loop.effort_limit)
-        stepper = MujocoStepper(mechanism, [one] * n, drives, 1, watched=True, actuators=1, independent=self.measured)
-        for index, value in self.idle_ctrl.items():
-            stepper.ctrl[:, index] = value
-        return stepper, [None] * n
+        return MujocoStepper(mechanism, [one] * n, drives, 1, watched=True), [None] * n
 
 
 class MujocoStepper:
@@ -142,8 +119,6 @@ class MujocoStepper:
         gains: what the actuators' speeds (p, n_u) gain in a simulator step of each period, by the reference; default: 0.
         threads: simulator threads; 0 for one per core.
         watched: record closure gaps and contacts.
-        actuators: the number of driven actuators, counted from the first; default: all.
-        independent: the columns of a pose that the law measures; default: the independent coordinates.
     """
 
     lost = DIVERGED
@@ -160,30 +135,26 @@ class MujocoStepper:
         gains: np.ndarray | None = None,
         threads: int = 0,
         watched: bool = False,
-        actuators: int | None = None,
-        independent: np.ndarray | None = None,
     ) -> None:
         models = [one.model for one in plants]
         model = models[0] if base is None else base.model
-        driven = mechanism.actuators[:actuators]
-        measured = mechanism.independent if independent is None else independent
-        self.n, self.n_u, self.rows = len(plants), len(driven), slice(None)
-        self.n_q, self.n_s, self.independent = mechanism.n_q, len(measured), _columns(measured)
+        self.n, self.n_u, self.rows = len(plants), mechanism.n_u, slice(None)
+        self.n_q, self.n_s, self.independent = mechanism.n_q, mechanism.dof, _columns(mechanism.independent)
         self.model, self.timestep_s = model, np.array([one.opt.timestep for one in models])
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
-        self._servos = servo_inversion(mechanism) if actuators is None else None
+        self._servos = servo_inversion(mechanism)
         self._gains = np.zeros((1, self.n_u)) if gains is None else gains
         self._batch = Batch(
             model, nsim=self.n, nthread=threads or min(self.n, os.cpu_count() or 1), persistent=self._servos is not None
         )
         spread(self._batch, model, models)
         bind = self._batch.bind
-        self._qpos, self._qvel, self.ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
+        self._qpos, self._qvel, self._ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
         self._lengths = None if self._servos is None else bind("actuator_length")
         if pushes is not None:
             self._forces, self._efforts = bind("xfrc_applied"), bind("qfrc_applied")
         self._watch = ClosureWatch(self._batch, models) if watched else None
-        self._map_actuators(driven)
+        self._map_actuators(mechanism.actuators)
         self._ids: np.ndarray | None = None  # of the running machines; None for all
         self._near = np.array([one.pose for one in plants])
         changing = pushes is not None or self._servos is not None
@@ -243,7 +214,7 @@ class MujocoStepper:
                     speed[...] = rate
             elif not self._direct:
                 ctrl = (effort - self._bias) * self._scale
-            _put(self.ctrl, rows, self._channels, ctrl)
+            _put(self._ctrl, rows, self._channels, ctrl)
             if self._pushes is not None:
                 self._forces[rows], self._efforts[rows] = self._pushes.over(k * self._substeps + j)
             self._batch.step(self._ids, count, self._stage)

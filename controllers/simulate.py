@@ -125,7 +125,7 @@ def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, referen
     return Rollout(
         tracker=ensemble.tracker,
         time_s=time,
-        position_rad=pose[:, plant.measured],
+        position_rad=pose[:, mechanism.independent],
         velocity_rad_s=ensemble.velocity[kept, 0],
         reference_rad=state_at(reference, time)[0],
         pose_rad=pose,

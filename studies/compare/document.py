@@ -9,6 +9,7 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.simulate import simulate_one
 from linkplan.controllers.trackers.pd import PD, pd
+from linkplan.controllers.trackers.tracker import Feedforward
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.reference import Sine
@@ -39,21 +40,19 @@ def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float
 def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
     """Return the runs of the document's model as printed, by (model, KD)."""
     source, runs = load_mechanism("optimus-knee-source"), {}
-    driven = source.actuators[0].channel
-    # The document sets the control of its second actuator to 0.1, which gives a constant force of 0.1 N.
-    idle = {channel: 0.1 for channel in range(source.model.nu) if channel != driven}
-    plant = PlantAsItStands(mechanism=source, idle_ctrl=idle)
+    plant = PlantAsItStands(mechanism=source)
     period_s = float(source.model.opt.timestep)
     time = period_s * np.arange(round(_DURATION_S / period_s))
-    position, velocity = sine.derivative(time, 0), sine.derivative(time, 1)
+    of_O, still = np.array([1.0, 0.0]), np.zeros(len(time))
     reference = SampledReference(
-        period_s=period_s, time_s=time, pose_rad=position, position_rad=position, velocity_rad_s=velocity,
-        effort=np.zeros_like(position), cycle=None,
+        period_s=period_s, time_s=time, pose_rad=np.tile(source.home, (len(time), 1)), cycle=None,
+        position_rad=sine.derivative(time, 0) * of_O, velocity_rad_s=sine.derivative(time, 1) * of_O,
+        effort=np.stack([still, still + 0.1], axis=1),  # the document sets its second actuator to a constant 0.1 N
     )  # fmt: skip
     for kd in KD:
         say(f"{AS_PRINTED}, KP = {DOCUMENT_KP:g}, KD = {kd:g}")
-        law = PD(reference=reference, kp=DOCUMENT_KP, kd=kd, map=np.ones((reference.n, 1, 1)))
-        runs[AS_PRINTED, kd] = simulate_one(plant, law, reference)
+        law = PD(reference=reference, kp=DOCUMENT_KP, kd=kd, map=np.tile(np.diag(of_O), (reference.n, 1, 1)))
+        runs[AS_PRINTED, kd] = simulate_one(plant, Feedforward(reference=reference, feedback=law), reference)
     return runs
 
 
@@ -72,7 +71,7 @@ def document_record(runs: dict[tuple[str, float], Rollout]) -> list[dict]:
                 "steady_gap_mean_m": float(rollout.gap_m[half:].mean()),
                 "steady_gap_max_m": float(rollout.gap_m[half:].max()),
                 "contacts": rollout.contacts,
-                "at_limit_fraction": float(np.mean(np.abs(rollout.applied) >= 0.999 * rollout.effort_limit[0, 1])),
+                "at_limit_fraction": float(np.mean(np.abs(rollout.applied[:, 0]) >= 0.999 * rollout.effort_limit[0, 1])),
                 "stable": rollout.stable,
             }
         )
