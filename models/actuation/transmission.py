@@ -132,14 +132,11 @@ def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
     holder = site if reference < 0 else reference
     holder_body = int(model.site_bodyid[holder])
     R = tree.frames[holder_body].R_world_B @ ca.DM(_site_axes(model, holder))
-    linear, angular = _velocity(model, tree, site)
-    if reference >= 0:
-        other_linear, other_angular = _velocity(model, tree, reference)
-        linear, angular = linear - other_linear, angular - other_angular
+    J = _jacobian(model, tree, site) - (_jacobian(model, tree, reference) if reference >= 0 else 0)
     column = ca.SX(tree.q.numel(), 1)
-    for velocity, axis in ((linear, gear[:3]), (angular, gear[3:])):
+    for rows, axis in ((J[:3, :], gear[:3]), (J[3:, :], gear[3:])):
         if np.any(axis):
-            column += ca.jacobian(velocity, tree.qd).T @ (R @ ca.DM(axis))
+            column += rows.T @ (R @ ca.DM(axis))
     if reference < 0:
         return column
     # MuJoCo ignores the joints that carry both sites.
@@ -162,7 +159,9 @@ def _place(model, tree: Tree, site: int) -> ca.SX:
     return tree.point(int(model.site_bodyid[site]), model.site_pos[site])
 
 
-def _velocity(model, tree: Tree, site: int) -> tuple[ca.SX, ca.SX]:
-    frame = tree.frames[int(model.site_bodyid[site])]
-    arm = frame.R_world_B @ ca.DM(model.site_pos[site])
-    return frame.v_world_B + ca.cross(frame.w_world_B, arm), frame.w_world_B
+def _jacobian(model, tree: Tree, site: int) -> ca.SX:
+    """Return the Jacobian (6, n_q) of a site's velocity and angular velocity, twice Q' conj(Q) of its quaternion."""
+    quaternion = tree.frames[int(model.site_bodyid[site])].quaternion
+    w, v, rates = quaternion[0], quaternion[1:], ca.jacobian(quaternion, tree.q)
+    turning = 2 * (w * rates[1:, :] - v @ rates[0, :] + ca.skew(v) @ rates[1:, :])
+    return ca.vertcat(ca.jacobian(_place(model, tree, site), tree.q), turning)

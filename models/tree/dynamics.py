@@ -32,13 +32,11 @@ from linkplan.models.tree.tendons import tendon_length
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Frame:
-    """A body's frame in the world, as expressions of q, with the motion of its origin."""
+    """A body's frame in the world, as expressions of q."""
 
     p_world_B: ca.SX  # (3,) [m] position of the body frame's origin
     R_world_B: ca.SX  # (3, 3)
     quaternion: ca.SX  # (4,) of R_world_B, continuous in q
-    v_world_B: ca.SX  # (3,) [m/s] velocity of the origin
-    w_world_B: ca.SX  # (3,) [rad/s] angular velocity
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -87,13 +85,12 @@ def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
     """Return a body's frame relative to its ancestor's frame, an expression of the joints between the two."""
     if ancestor == 0:
         return tree.frames[body]
-    frame, still = _fixed_frame(), ca.SX.zeros(tree.q.numel())
-    chain = []
+    frame, chain = _fixed_frame(), []
     while body != ancestor:
         chain.append(body)
         body = int(tree.model.body_parentid[body])
     for link in reversed(chain):
-        frame = _child_frame(tree.model, tree.coordinates, link, frame, tree.q, still)
+        frame = _child_frame(tree.model, tree.coordinates, link, frame, tree.q)
     return frame
 
 
@@ -120,7 +117,7 @@ def build_tree(
     frames = [_fixed_frame()]
     for body in range(1, model.nbody):
         parent = frames[model.body_parentid[body]]
-        frames.append(_child_frame(model, coordinates, body, parent, q, velocity))
+        frames.append(_child_frame(model, coordinates, body, parent, q))
     lengths = tuple(tendon_length(model, frames, q, tendon) for tendon in range(model.ntendon))
 
     gravity = ca.DM(model.opt.gravity) if not disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
@@ -164,44 +161,25 @@ def build_tree(
 
 
 def _fixed_frame() -> Frame:
-    zero = ca.SX.zeros(3)
-    return Frame(
-        p_world_B=zero,
-        R_world_B=ca.SX.eye(3),
-        quaternion=ca.SX([1, 0, 0, 0]),
-        v_world_B=zero,
-        w_world_B=zero,
-    )
+    return Frame(p_world_B=ca.SX.zeros(3), R_world_B=ca.SX.eye(3), quaternion=ca.SX([1, 0, 0, 0]))
 
 
-def _child_frame(model, coordinates: Coordinates, body, parent: Frame, q, velocity) -> Frame:
-    """Return a body's frame and motion. Its joints are applied in file order; `velocity` is MuJoCo's qvel."""
-    offset = parent.R_world_B @ ca.DM(model.body_pos[body])
-    p = parent.p_world_B + offset
+def _child_frame(model: mujoco.MjModel, coordinates: Coordinates, body: int, parent: Frame, q: ca.SX) -> Frame:
+    """Return a body's frame. Its joints are applied in file order."""
+    p = parent.p_world_B + parent.R_world_B @ ca.DM(model.body_pos[body])
     R = parent.R_world_B @ ca.DM(rotation_from_quaternion(model.body_quat[body]))
     quaternion = product(parent.quaternion, ca.SX(ca.DM(model.body_quat[body])))
-    w = parent.w_world_B
-    v = parent.v_world_B + ca.cross(w, offset)
     start = model.body_jntadr[body]
     for joint in range(start, start + model.body_jntnum[body]):
         dof, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
         if kind == FREE:  # MuJoCo ignores the body's own position here
-            p, v = q[dof : dof + 3], velocity[dof : dof + 3]
-            R, quaternion = ca.SX.eye(3), ca.SX([1, 0, 0, 0])
-            dof += 3
-        arm = R @ ca.DM(model.jnt_pos[joint])
-        anchor = p + arm
-        anchor_velocity = v + ca.cross(w, arm)
+            p, R, quaternion = q[dof : dof + 3], ca.SX.eye(3), ca.SX([1, 0, 0, 0])
         if kind == SLIDE:
-            axis = R @ ca.DM(model.jnt_axis[joint])
-            travel = axis * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
-            p = p + travel
-            v = v + ca.cross(w, travel) + axis * velocity[dof]
+            p = p + R @ ca.DM(model.jnt_axis[joint]) * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
             continue
+        anchor = p + R @ ca.DM(model.jnt_pos[joint])
         if kind == HINGE:
-            axis = R @ ca.DM(model.jnt_axis[joint])
             angle = q[dof] - model.qpos0[model.jnt_qposadr[joint]]
-            spin = axis * velocity[dof]
             R = R @ rotation_about(model.jnt_axis[joint], angle)
             unit = model.jnt_axis[joint] / np.linalg.norm(model.jnt_axis[joint])
             turn = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * ca.DM(unit))
@@ -210,13 +188,9 @@ def _child_frame(model, coordinates: Coordinates, body, parent: Frame, q, veloci
             turned = turned_quaternion(chart, q)
             turn = product(ca.SX(ca.DM(chart.centre)), turned)
             R = R @ ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned)
-            spin = R @ velocity[dof : dof + 3]
         quaternion = product(quaternion, turn)
-        w = w + spin
-        arm = R @ ca.DM(model.jnt_pos[joint])
-        p = anchor - arm
-        v = anchor_velocity - ca.cross(w, arm)
-    return Frame(p_world_B=p, R_world_B=R, quaternion=quaternion, v_world_B=v, w_world_B=w)
+        p = anchor - R @ ca.DM(model.jnt_pos[joint])
+    return Frame(p_world_B=p, R_world_B=R, quaternion=quaternion)
 
 
 def _compensation_energy(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM) -> ca.SX:
