@@ -121,25 +121,23 @@ def build_tree(
     lengths = tuple(tendon_length(model, frames, q, tendon) for tendon in range(model.ntendon))
 
     gravity = ca.DM(model.opt.gravity) if not disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
-    tau, kinetic = newton_euler(model, coordinates, q, velocity, acceleration, gravity, inertials or {})
+    tau = newton_euler(model, coordinates, q, velocity, acceleration, gravity, inertials or {})
     potential = _potential(model, frames, gravity, inertials or {})
     armature = ca.DM(joint_armature(model))
     weight = ca.substitute(tau, ca.vertcat(qd, qdd), ca.SX.zeros(2 * n_q))
     tau = tau + armature * acceleration
-    kinetic += 0.5 * ca.dot(armature, velocity**2)
     if not coordinates.trivial:
         tau, weight = T.T @ tau, T.T @ weight
     for inertia, length in tendon_inertias(model, lengths, q):
         arm = ca.jacobian(length, q)
-        speed = arm @ qd
-        tau = tau + inertia * arm.T * (arm @ qdd + ca.jtimes(speed, q, qd))
-        kinetic += 0.5 * inertia * speed**2
+        tau = tau + inertia * arm.T * (arm @ qdd + ca.jtimes(arm @ qd, q, qd))
     joint_force, spring_energy = joint_passive(model, q, velocity)
     if not coordinates.trivial:
         joint_force = T.T @ joint_force
     tendon_force, tendon_energy = tendon_passive(model, lengths, q, qd)
     compensation_energy = _compensation_energy(model, frames, gravity)
     compensation = -ca.jacobian(compensation_energy, q).T
+    mass_matrix = ca.jacobian(tau, qdd)
     return Tree(
         model=model,
         coordinates=coordinates,
@@ -148,12 +146,12 @@ def build_tree(
         qdd=qdd,
         frames=tuple(frames),
         inverse_dynamics=tau,
-        mass_matrix=ca.jacobian(tau, qdd),
+        mass_matrix=mass_matrix,
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
         gravity=weight - compensation,
         passive=joint_force + tendon_force + compensation,
         friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(model)),
-        kinetic_energy=kinetic,
+        kinetic_energy=0.5 * ca.dot(qd, mass_matrix @ qd),
         potential_energy=potential + spring_energy + tendon_energy + compensation_energy,
         velocity_matrix=T,
         tendon_lengths=lengths,

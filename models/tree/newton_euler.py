@@ -31,24 +31,20 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FrameMotion:
-    """A frame's motion, in its own axes: angular velocity and acceleration, velocity and acceleration of the origin (3,)."""
+    """A frame's motion, in its own axes: angular velocity and acceleration, and acceleration of the origin (3,)."""
 
     w: ca.SX
     alpha: ca.SX
-    velocity: ca.SX
     acceleration: ca.SX
 
     def at(self, arm: ca.SX | ca.DM) -> "FrameMotion":
         """Return the motion of the frame's point at `arm`."""
-        turning = ca.cross(self.w, arm)
-        carried = ca.cross(self.alpha, arm) + ca.cross(self.w, turning)
-        return replace(self, velocity=self.velocity + turning, acceleration=self.acceleration + carried)
+        carried = ca.cross(self.alpha, arm) + ca.cross(self.w, ca.cross(self.w, arm))
+        return replace(self, acceleration=self.acceleration + carried)
 
     def seen_from(self, R: ca.SX | ca.DM) -> "FrameMotion":
         """Return the motion in the axes R (3, 3), which are fixed in the frame."""
-        return FrameMotion(
-            w=R.T @ self.w, alpha=R.T @ self.alpha, velocity=R.T @ self.velocity, acceleration=R.T @ self.acceleration
-        )
+        return FrameMotion(w=R.T @ self.w, alpha=R.T @ self.alpha, acceleration=R.T @ self.acceleration)
 
     def spun(self, rate: ca.SX, rate_of_rate: ca.SX) -> "FrameMotion":
         """Return the motion of a body that spins in the frame about its origin, in the frame's axes."""
@@ -63,16 +59,15 @@ def newton_euler(
     acceleration: ca.SX,
     gravity: ca.DM,
     inertials: Mapping[int, Inertial],
-) -> tuple[ca.SX, ca.SX]:
-    """Return the generalised forces (nv,) that a motion requires, gravity included, and its kinetic energy [J].
+) -> ca.SX:
+    """Return the generalised forces (nv,) that a motion requires, gravity included.
 
     `velocity` is MuJoCo's qvel and `acceleration` its derivative, both expressions. Armature is not included.
     """
     zero = ca.SX.zeros(3)
-    motions = [FrameMotion(w=zero, alpha=zero, velocity=zero, acceleration=ca.SX(-gravity))]
+    motions = [FrameMotion(w=zero, alpha=zero, acceleration=ca.SX(-gravity))]
     ways: list[list[Carry]] = [[]]
     force, moment = ([zero for _ in range(model.nbody)] for _ in range(2))
-    kinetic = ca.SX(0)
     for body in range(1, model.nbody):
         parent = motions[int(model.body_parentid[body])]
         motion, way = _to_body(model, coordinates, body, parent, q, velocity, acceleration)
@@ -81,11 +76,9 @@ def newton_euler(
         if model.body_weldid[body] == 0:
             continue
         own = inertials.get(body) or inertial_of(model, body)
-        centre = motion.at(own.com)
+        force[body] = own.mass * motion.at(own.com).acceleration
         spin = own.inertia @ motion.w
-        force[body] = own.mass * centre.acceleration
         moment[body] = own.inertia @ motion.alpha + ca.cross(motion.w, spin) + ca.cross(own.com, force[body])
-        kinetic += 0.5 * own.mass * ca.dot(centre.velocity, centre.velocity) + 0.5 * ca.dot(motion.w, spin)
 
     tau = ca.SX.zeros(model.nv)
     for body in range(model.nbody - 1, 0, -1):
@@ -95,7 +88,7 @@ def newton_euler(
             for dof, effort in taken.items():
                 tau[dof] = effort
         force[parent], moment[parent] = force[parent] + f, moment[parent] + n
-    return tau, kinetic
+    return tau
 
 
 def inertial_of(model: mujoco.MjModel, body: int) -> Inertial:
@@ -129,8 +122,7 @@ def _to_body(
     for joint in joints:
         dof, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
         if kind == FREE:
-            moved = {"velocity": velocity[dof : dof + 3], "acceleration": motion.acceleration + acceleration[dof : dof + 3]}
-            motion = replace(motion, **moved)
+            motion = replace(motion, acceleration=motion.acceleration + acceleration[dof : dof + 3])
             way.append(_pushed(ca.DM.eye(3), ca.DM.zeros(3), range(dof, dof + 3)))
             dof += 3
         if kind == SLIDE:
@@ -138,11 +130,7 @@ def _to_body(
             travel = axis * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
             coriolis = 2 * ca.cross(motion.w, axis * velocity[dof])
             moved = motion.at(travel)
-            motion = replace(
-                moved,
-                velocity=moved.velocity + axis * velocity[dof],
-                acceleration=moved.acceleration + coriolis + axis * acceleration[dof],
-            )
+            motion = replace(moved, acceleration=moved.acceleration + coriolis + axis * acceleration[dof])
             way.append(_pushed(axis, travel, [dof]))
             continue
         if kind == HINGE:
