@@ -47,12 +47,10 @@ def choose_coordinates(
     return rows, independent, dependent
 
 
-def _named(name: str, joints: tuple[Joint, ...], asked: object, dof: int) -> list[int]:
+def _named(name: str, joints: tuple[Joint, ...], asked: Sequence[str] | None, dof: int) -> list[int]:
     """Return the indices of the joints named as independent coordinates."""
     if asked is None:
         return []
-    if not isinstance(asked, list | tuple) or not all(isinstance(joint, str) for joint in asked):
-        raise ModelError(f"mechanism.independent is a list of joint names, got {asked!r}")
     named = [index_of(name, joints, joint) for joint in asked]
     if len(set(named)) < len(named) or len(named) > dof:
         raise ModelError(

@@ -5,7 +5,6 @@ decides: it is made with the loops closed by least squares without the weak cons
 If the gap stays within `closure_tolerance_m` the motion is free, as it is in a machine with bearing play and in a simulator.
 """
 
-import numbers
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,8 +33,7 @@ def closure_tolerance(asked: float | None, extent_m: float) -> float:
     """
     if asked is None:
         return min(1e-6, 1e-5 * extent_m)
-    number = isinstance(asked, numbers.Real) and not isinstance(asked, bool)
-    if not number or not newton.CLOSED_M <= asked <= extent_m:
+    if not newton.CLOSED_M <= asked <= extent_m:
         raise ModelError(
             f"mechanism.closure_tolerance_m is a length from {newton.CLOSED_M:g} m to the mechanism's size,"
             f" {extent_m:.3g} m, got {asked!r}"

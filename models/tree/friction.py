@@ -9,7 +9,6 @@ Buchholz & Dietmayer, Proc. IMechE K 228, 2014, compare such laws). The law give
 holds a pose. MuJoCo's own `frictionloss` is a soft constraint that is viscous at low speed, see `viscous_below`.
 """
 
-import numbers
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -52,12 +51,11 @@ def transition_speed(asked: float | None) -> float:
     """
     if asked is None:
         return float(TRANSITION)
-    number = isinstance(asked, numbers.Real) and not isinstance(asked, bool)
     least, most = _TRANSITION_RANGE
-    if not number or not least <= asked <= most:
+    if not least <= asked <= most:
         raise ModelError(
             f"mechanism.friction_transition_deg_s is a speed from {np.degrees(least):g} to {np.degrees(most):g} deg/s, got"
-            f" {np.degrees(asked) if number else asked!r}"
+            f" {np.degrees(asked)}"
         )
     return float(asked)
 

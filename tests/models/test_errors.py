@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import linkplan
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import choose
-from linkplan.models.payload import SHANK, Payload
+from linkplan.models.payload import SHANK
 from linkplan.models.poses.assembly import close_at
 from tests.support.mechanisms import CRANK_ROCKER, PENDULUM, TRUSS, replaced, simulated
 from tests.support.refusals import TWO_BODIES, assert_names, refusal
@@ -152,29 +153,29 @@ PAYLOADS = {
     "mass true": ({"mass_kg": True}, ["payload.mass_kg", "True"]),
     "mass text": ({"mass_kg": "1"}, ["payload.mass_kg", "'1'"]),
     "mass beyond floats": ({"mass_kg": 10**400}, ["payload.mass_kg"]),
-    "com nan": ({"com_m": [0.0, np.nan, 0.0]}, ["payload.com_m", "finite", "nan"]),
+    "com nan": ({"com_m": [0.0, np.nan, 0.0]}, ["payload.com_m[1]", "a number", "nan"]),
     "com of two": ({"com_m": [0.0, 0.0]}, ["payload.com_m", "three"]),
-    "com nested": ({"com_m": [[0.0, 0.0, 0.0]]}, ["payload.com_m", "three"]),
+    "com nested": ({"com_m": [[0.0, 0.0, 0.0]]}, ["payload.com_m", "a number", "[0.0, 0.0, 0.0]"]),
     "com text": ({"com_m": "abc"}, ["payload.com_m", "three", "abc"]),
     "com beyond floats": ({"com_m": [10**400, 0, 0]}, ["payload.com_m"]),
-    "inertia negative": ({"inertia_kgm2": [1.0, 1.0, -0.1]}, ["payload.inertia_kgm2", "negative", "-0.1"]),
+    "inertia negative": ({"inertia_kgm2": [1.0, 1.0, -0.1]}, ["payload.inertia_kgm2[2]", "at least 0", "-0.1"]),
     "inertia of no body": ({"inertia_kgm2": [1.0, 1.0, 2.5]}, ["payload.inertia_kgm2", "no rigid body", "2.5"]),
-    "inertia nan": ({"inertia_kgm2": [1.0, np.nan, 1.0]}, ["payload.inertia_kgm2", "finite", "nan"]),
+    "inertia nan": ({"inertia_kgm2": [1.0, np.nan, 1.0]}, ["payload.inertia_kgm2[1]", "a number", "nan"]),
     "inertia a table": ({"inertia_kgm2": {}}, ["payload.inertia_kgm2", "three"]),
-    "unknown key": ({"mass": 1.0}, ["'payload.mass'", "did you mean 'mass_kg'?", *CUBE]),
+    "unknown key": ({"mass": 1.0}, ["'mechanism.payload.mass'", "did you mean 'mass_kg'?", *CUBE]),
     "key of two lines": ({"mass\nkg": 1.0}, ["payload.", *CUBE]),
 }
 
 
 @pytest.mark.parametrize(("change", "words"), PAYLOADS.values(), ids=PAYLOADS)
 def test_a_bad_payload_is_refused_by_key_and_value(change, words):
-    assert_names(refusal(lambda: load_mechanism("optimus-knee", payload=CUBE | change)), *words)
+    assert_names(refusal(lambda: linkplan.load_mechanism("optimus-knee", payload=CUBE | change)), *words)
 
 
 @pytest.mark.parametrize("key", ["body", "mass_kg", "com_m"])
 def test_a_payload_without_a_key_that_it_needs_is_refused(key):
     table = {name: value for name, value in CUBE.items() if name != key}
-    assert_names(refusal(lambda: load_mechanism("optimus-knee", payload=table)), f"missing {key}")
+    assert_names(refusal(lambda: linkplan.load_mechanism("optimus-knee", payload=table)), f"payload.{key} is missing")
 
 
 def test_a_misspelt_payload_is_refused_with_the_nearest_name():
@@ -184,20 +185,11 @@ def test_a_misspelt_payload_is_refused_with_the_nearest_name():
 
 @pytest.mark.parametrize("value", [3, [1, 2], 1.5])
 def test_a_payload_that_is_neither_name_nor_table_is_refused(value):
-    assert_names(refusal(lambda: load_mechanism("optimus-knee", payload=value)), "payload", "shank", repr(value))
+    assert_names(refusal(lambda: linkplan.load_mechanism("optimus-knee", payload=value)), "payload", "shank", repr(value))
 
 
 def test_a_payload_on_a_model_without_its_body_is_refused():
     assert_names(refusal(lambda: load_mechanism(TWO_BODIES % "", payload=SHANK)), "'crank'", "left", "right")
-
-
-@pytest.mark.parametrize(
-    "change",
-    [{"mass_kg": "1"}, {"com_m": "abc"}, {"com_m": None}, {"inertia_kgm2": [1.0, "a", 1.0]}, {"mass_kg": None}],
-    ids=str,
-)
-def test_a_payload_made_of_no_numbers_is_refused_at_construction(change):
-    assert_names(refusal(lambda: Payload(**(CUBE | change))), f"payload.{next(iter(change))}")
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, np.nan])
@@ -224,7 +216,7 @@ def test_a_home_with_an_unknown_joint_is_refused_with_the_joints():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e15, "upright", None], ids=str)
 def test_a_home_that_is_no_position_is_refused_by_joint(value):
-    assert_names(refusal(lambda: load_mechanism(FOUR_BAR, home={"O": value})), "O")
+    assert_names(refusal(lambda: linkplan.load_mechanism(FOUR_BAR, home_deg={"O": value}), ProblemError), "O")
 
 
 @pytest.mark.parametrize("position", [np.nan, 1.5])

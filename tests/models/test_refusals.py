@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError
 from linkplan.models.mechanism import load_mechanism
@@ -185,7 +186,7 @@ CHOICES = {
     "more than there are": (WELDED, ["O", "A"], ["2 joints", "1 degrees of freedom"]),
     "the same twice": (FIVE_BAR, ["left", "left"], ["2 joints (left, left)", "2 degrees of freedom"]),
     "a word for a list": (WELDED, "O", ["list of joint names", "'O'"]),
-    "a number": (WELDED, [1], ["list of joint names"]),
+    "a number": (WELDED, [1], ["independent is a text", "got 1"]),
     "two of one loop": (LEG, ["knee", "rod"], ["singular at home", "knee", "rod"]),
     "both of a coupling": (GRIPPER, ["crank_r", "crank_l"], ["singular at home"]),
     "a ball's name": (RSSR, ["rod"], ["'rod'", "rod_rx"]),
@@ -194,7 +195,7 @@ CHOICES = {
 
 @pytest.mark.parametrize(("text", "names", "words"), CHOICES.values(), ids=CHOICES)
 def test_a_choice_of_coordinates_that_cannot_be_is_refused_with_the_reason(text, names, words):
-    assert_names(refusal(lambda: load_mechanism(text, independent=names)), *words)
+    assert_names(refusal(lambda: linkplan.load_mechanism(text, independent=names)), *words)
 
 
 def test_a_choice_at_its_dead_centre_is_refused():

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.models.audit import audit
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
@@ -110,4 +111,4 @@ def test_friction_is_honoured_and_noted_by_name():
 @pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, 1e3, True, "slow"])
 def test_a_transition_that_is_no_speed_is_refused(speed):
     with pytest.raises(ModelError, match="friction_transition_deg_s"):
-        load_mechanism(ARM, friction_transition=speed)
+        linkplan.load_mechanism(ARM, friction_transition_deg_s=speed)
