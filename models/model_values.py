@@ -13,26 +13,19 @@ from linkplan.models.payload import MAX_SI_VALUE
 from linkplan.models.reading import shown
 
 MAX_NAME_LENGTH = 500
-# Fields of a compiled model that must not be negative, with the words for a message.
-_NOT_NEGATIVE = {
-    "body_mass": "mass", "body_inertia": "inertia", "dof_armature": "armature", "dof_frictionloss": "frictionloss",
-    "dof_damping": "damping", "tendon_frictionloss": "frictionloss", "tendon_damping": "damping",
-    "tendon_armature": "armature", "actuator_armature": "armature", "actuator_damping": "damping",
-}  # fmt: skip
+# Fields of a compiled model that must not be negative: the element's prefix and the word of MJCF.
+_NOT_NEGATIVE = (
+    "body_mass", "body_inertia", "dof_armature", "dof_frictionloss", "dof_damping", "tendon_frictionloss", "tendon_damping",
+    "tendon_armature", "actuator_armature", "actuator_damping",
+)  # fmt: skip
 # Fields that the compiler derives for its own scaling. They are huge for a nearly massless body.
 _DERIVED = ("oct_coeff", "actuator_acc0", "body_invweight0", "dof_invweight0", "tendon_invweight0")
 # Legal range of the simulator's timestep [s].
 TIMESTEP_RANGE_S = (1e-8, 1.0)
-# The element kind of each field prefix of mjModel, for messages.
+# The element kind of each field prefix of mjModel.
 _OWNERS = {
     "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator",
     "eq": "equality", "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
-}  # fmt: skip
-_KINDS = {
-    "body": mujoco.mjtObj.mjOBJ_BODY, "joint": mujoco.mjtObj.mjOBJ_JOINT, "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "site": mujoco.mjtObj.mjOBJ_SITE, "tendon": mujoco.mjtObj.mjOBJ_TENDON, "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "equality": mujoco.mjtObj.mjOBJ_EQUALITY, "key": mujoco.mjtObj.mjOBJ_KEY, "mesh": mujoco.mjtObj.mjOBJ_MESH,
-    "camera": mujoco.mjtObj.mjOBJ_CAMERA, "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
 }  # fmt: skip
 
 
@@ -49,16 +42,15 @@ def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
             f"model '{name}' has option timestep = {step:g} s; the simulator's step is from {TIMESTEP_RANGE_S[0]:g} to"
             f" {TIMESTEP_RANGE_S[1]:g} s"
         )
-    for field, word in _NOT_NEGATIVE.items():
-        value = getattr(model, field, None)
-        if value is not None and np.any(np.asarray(value) < 0):
-            bad = np.asarray(value) < 0
+    for field in _NOT_NEGATIVE:
+        value = np.asarray(getattr(model, field))
+        if np.any(bad := value < 0):
+            got = float(value[bad].ravel()[0])
             raise ModelError(
-                f"model '{name}' has {_where(model, field, bad)} = {float(np.asarray(value)[bad].ravel()[0]):g}; {word}"
-                " is at least 0"
+                f"model '{name}' has {_where(model, field, bad)} = {got:g}; {field.partition('_')[2]} is at least 0"
             )
     for field in ("jnt_range", "tendon_range", "actuator_ctrlrange", "actuator_forcerange", "jnt_actfrcrange"):
-        value = np.asarray(getattr(model, field, np.zeros((0, 2)))).reshape(-1, 2)
+        value = np.asarray(getattr(model, field))
         bad = value[:, 0] > value[:, 1]
         if np.any(bad):
             low, high = value[bad][0]
@@ -110,8 +102,5 @@ def _where(model: mujoco.MjModel, field: str, bad: np.ndarray) -> str:
     kind = _OWNERS.get(prefix)
     if kind is None or not rest:
         return field
-    try:
-        element = mujoco.mj_id2name(model, _KINDS[kind], row)
-    except (UnicodeDecodeError, TypeError):
-        element = None
+    element = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), row)
     return f"{rest} of {kind} {element or row}"
