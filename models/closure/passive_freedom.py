@@ -39,55 +39,45 @@ def find_passive_dofs(
         poses: closed poses (n_q,), one or more.
         extent_m: the mechanism's size [m].
     """
-    found: list[int] = []
-    notes: list[str] = []
     if not dynamics.closure.size1_out(0):
         return (), []
-    rates = [np.array(dynamics.velocity_map(q)) for q in poses]
-    still = np.zeros(len(joints))
-    springs = [np.array(dynamics.passive(q, still)).reshape(-1, 1) for q in poses]
-    acting = [
-        np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), spring])
-        for q, spring in zip(poses, springs, strict=True)
-    ]
-    for column, index in enumerate(independent.tolist()):
-        spinning = [
-            _spinning(model, coordinates, q, gamma[:, column], efforts, extent_m)
-            for q, gamma, efforts in zip(poses, rates, acting, strict=True)
-        ]
-        if not spinning or not all(spinning):
-            continue
-        found.append(index)
-        chart = joints[index].chart
-        ball = chart is not None and len(spinning[0]) == 1 and not any(joint.name == f"{chart}_x" for joint in joints)
-        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name or b}" for b in spinning[0])
+    spins = [_spinning_bodies(model, coordinates, dynamics, q, extent_m) for q in poses]
+    passive = np.flatnonzero(np.logical_and.reduce([one.any(axis=0) for one in spins]))
+    notes = []
+    for column in passive:
+        bodies, chart = np.flatnonzero(spins[0][:, column]), joints[independent[column]].chart
+        ball = chart is not None and len(bodies) == 1 and not any(joint.name == f"{chart}_x" for joint in joints)
+        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name or b}" for b in bodies)
         notes.append(f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives")
-    return tuple(found), notes
+    return tuple(independent[passive].tolist()), notes
 
 
-def _spinning(
-    model: mujoco.MjModel, coordinates: Coordinates, q: np.ndarray, gamma: np.ndarray, acting: np.ndarray, extent_m: float
-) -> list[int]:
-    """Return the bodies that spin as coordinates move at rates `gamma` (n_q,), empty if that is not a passive spin.
-
-    `acting` (n_q, n_u + 1): the efforts on the coordinates of each actuator and of springs.
-    """
-    least = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
-    if np.abs(acting.T @ gamma).max() > least:
-        return []
-    data = data_at(model, coordinates.qpos_of(q))
-    qvel = coordinates.qvel_of(q, gamma)
-    linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    speeds, turns = np.zeros(model.nbody), np.zeros(model.nbody)
-    for body in np.flatnonzero(model.body_mass > 0):
-        mujoco.mj_jacBodyCom(model, data, linear, angular, body)
-        speeds[body], turns[body] = np.linalg.norm(linear @ qvel), np.linalg.norm(angular @ qvel)
-    moment, whole = speeds @ model.body_mass, model.body_mass[model.body_weldid > 0].sum()
+def _spinning_bodies(
+    model: mujoco.MjModel, coordinates: Coordinates, dynamics, q: np.ndarray, extent_m: float
+) -> np.ndarray:
+    """Return a mask (n_body, n_s) of the bodies that spin as an independent coordinate moves, if that is a passive spin."""
+    gamma = np.array(dynamics.velocity_map(q))
+    spring = np.array(dynamics.passive(q, np.zeros(len(q)))).reshape(-1, 1)
+    acting = np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), spring])
+    scale = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max()))
+    free = np.abs(acting.T @ gamma).max(axis=0) <= scale * np.abs(gamma).max(axis=0)
+    speeds, turns = _body_rates(model, coordinates, q, gamma * free)
+    moment, whole = model.body_mass @ speeds, model.body_mass[model.body_weldid > 0].sum()
     # Farther off, a light rod still moves the others little: a bent rod of 10 g in a leg of 10 kg.
-    least = _OFFSET_SHARE * extent_m * turns.max()
-    if speeds.max() > least and moment > 0.01 * whole * least:
-        return []
-    return np.flatnonzero(turns > ROUNDING_SHARE * turns.max()).tolist()
+    least = _OFFSET_SHARE * extent_m * turns.max(axis=0)
+    spins = free & ((speeds.max(axis=0) <= least) | (moment <= 0.01 * whole * least))
+    return spins & (turns > ROUNDING_SHARE * turns.max(axis=0))
+
+
+def _body_rates(
+    model: mujoco.MjModel, coordinates: Coordinates, q: np.ndarray, rates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the speeds of centres [m/s] and the turning speeds [rad/s] (n_body, n) at rates (n_q, n); 0 without mass."""
+    data, qvel = data_at(model, coordinates.qpos_of(q)), coordinates.qvel_of(np.broadcast_to(q, rates.T.shape), rates.T).T
+    linear, angular = np.zeros((2, model.nbody, 3, model.nv))
+    for body in np.flatnonzero(model.body_mass > 0):
+        mujoco.mj_jacBodyCom(model, data, linear[body], angular[body], body)
+    return np.linalg.norm(linear @ qvel, axis=1), np.linalg.norm(angular @ qvel, axis=1)
 
 
 def round_spins(dynamics, home: np.ndarray, passive: np.ndarray) -> np.ndarray:

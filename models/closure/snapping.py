@@ -51,11 +51,11 @@ def needless_gaps(loop: KinematicLoop, reference: np.ndarray) -> np.ndarray:
     rng = Random(0)  # numpy.random takes long to load
     steps = [np.array([rng.uniform(-_POSE_DISTANCE, _POSE_DISTANCE) for _ in reference]) for _ in range(_NEARBY_POSES)]
     poses = [reference, *(reference + step * loop.unit for step in steps)]
-    still = np.zeros_like(phi)
+    still, jacobians = np.zeros_like(phi), [loop.jacobian(q) for q in poses]
     for closure in loop.closures:
         if closure.kind != "point" or closure.rows.stop - closure.rows.start != 3:
             continue
-        rates = np.hstack([loop.jacobian(q)[closure.rows] for q in poses])
+        rates = np.hstack([jacobian[closure.rows] for jacobian in jacobians])
         left, size, _ = np.linalg.svd(rates)
         directions = left[:, size <= _STILL_SHARE * size[0]]
         still[closure.rows] = directions @ (directions.T @ phi[closure.rows])
