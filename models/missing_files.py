@@ -25,9 +25,9 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     Raises:
         ModelError: if a body has its mass from a mesh that is not there.
     """
-    folder = path.parent
-    meshes = [mesh for mesh in spec.meshes if _is_missing(folder / spec.meshdir, mesh.file)]
-    textures = [texture for texture in spec.textures if _is_missing(folder / spec.texturedir, texture.file)]
+    folder, stripped = path.parent, bool(spec.strippath)
+    meshes = [mesh for mesh in spec.meshes if _is_missing(folder / spec.meshdir, mesh.file, stripped)]
+    textures = [texture for texture in spec.textures if _is_missing(folder / spec.texturedir, texture.file, stripped)]
     notes = _without_lost_pairs(spec)
     if not (meshes or textures) or not _fails_for_a_file(spec):
         return notes
@@ -58,8 +58,9 @@ def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
     return (f"pairs for contact with geoms of other files are left out: {', '.join(names)}",) if lost else ()
 
 
-def _is_missing(folder: Path, name: str) -> bool:
-    return bool(name) and not any(place.is_file() for place in (folder / name, Path(name), folder / Path(name).name))
+def _is_missing(folder: Path, name: str, stripped: bool) -> bool:
+    """Return True if a file is not where MuJoCo looks for it: in the folder, without the path of its name if `stripped`."""
+    return bool(name) and not (folder / (Path(name).name if stripped else name)).is_file()
 
 
 def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:

@@ -52,7 +52,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
 
     def closed(x: np.ndarray) -> np.ndarray:
         s = base.copy()
-        s[columns] = x
+        s[columns] += x
         return close_at(mechanism, s, near)
 
     def efforts(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -75,10 +75,11 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         return null @ (null.T @ by_rest[kept] @ gamma) - inverse.T @ (by_arms @ gamma)
 
     # On the way to a balance each step takes more than 1e-10 of the effort squared away. With less it creeps, for thousands
-    # of steps, towards a least effort that is not zero.
+    # of steps, towards a least effort that is not zero. The unknowns are deflections: scipy's first step is as long as the
+    # first unknowns, and of its own choice from exactly zero.
     try:
         found = scipy.optimize.least_squares(
-            unbalanced, base[columns], slope, x_scale="jac", xtol=1e-15, ftol=1e-10, gtol=1e-15
+            unbalanced, np.zeros(len(columns)), slope, x_scale="jac", xtol=1e-15, ftol=1e-10, gtol=1e-15
         )
         rest = unbalanced(found.x)
     except AssemblyError:
@@ -87,7 +88,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
     if np.abs(rest).max(initial=0.0) > ROUNDING_SHARE * one_radian:
         return None
     s = base.copy()
-    s[columns] = found.x
+    s[columns] += found.x
     return s
 
 

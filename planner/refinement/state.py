@@ -194,18 +194,15 @@ def observed(
     solution = at.found.solution
     objective, size = solution.objective, abs(solution.objective)
     change = abs(objective - state.before)
-    tolerance = new.objective_tolerance
+    tolerance, solved = new.objective_tolerance, solution.status == SUCCEEDED
     calm = state.calm
-    if solution.status == SUCCEEDED:  # a solver that stopped short says nothing of the objective
+    if solved:
         calm = calm + 1 if tells and (tolerance is None or change <= tolerance * size) else 0
     if state.loose is not None:  # on meshes that err alike the objectives can be compared
         better = state.best is None or objective < state.best.found.solution.objective
         return replace(new, best=at, idle=0) if better else new
-    return replace(
-        new,
-        best=better_of(state.best, at, state.target),
-        calm=calm,
-        change=change / size if size and np.isfinite(change) else state.change,
-        change_before=state.change,
-        before=objective if solution.status == SUCCEEDED or tolerance is None else state.before,
-    )
+    new = replace(new, best=better_of(state.best, at, state.target), calm=calm)
+    if not solved and tolerance is not None:  # a solver that stopped short says nothing of the objective
+        return new
+    change = change / size if size and np.isfinite(change) else state.change
+    return replace(new, change=change, change_before=state.change, before=objective)

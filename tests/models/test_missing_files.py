@@ -27,6 +27,16 @@ def test_missing_meshes_and_textures_are_left_out_and_named(tmp_path):
     assert note in load_mechanism(file).notes
 
 
+def test_a_file_of_the_same_name_in_another_folder_is_not_the_mesh_that_is_missing(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM.format(inertial=INERTIAL).replace("shell.stl", "2023/shell.stl"))
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "shell.stl").write_bytes(b"of another robot")
+    _, model, (note,) = compile_model(file)
+    assert model.nmesh == 0
+    assert "shell.stl" in note
+
+
 def test_a_mesh_whose_mass_a_body_needs_is_not_left_out(tmp_path):
     file = tmp_path / "arm.xml"
     file.write_text(ARM.format(inertial=""))

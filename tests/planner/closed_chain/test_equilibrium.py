@@ -1,5 +1,7 @@
 """Starts and goals that leave freedoms on springs unnamed: these rest where springs and weight balance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,15 @@ def test_a_value_that_is_named_is_kept(arm):
     problem = Problem.from_tables("arm", named)
     assert problem.motion.start[1] == 0.0
     assert problem.motion.goal[1] < -1e-3
+
+
+def test_a_home_that_rounding_keeps_from_zero_is_a_start_like_any_other(arm):
+    """Assembled homes are 1e-15 from zero: a first step as short as that would never arrive."""
+    mechanism = load_mechanism(arm)
+    mechanism = replace(mechanism, home=mechanism.home + 1e-15)
+    rest = spring_equilibrium(mechanism, {0: np.radians(-30.0)}, (1,))
+    assert rest is not None
+    assert rest[1] == pytest.approx(MASS * G * np.sin(np.radians(30.0)) / STIFFNESS, abs=REST_M)
 
 
 def test_from_rest_to_rest_a_plan_needs_no_effort_beyond_the_arm_s_at_its_ends(arm):

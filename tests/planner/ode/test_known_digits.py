@@ -13,7 +13,6 @@ from linkplan.planner.ode.plan import OdePlan, known_digits, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.search import first_solutions, refined_motion
 from linkplan.planner.ode.solve_ocp import plan_ode
-from linkplan.planner.problem.settings import MeshSettings
 from tests.support.ode import (
     FREE_EFFORT,
     FREE_STATE,
@@ -100,7 +99,7 @@ def robbins_below(touches: np.ndarray, at_rest: float) -> float:
 @pytest.mark.slow
 def test_robbins_optimum_is_as_near_as_the_plan_says():
     optimum = robbins_below(ROBBINS_TOUCHES, ROBBINS_AT_REST)
-    plan = plan_ode(replace(robbins(1e-6), mesh=MeshSettings(intervals=20)))
+    plan = plan_ode(robbins(1e-6))
     check_what_is_said(plan, optimum, optimum * (1 + 1e-8))
     assert plan.objective == pytest.approx(optimum, rel=1e-6)
     assert plan.objective_error <= 1e-5 * optimum

@@ -265,6 +265,15 @@ def test_the_error_of_the_objective_is_its_largest_change_on_the_meshes_on_which
         assert now.objective_error == pytest.approx(error, rel=1e-5)
 
 
+def test_a_solver_that_stopped_short_says_nothing_of_the_error_of_the_objective():
+    target = replace(AIMS, objective_tolerance=1e-6)
+    settled = observed(state(iterate(), target=target), iterate(objective=1.0 + 1e-8))
+    short = iterate(objective=1.1)
+    short.found.solution.status = "Solved_To_Acceptable_Level"
+    assert observed(settled, iterate(objective=1.1)).objective_error > 0.09
+    assert observed(settled, short).objective_error == settled.objective_error
+
+
 @pytest.mark.parametrize(("releases", "released"), [(0, True), (2, True), (3, False)])
 def test_wrongly_held_arcs_are_released_three_times(releases, released, monkeypatch):
     monkeypatch.setattr(decision, "arcs_against_their_limits", lambda _: [1])
