@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
-from linkplan.models.closure.closed_pose import locked_or_singular, with_closed_pose
+from linkplan.models.closure.closed_pose import home_of, locked_or_singular, with_closed_pose
 from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
 from linkplan.models.closure.initial_assembly import assemble, home_positions, nearby_poses, refuse_singular_assembly
 from linkplan.models.closure.locked import refuse_locked
@@ -24,7 +24,7 @@ from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import LockedError, ModelError, UnassembledError
-from linkplan.models.library import compile_model
+from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
@@ -32,7 +32,6 @@ from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
 from linkplan.models.selection import Selection, home_qpos
-from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.ball_ranges import BallRange, limited_balls
 from linkplan.models.tree.coordinates import Coordinates
@@ -235,13 +234,7 @@ def load_mechanism(
     solref: str | None = None,
     closure_tolerance_m: float | None = None,
     friction_transition: float | None = None,
-    keep: Sequence[str] | None = None,
-    fix_base: bool = False,
-    lock: Mapping[str, float] | None = None,
-    keyframe: str | None = None,
-    exclude_contacts: Sequence[Sequence[str]] = (),
-    drive: Sequence[str] | None = None,
-    lock_spin: Sequence[str] | None = None,
+    selection: Selection = NOTHING_SELECTED,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -254,30 +247,14 @@ def load_mechanism(
         solref: "stiff" simulates with the stiffest equality constraints that the timestep admits; default: the model's own.
         closure_tolerance_m: the gap [m] that is a file's rounding; by default 1e-6 m, or 1e-5 of a small mechanism's extent.
         friction_transition: of dry friction [rad/s; extents per second on a slide or tendon]; by default 2 deg/s.
-        keep: names of bodies or joints of a larger robot, of which only these bodies are read, with their loops.
-        fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
-        lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
-        keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
-        exclude_contacts: pairs of names of bodies whose geoms pass through each other.
-        drive: names of joints that get a motor, within the effort limit that the joint has.
-        lock_spin: names of ball joints of rods that do not spin about their own line.
+        selection: what is taken out of a larger model.
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
         InertiaError: if some motion of the joints at home has no kinetic energy.
         AssemblyError: if the loops do not close at, or near, the asked pose.
     """
-    asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
     payload = payload_from(payload)
-    selection = Selection(
-        keep=tuple(keep or ()),
-        fix_base=bool(fix_base),
-        lock={} if lock is None else dict(lock),
-        keyframe=keyframe,
-        exclude_contacts=tuple((first, second) for first, second in exclude_contacts),
-        drive=tuple(drive or ()),
-        lock_spin=tuple(lock_spin or ()),
-    )
     name, model, left_out = compile_model(source, payload, selection)
     set_softness(model, solref)
     if model.njnt == 0:
@@ -285,8 +262,6 @@ def load_mechanism(
     reference_qpos = home_qpos(model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
     transition = transition_speed(friction_transition)
-    if friction_transition is not None:
-        asked["friction_transition_deg_s"] = float(np.degrees(transition))
     tree = build_tree(model, reference_qpos, _varied(model, pi), transition)
     joints = read_joints(name, model, tree.coordinates)
     closures = read_closures(model, tree)
@@ -303,8 +278,9 @@ def load_mechanism(
         apply_shifts(model, moved)
         closures = read_closures(model, tree)
         loop = _loop(name, joints, tree, closures, extent)
+    held = home_positions(loop, home)
     try:
-        pose = assemble(loop, reference, home_positions(loop, home), tolerance)
+        pose = assemble(loop, reference, held, tolerance)
     except UnassembledError as error:
         raise with_closed_pose(error, loop, reference) from None
     mobility = judge_mobility(loop, pose, tolerance)
@@ -331,6 +307,15 @@ def load_mechanism(
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
     notes = [*left_out, *(shift.sentence for shift in moved), *notes, *friction_notes(model, transition, extent)]
     notes += [*conversion_notes(source, driven=model.nu > 0), *_reference_notes(loop, reference, rank)]
+    asked = {
+        "payload": None if payload is None else payload.table(),
+        **home_of([joints[i] for i in held], list(held.values())),
+        **selection.table(),
+        "independent": None if independent is None else list(independent),
+        "closure_tolerance_m": closure_tolerance_m,
+        "solref": solref,
+        "friction_transition_deg_s": None if friction_transition is None else float(np.degrees(transition)),
+    }
     mechanism = Mechanism(
         name=name,
         model=model,
@@ -357,7 +342,7 @@ def load_mechanism(
         coordinates=tree.coordinates,
         passive_dofs=passive_dofs,
         notes=tuple(notes),
-        source=source_table(source, payload, home, joints, selection, asked),
+        source={"model": str(source)} | {key: value for key, value in asked.items() if value is not None},
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False

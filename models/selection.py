@@ -30,7 +30,7 @@ _TIED = {
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Selection:
-    """What is taken out of a model.
+    """What is taken out of a model: keys of the [mechanism] table.
 
     `keep`: names of bodies or joints. Their bodies are kept with everything that hangs on them, every chain that a loop
     closes over them, and the bodies between them and the world. All other bodies are dropped. `fix_base`: the joints between
@@ -41,13 +41,13 @@ class Selection:
     of the joint. `lock_spin`: names of ball joints of rods that do not spin about their own line.
     """
 
-    keep: tuple[str, ...] = ()
+    keep: Sequence[str] = ()
     fix_base: bool = False
     lock: Mapping[str, float] = field(default_factory=dict)
     keyframe: str | None = None
-    exclude_contacts: tuple[tuple[str, str], ...] = ()
-    drive: tuple[str, ...] = ()
-    lock_spin: tuple[str, ...] = ()
+    exclude_contacts: Sequence[Sequence[str]] = ()
+    drive: Sequence[str] = ()
+    lock_spin: Sequence[str] = ()
 
     def __bool__(self) -> bool:
         return bool(self.table())

@@ -25,8 +25,8 @@ def keyframe_of(coordinates: Coordinates, pose: np.ndarray) -> str:
     return f'<keyframe><key name="home" qpos="{" ".join(f"{x:.{_KEYFRAME_DIGITS}g}" for x in qpos)}"/></keyframe>'
 
 
-def home_of(joints: Sequence[Joint], pose: np.ndarray) -> dict[str, dict[str, float]]:
-    """Return the tables home_deg and home_m of a pose (n_q,), without empty ones."""
+def home_of(joints: Sequence[Joint], pose: Sequence[float] | np.ndarray) -> dict[str, dict[str, float]]:
+    """Return the tables home_deg and home_m of joints at positions [rad or m], without empty ones."""
     tables: dict[str, dict[str, float]] = {}
     for joint, x in zip(joints, pose, strict=True):
         decimals = _ANGLE_DECIMALS if joint.kind == "hinge" else _ANGLE_DECIMALS + 3

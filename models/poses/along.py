@@ -86,14 +86,15 @@ def _acceleration(mechanism: Mechanism) -> ca.Function:
     return ca.Function("acceleration", [q, v, a], [ca.densify(gamma @ a + ca.jtimes(rates, q, rates))])
 
 
-def sliding_friction(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Return the dry friction (n,) [N.m or N] of a mechanism of one degree of freedom that moves through poses (n, n_q)."""
+def sliding_friction(mechanism: Mechanism, q: np.ndarray, column: int = 0) -> np.ndarray:
+    """Return the dry friction (n,) [N.m or N] at poses (n, n_q) on an independent coordinate that slides alone."""
     if not any(frictions_of(mechanism.model)):
         return np.zeros(len(q))
     # At 1000 transition speeds, joints that move a hundredth as fast still have full friction.
-    fast, still = np.full((len(q), 1), 1000.0 * mechanism.friction_transition), np.zeros((len(q), 1))
+    fast, still = np.zeros((2, len(q), mechanism.dof))
+    fast[:, column] = 1000.0 * mechanism.friction_transition
     motion = (q, fast, still, np.zeros((len(q), mechanism.n_u)))
-    whole, without = (sampled(f, *motion)[:, 0, 0] for f in (mechanism.dynamics.residual, mechanism.dynamics.sliding))
+    whole, without = (sampled(f, *motion)[:, column, 0] for f in (mechanism.dynamics.residual, mechanism.dynamics.sliding))
     return whole - without
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import evaluated
+from linkplan.models.poses.along import evaluated, mapped
 
 # Newton steps of a stride of two degrees: two steps leave 1e-12, the third leaves rounding.
 _NEWTON_STEPS = 3
@@ -41,8 +41,7 @@ def stride_along(
         poses = np.tile(q, (len(positions), 1))
         poses[:, mechanism.independent] = positions
         return poses
-    gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)[2:]
-    state = np.concatenate([q, gamma.T.ravel(), determinants.ravel()])
+    state = _states(mechanism, q[None])[0]
     # CasADi takes longer to set up a function of more values than to make several calls.
     most = max(length for length in _STRETCH_LENGTHS if length == 1 or length * len(state) <= 40_000)
     found: list[np.ndarray] = [np.empty((0, mechanism.n_q))]
@@ -53,12 +52,28 @@ def stride_along(
         length = next(length for length in _STRETCH_LENGTHS if length >= n)
         targets = positions[np.minimum(np.arange(begin, begin + length), len(positions) - 1)]
         states, phi, predicted = (x.T[:n] for x in evaluated(_stretch(mechanism, length), state, targets.T))
-        regular = _regular(mechanism, np.concatenate([state[None], states]), phi, predicted, step_size)
+        kept = _are_regular(mechanism, np.concatenate([state[None], states[:-1]]), states, phi, predicted, step_size)
+        regular = n if np.all(kept) else int(np.argmin(kept))
         found.append(states[:regular, : mechanism.n_q])
         if regular < n:
             break
         state, begin, longest = states[-1], begin + n, most
     return np.concatenate(found)
+
+
+def strides(mechanism: Mechanism, starts: np.ndarray, positions: np.ndarray, step_size: np.ndarray) -> np.ndarray:
+    """Return the poses (n, n_q) at positions (n, n_s), each one stride from its own start (n, n_q); NaN if irregular."""
+    states, function = _states(mechanism, starts), mapped(_stretch(mechanism, 1), len(starts))
+    with np.errstate(over="ignore", invalid="ignore"):
+        after, phi, predicted = (x.T for x in evaluated(function, states.T, positions.T))
+        regular = _are_regular(mechanism, states, after, phi, predicted, step_size)
+    return np.where(regular[:, None], after[:, : mechanism.n_q], np.nan)
+
+
+def _states(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """Return the states of `_stretch` at poses q (n, n_q)."""
+    gamma, determinants = evaluated(mapped(mechanism.dynamics.closure_step, len(q)), q.T)[2:]
+    return np.hstack([q, gamma.ravel(order="F").reshape(len(q), -1), determinants.T])
 
 
 @functools.lru_cache(maxsize=16)
@@ -68,17 +83,22 @@ def in_loops(mechanism: Mechanism) -> np.ndarray:
     return depends[:, mechanism.independent].any(axis=0)
 
 
-def _regular(mechanism: Mechanism, states: np.ndarray, phi: np.ndarray, predicted: np.ndarray, step_size: np.ndarray) -> int:
-    """Return the number of regular strides through states (n + 1, ...) before the first irregular one."""
+def _are_regular(
+    mechanism: Mechanism,
+    before: np.ndarray,
+    after: np.ndarray,
+    phi: np.ndarray,
+    predicted: np.ndarray,
+    step_size: np.ndarray,
+) -> np.ndarray:
+    """Return a mask (n,) of the regular strides between states (n, ...)."""
     dependent, n_q = mechanism.dependent, mechanism.n_q
     n_gamma = n_q * mechanism.dof
-    corrected = np.max(np.abs(states[1:, dependent] - predicted) / step_size[dependent], axis=1, initial=0.0)
-    gamma, determinants = states[:, n_q : n_q + n_gamma], states[:, n_q + n_gamma :]
-    turned = np.abs(np.diff(gamma, axis=0)).max(axis=1, initial=0.0)
-    sizes = np.abs(gamma[:-1]).max(axis=1, initial=0.0)
+    (gamma, dets), (gamma_after, dets_after) = (np.split(states[:, n_q:], [n_gamma], axis=1) for states in (before, after))
+    corrected = np.max(np.abs(after[:, dependent] - predicted) / step_size[dependent], axis=1, initial=0.0)
+    turned, sizes = (np.abs(x).max(axis=1, initial=0.0) for x in (gamma_after - gamma, gamma))
     regular = (np.abs(phi).max(axis=1, initial=0.0) <= CLOSED_M) & (corrected < MAX_CORRECTION_SHARE)
-    regular &= (turned <= MAX_GAMMA_CHANGE * (1 + sizes)) & np.all(determinants[1:] * determinants[:-1] > 0, axis=1)
-    return len(regular) if np.all(regular) else int(np.argmin(regular))  # NaN counts as irregular
+    return regular & (turned <= MAX_GAMMA_CHANGE * (1 + sizes)) & np.all(dets_after * dets > 0, axis=1)  # NaN: irregular
 
 
 @functools.lru_cache(maxsize=16)

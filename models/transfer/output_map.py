@@ -17,7 +17,7 @@ import numpy as np
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.passive import joint_armature
 
@@ -132,21 +132,6 @@ def transmission(outputs: OutputMap, q: np.ndarray) -> Transmission:
         inertia=sampled(dynamics.reduced_inertia, q)[block],
         armature=np.einsum("nvi,v,nvj->nij", speeds, joint_armature(mechanism.model), speeds),
         damping=np.einsum("nqi,nqp,npj->nij", gamma, sampled(loss, q), gamma),
-        friction=_friction(outputs, q),
+        friction=np.stack([sliding_friction(mechanism, q, column) for column in columns], axis=1),
         gravity=sampled(dynamics.gravity_effort, q)[:, columns, 0],
     )
-
-
-def _friction(outputs: OutputMap, q: np.ndarray) -> np.ndarray:
-    """Return the dry friction (n, n_o) on each output while it slides alone, all other outputs at rest."""
-    mechanism, n = outputs.mechanism, len(q)
-    still, idle = np.zeros((n, mechanism.dof)), np.zeros((n, mechanism.n_u))
-    found = np.zeros((n, len(outputs.columns)))
-    for k, column in enumerate(outputs.columns):
-        fast = still.copy()
-        # At 1000 transition speeds, joints that move a hundredth as fast still have full friction.
-        fast[:, column] = 1000.0 * mechanism.friction_transition
-        of = mechanism.dynamics
-        whole, without = (sampled(f, q, fast, still, idle)[:, column, 0] for f in (of.residual, of.sliding))
-        found[:, k] = whole - without
-    return found

@@ -11,7 +11,7 @@ import copy
 import functools
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import nearest
+from linkplan.models.selection import Selection
 from linkplan.models.tree.sites import site_index
 from linkplan.planner.files.tables import Tables, path_beside, set_key
 from linkplan.planner.keys.reading import KEYS, read, refuse_unknown_keys
@@ -140,13 +141,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         independent=asked.independent,
         solref=asked.solref,
         closure_tolerance_m=asked.closure_tolerance_m,
-        keep=asked.keep,
-        fix_base=asked.fix_base,
-        lock=asked.lock,
-        keyframe=asked.keyframe,
-        exclude_contacts=asked.exclude_contacts,
-        drive=asked.drive,
-        lock_spin=asked.lock_spin,
+        selection=Selection(**{field.name: value for field in fields(Selection) if (value := getattr(asked, field.name))}),
         friction_transition=None if asked.friction_transition_deg_s is None else np.radians(asked.friction_transition_deg_s),
     )
     joint_values(asked, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge

@@ -6,6 +6,7 @@ import pytest
 
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.selection import Selection
 
 FINGER = """<mujoco><compiler angle="degree"/><option timestep="1e-4"/><worldbody><body name="middle">
   <joint name="far" axis="0 1 0" range="0 60"/><geom type="capsule" fromto="0 0 0 0.05 0 0" size="0.01"/>
@@ -19,7 +20,7 @@ FINGER = """<mujoco><compiler angle="degree"/><option timestep="1e-4"/><worldbod
 
 def test_a_joint_of_a_tendon_that_is_locked_at_zero_leaves_the_tendon_to_the_others():
     whole = mujoco.MjModel.from_xml_string(FINGER)
-    finger = load_mechanism(FINGER, lock={"far": 0.0})
+    finger = load_mechanism(FINGER, selection=Selection(lock={"far": 0.0}))
     locked = finger.model
     assert [joint.name for joint in finger.joints] == ["near"]
     data, held = mujoco.MjData(whole), mujoco.MjData(locked)
@@ -38,4 +39,4 @@ def test_a_joint_of_a_tendon_that_is_locked_at_zero_leaves_the_tendon_to_the_oth
 
 def test_a_joint_of_a_tendon_is_not_locked_elsewhere_than_at_zero():
     with pytest.raises(ModelError, match=r"'far' cannot be locked: tendon 'cord' uses it.*only if the joint is locked at 0"):
-        load_mechanism(FINGER, lock={"far": 10.0})
+        load_mechanism(FINGER, selection=Selection(lock={"far": 10.0}))

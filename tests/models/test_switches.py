@@ -6,6 +6,7 @@ import pytest
 
 from linkplan.models.audit import audit
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.selection import Selection
 from tests.support.mechanisms import simulated
 from tests.support.refusals import assert_names
 from tests.support.tolerances import TREE_ACCELERATION, relative_error
@@ -123,7 +124,7 @@ def stepped(model) -> np.ndarray:
 def test_a_motor_asked_for_replaces_a_plugin_and_its_sensor():
     text, _ = NAMED["an actuator that is a plugin"]
     text = text.replace("</mujoco>", '<sensor><actuatorfrc actuator="hold"/></sensor></mujoco>')
-    mechanism = load_mechanism(text, drive=["elbow"])
+    mechanism = load_mechanism(text, selection=Selection(drive=["elbow"]))
     assert [actuator.name for actuator in mechanism.actuators] == ["elbow"]
     assert "actuators replaced by motors, with their sensors: hold" in mechanism.notes
     assert not [item for item in audit(mechanism.model) if item.falsifies]
