@@ -17,7 +17,7 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables, r
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.exit_codes import NO
+from linkplan.studies.cli.exit_codes import NoMotionError
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
 
@@ -200,8 +200,23 @@ def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
 
 
 def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
-    """Return the plan of an argument: a saved plan, or the plan of a problem, made now."""
-    source, overrides = arguments.plan, arguments.set
+    """Return the plan with a motion of the argument PLAN.
+
+    Raises:
+        NoMotionError: if it has none; the command ends with the reason and exit code 1.
+    """
+    return with_motion(plan_of(arguments.plan, say, arguments.set, anyway=arguments.anyway))
+
+
+def with_motion(plan: Plan) -> Plan:
+    """Return a plan if it has a motion; else the command ends (`NoMotionError`)."""
+    if plan.trajectory is None:
+        raise NoMotionError(plan)
+    return plan
+
+
+def plan_of(source: str, say: Progress, overrides: Sequence[str] = (), *, anyway: bool = False) -> Plan:
+    """Return the plan of a source: a saved plan, or the plan of a problem, made now."""
     path = Path(source)
     if path.is_file():
         refuse_saved_plan(source, "plan", "name its folder")
@@ -221,17 +236,9 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
             )
     from linkplan.planner.plan_folder import read_plan, unchecked
 
-    plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
+    plan, note = read_plan(path, overrides, anyway=anyway), unchecked(path)
     if note is not None:
         say.keep(note)
     if not plan.passed:
         say.keep(f"run anyway: {plan.message}")
     return plan
-
-
-def no_plan(arguments: argparse.Namespace, plan: Plan) -> int:
-    """Show the reason why there is no motion and return the exit code."""
-    from linkplan.planner.plan_folder import record
-
-    show(arguments, record(plan), f"{plan.problem.name}: {plan.message}")
-    return NO

@@ -2,7 +2,7 @@
 
 import argparse
 
-from linkplan.studies.cli.common import deliver, no_plan, output_folder, plan_asked
+from linkplan.studies.cli.common import deliver, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress
 
@@ -16,8 +16,6 @@ def run_decompose(arguments: argparse.Namespace) -> int:
     asked = trackers_named(arguments.trackers)
     target, say = output_folder(arguments), progress(arguments)
     plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
     found = decompose(plan, asked, arguments.samples, arguments.seed, say)
     said = decomposition_record(found)
 

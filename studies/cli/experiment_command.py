@@ -11,9 +11,8 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
-from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.common import deliver, engine_asked, no_plan, output_folder, plan_asked, sample_again, set_all
+from linkplan.studies.cli.common import deliver, engine_asked, output_folder, plan_asked, sample_again, set_all, with_motion
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -49,25 +48,16 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         digest, asked = None, {"name": name, **problem.source, "model_hash": problem.mechanism.fingerprint()}
 
         def plan():
-            found = plan_motion(problem, say)
-            if found.trajectory is None:
-                raise _NoPlanError(found)
-            return found
+            return with_motion(plan_motion(problem, say))
     else:
         saved = plan_asked(arguments, say)
         digest, asked = plan_digest(saved), {"name": saved.problem.name, **saved.problem.source}
-
-        if saved.trajectory is None:
-            return no_plan(arguments, saved)
 
         def plan():
             return saved
 
     how = {"engine": engine, "threads": arguments.threads}
-    try:
-        outcome = study.run_experiment(asked, digest, plan, settings, target, say, **how)
-    except _NoPlanError as none:
-        return no_plan(arguments, none.plan)
+    outcome = study.run_experiment(asked, digest, plan, settings, target, say, **how)
     if arguments.report and target is not None:
         _write_page(outcome, target)
     show(arguments, outcome.record, outcome_blocks(outcome))
@@ -81,14 +71,6 @@ def _write_page(outcome: Outcome, target: Path) -> None:
     from linkplan.studies.report.saving import PAGE
 
     write_report(experiment_report(outcome, functools.partial(sample_again, target)), target / PAGE)
-
-
-class _NoPlanError(Exception):
-    """There is no motion to track; the plan has the reason."""
-
-    def __init__(self, plan: Plan) -> None:
-        super().__init__(plan.message)
-        self.plan = plan
 
 
 def run_replay(arguments: argparse.Namespace) -> int:

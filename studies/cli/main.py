@@ -17,34 +17,19 @@ from pathlib import Path
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.command_line import build_parser
-from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE
+from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, NoMotionError
 from linkplan.studies.cli.faults import is_of_memory, saved_fault_report
-from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, quiet, refuse
+from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, quiet, refuse, show
 from linkplan.studies.cli.streams import put
 
-# The module of each command, loaded when the command runs.
-_MODULES = {
-    "list": "list_command",
-    "check": "check_command",
+# The modules of commands that share one; each other command has a module of its own, loaded when the command runs.
+_SHARED = {
     "plan": "plan_commands",
     "batch": "plan_commands",
-    "prove": "prove_command",
     "track": "tracking_commands",
     "compare": "tracking_commands",
-    "experiment": "experiment_command",
-    "decompose": "decompose_command",
-    "view": "view_command",
-    "render": "render_command",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
-    "transfer": "transfer_command",
-    "schema": "schema_command",
-    "demo": "demo_command",
-    "new": "new_command",
-    "export": "export_command",
-    "completion": "completion_command",
-    "report": "report_command",
-    "explore": "explore_command",
 }
 
 
@@ -127,15 +112,21 @@ def _with_own_figures() -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     try:
-        module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
+        name = _SHARED.get(arguments.command, f"{arguments.command}_command")
+        module = importlib.import_module(f"linkplan.studies.cli.{name}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:
-            code, lost = run(arguments), getattr(arguments, "lost", None)
+            code = run(arguments)
+        except NoMotionError as none:
+            from linkplan.planner.plan_folder import record
+
+            show(arguments, record(none.plan), f"{none.plan.problem.name}: {none}")
+            code = NO
         finally:
             quiet(arguments)
         # With -o the folder is the result: a failure to print does not matter.
         saved = getattr(arguments, "output", None) is not None and not arguments.json
-        return code if saved else delivered(arguments.command, lost, code)
+        return code if saved else delivered(arguments.command, getattr(arguments, "lost", None), code)
     except LinkplanError as error:
         check()
         refuse(arguments.command, one_line(error))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from linkplan.studies.cli.common import PROVING, no_plan, plan_asked
+from linkplan.studies.cli.common import PROVING, plan_of, with_motion
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -21,9 +21,8 @@ def run_prove(arguments: argparse.Namespace) -> int:
             raise ProblemError(f"--set {arguments.set[0]}: a saved plan is fixed; it is proved as it is")
         plan = read_to_prove(folder)
     else:
-        plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
+        plan = plan_of(arguments.plan, say, arguments.set)
+    plan = with_motion(plan)
     say(PROVING)
     proof = plan.prove()
     said = {"plan": plan.problem.name, "verdict": proof.verdict} | proof.record()

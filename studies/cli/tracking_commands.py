@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import deliver, no_plan, output_folder, plan_asked
+from linkplan.studies.cli.common import deliver, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress
 
@@ -25,8 +25,6 @@ def run_track(arguments: argparse.Namespace) -> int:
     target, say = output_folder(arguments), progress(arguments)
     mismatch_given = _check_mismatch(arguments)
     plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
     comparison = _single(plan, asked, arguments, mismatch_given)
     said = comparison_record(comparison) | {"tracker": next(iter(comparison.nominal))}
     _deliver(arguments, target, comparison, said)
@@ -64,8 +62,6 @@ def run_compare(arguments: argparse.Namespace) -> int:
     target, say = output_folder(arguments), progress(arguments)
     mismatch_given = _check_mismatch(arguments)
     plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
     mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
     comparison = compare(plan, mismatch, say, asked)
     said = comparison_record(comparison)
