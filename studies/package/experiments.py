@@ -20,13 +20,14 @@ from linkplan.planner.problem.values import whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
 from linkplan.studies.experiment.experiment import Settings, plan_digest
-from linkplan.studies.experiment.experiment_blocks import outcome_blocks, outcome_text
+from linkplan.studies.experiment.experiment_blocks import outcome_blocks
 from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.sensitivity_blocks import sensitivity_text
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
 from linkplan.studies.output.html import html_of
+from linkplan.studies.output.text import text_of
 from linkplan.studies.tasks.cluster import cluster as at_address
 from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 from linkplan.subjects import listed, plan_to_track, with_imperfections
@@ -148,7 +149,7 @@ class ExperimentResult:
         return html_of(outcome_blocks(self.outcome))
 
     def __str__(self) -> str:
-        return outcome_text(self.outcome)
+        return text_of(outcome_blocks(self.outcome))
 
     def __repr__(self) -> str:
         one = self.outcome.experiment

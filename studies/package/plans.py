@@ -223,9 +223,10 @@ class Plan(planned.Plan):
         return html_of(plan_blocks(self))
 
     def __str__(self) -> str:
-        from linkplan.studies.output.plan_blocks import plan_text
+        from linkplan.studies.output.plan_blocks import plan_blocks
+        from linkplan.studies.output.text import text_of
 
-        return plan_text(self)
+        return text_of(plan_blocks(self))
 
 
 class OdePlan(ode_planned.OdePlan):

@@ -103,14 +103,16 @@ def test_each_joints_loop_is_predicted_and_measured_with_the_others_closed():
 
 
 def test_the_study_has_a_loop_for_every_joint():
-    from linkplan.studies.bode.bode_report import bode_record, bode_text
+    from linkplan.studies.bode.bode_blocks import summary
+    from linkplan.studies.bode.bode_report import bode_record
+    from linkplan.studies.output.text import text_of
 
     mechanism, _, settings = five_bar_loops()
     home = mechanism.home[mechanism.independent][None]
     study = bode_study(mechanism, home, settings, mechanism.effort_limit, scanned=0)
     loops = bode_record(study)["points"][0]["loops"]
     assert list(loops) == [f"pd {joint.name}" for joint in mechanism.independent_joints]
-    text = bode_text(study)
+    text = text_of(summary(study))
     assert "stable" in text
     for joint in mechanism.independent_joints:
         assert f"{joint.name} at " in text
