@@ -4,7 +4,7 @@ from linkplan.controllers.mujoco_plant import MujocoPlant, substeps_of
 from linkplan.controllers.simulate import bytes_each, simulate
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
-from linkplan.studies.experiment.metrics import measured, metrics_of, within_tube
+from linkplan.studies.experiment.metrics import measured, metrics_of
 
 # A worker computes one block at a time, and an interruption loses at most one block. The most samples of a block, and the
 # simulator steps that it has about: some ten seconds.
@@ -52,11 +52,7 @@ def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int |
         for name, law in laws.items():
             ensemble = simulate(plant, law, reference, machines)
             for i, sample in enumerate(part):
-                found[sample, name] = {
-                    "success": within_tube(ensemble, i, experiment.yardstick),
-                    "failure": ensemble.failure[i],
-                    **measured(ensemble, i, experiment.yardstick),
-                }
+                found[sample, name] = measured(ensemble, i, experiment)
     keys = [(sample, name) for sample in samples for name in experiment.settings.trackers]
     columns: dict[str, list] = {"sample": [key[0] for key in keys], "tracker": [key[1] for key in keys]}
     for name in ("success", "failure", *metrics_of(mechanism)):

@@ -27,7 +27,6 @@ from linkplan.studies.experiment.defaults import default_imperfections
 from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES
 from linkplan.studies.experiment.layout import layout_of
 from linkplan.studies.experiment.machines import machine_of
-from linkplan.studies.experiment.metrics import Yardstick
 from linkplan.studies.sensitivity.salib import salib_version
 from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
 
@@ -84,8 +83,9 @@ class Experiment:
     """Trackers of one plan on n machines.
 
     `values` (n, d): values of the section's factors in a problem file's units. `draws` (n,): number of each machine's noise
-    draw. `scheme`: the scheme of a sensitivity design, or None. `own`: trackers given as Python objects, by their names in
-    the settings.
+    draw. `scheme`: the scheme of a sensitivity design, or None. `tube` (n_s,) [rad or m]: the tolerance about the path.
+    `end_s` [s]: the end of the motion, after which the goal is held; None for a periodic motion. `own`: trackers given as
+    Python objects, by their names in the settings.
     """
 
     plan: Plan
@@ -96,7 +96,8 @@ class Experiment:
     scheme: Scheme | None
     reference: SampledReference
     loop: ControlLoop
-    yardstick: Yardstick
+    tube: np.ndarray
+    end_s: float | None
     own: Mapping[str, TrackerLike] = field(default_factory=dict)
 
     @property
@@ -139,13 +140,6 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     middle = np.median(layout.values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle.tolist(), mechanism, (0,)), 1)  # raises errors early
     _refuse_late_push(section, layout.values, float(reference.time_s[-1]))
-    yardstick = Yardstick(
-        mechanism=mechanism,
-        reference=reference,
-        tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
-        end_s=trajectory.duration_s if ends else None,
-        effort_limit=loop.effort_limit,
-    )
     return Experiment(
         plan=plan,
         settings=settings,
@@ -155,7 +149,8 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         scheme=layout.scheme,
         reference=reference,
         loop=loop,
-        yardstick=yardstick,
+        tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
+        end_s=trajectory.duration_s if ends else None,
     )
 
 
@@ -172,7 +167,7 @@ def _refuse_late_push(section: ImperfectionFactors, values: np.ndarray, end_s: f
 
 def fall_note(experiment: Experiment) -> str | None:
     """Return a sentence if the goal cannot be held after the motion within the effort limits, else None."""
-    end_s, reference = experiment.yardstick.end_s, experiment.reference
+    end_s, reference = experiment.end_s, experiment.reference
     if end_s is None or reference.time_s[-1] <= end_s:
         return None
     low, high = experiment.loop.effort_limit.T

@@ -11,7 +11,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.studies.compare.user_tracker import known_tracker
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
-from linkplan.studies.experiment.metrics import measured, within_tube
+from linkplan.studies.experiment.metrics import measured
 
 
 def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, dict]:
@@ -33,9 +33,7 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
         "sample": sample,
         "tracker": tracker,
         "imperfections": dict(zip(labels, experiment.values[sample].tolist(), strict=True)),
-        "failure": ensemble.failure[0],
-        "success": within_tube(ensemble, 0, experiment.yardstick),
-        **measured(ensemble, 0, experiment.yardstick),
+        **measured(ensemble, 0, experiment),
     }
     run = rollout_of(plant, ensemble, reference)
     # Closure gaps computed from the mechanism's model would be wrong for a machine with other link lengths.
