@@ -24,8 +24,7 @@ from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.experiment.defaults import default_imperfections
-from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES
-from linkplan.studies.experiment.layout import layout_of
+from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
 from linkplan.studies.experiment.machines import machine_of
 from linkplan.studies.sensitivity.salib import salib_version
 from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
@@ -126,7 +125,9 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     problem = plan.problem
     mechanism = problem.mechanism
     section = imperfections_of(imperfections_asked(plan), mechanism)
-    layout = layout_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
+    values, draws, scheme = machines_by_design(
+        section.factors, settings.design, settings.samples, settings.levels, settings.seed
+    )
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
@@ -137,16 +138,16 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     )
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     passive = ~mechanism.steered  # uncontrollable
-    middle = np.median(layout.values, axis=0)
+    middle = np.median(values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle.tolist(), mechanism, (0,)), 1)  # raises errors early
-    _refuse_late_push(section, layout.values, float(reference.time_s[-1]))
+    _refuse_late_push(section, values, float(reference.time_s[-1]))
     return Experiment(
         plan=plan,
         settings=settings,
         section=section,
-        values=layout.values,
-        draws=layout.draws,
-        scheme=layout.scheme,
+        values=values,
+        draws=draws,
+        scheme=scheme,
         reference=reference,
         loop=loop,
         tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
