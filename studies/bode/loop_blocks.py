@@ -146,7 +146,7 @@ def along_blocks(found: AlongMotion) -> list[Block]:
 def large_blocks(study: LargeStudy) -> list[Block]:
     """Return large signals: gain at saturation, the describing function, feasible amplitudes."""
     signals, curve = study.signals, study.curve
-    joint = curve.point.mechanism.independent_joints[curve.channel]
+    joint = curve.point.mechanism.independent_joints[0]
     texts: list[Block] = [Text(text=f"large signals at {curve.point.name}")]
     cut = signals.saturated > 0.05
     if np.any(cut):

@@ -9,7 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.studies.export.c_model import DERIVATIVES, ModelCode, header_text, random_states, source_text, test_text
+from linkplan.studies.export.c_model import (
+    DERIVATIVES,
+    NEWTON_STEPS,
+    ModelCode,
+    header_text,
+    random_states,
+    source_text,
+    test_text,
+)
 from linkplan.studies.export.c_operations import in_single_precision, operations
 from linkplan.studies.export.c_text import cmake_text
 
@@ -70,7 +78,7 @@ def write_model(code: ModelCode, place: Path, *, compiled: bool = True) -> dict:
         "mechanism": code.mechanism.name,
         "format": "c",
         "files": sorted(texts),
-        "newton_steps": code.newton_steps,
+        "newton_steps": NEWTON_STEPS,
         "functions": cost,
         "sizes": sizes(place, f"{code.prefix}.c", code.prefix.upper(), flags) if compiled else [],
         "sizes_without": [] if whole else [f"{code.prefix}_{DERIVATIVES}"],

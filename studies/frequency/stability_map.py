@@ -153,7 +153,6 @@ def stability_map(
     kd: np.ndarray,
     effort_limit: np.ndarray | None = None,
     say: Callable[[str], None] = silent,
-    channel: int = 0,
 ) -> StabilityMap:
     """Return the map over gains kp (n,) and kd (m,).
 
@@ -172,7 +171,7 @@ def stability_map(
         radius = np.maximum(radius, here)
         phase, Ms = np.empty(shape), np.empty(shape)
         for i, p in enumerate(kp):
-            quick = quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing, channel)
+            quick = quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing)
             phase[i], Ms[i] = quick.phase_margin_deg, quick.sensitivity_peak
         margin, peak = np.minimum(margin, phase), np.maximum(peak, Ms)
     unstable = radius >= 1.0
@@ -197,10 +196,10 @@ def stability_map(
     return replace(found, tried=tuple(tried), trials=trials)
 
 
-def border_points(found: StabilityMap, share: float = 0.03, count: int = 7) -> list[tuple[float, float, int]]:
+def border_points(found: StabilityMap) -> list[tuple[float, float, int]]:
     """Return gains (kp, kd, point index) on both sides of the upper border, for the point that determines it at each kp."""
-    tried = []
-    for kp in np.geomspace(found.kp[0] if found.kp[0] > 0 else found.kp[1], found.kp[-1], count):
+    tried, share = [], 0.03
+    for kp in np.geomspace(found.kp[0] if found.kp[0] > 0 else found.kp[1], found.kp[-1], 7):
         borders = []
         for index, point in enumerate(found.points):
             try:
