@@ -327,7 +327,7 @@ def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit
     for chosen, periods in ((~in_contact, MAX_TRIAL_PERIODS), (in_contact, _CONTACT_TRIAL_PERIODS)):
         if chosen.any():
             tried = [loops[i] for i in np.flatnonzero(chosen).tolist()]
-            settles[chosen] = settle_trials(tried, effort_limit, periods).settles
+            settles[chosen] = settle_trials(tried, effort_limit, periods)
     return settles
 
 

@@ -11,7 +11,6 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
@@ -33,15 +32,6 @@ _SHARED = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _CommandState:
-    """A command, its -o, and the identity of the result at that path before the command started."""
-
-    command: str = ""
-    target: str | None = None
-    result: str | None = None
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
@@ -51,17 +41,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         keep_closed_streams_closed()
         warnings.showwarning = _warned
-    before = _CommandState()
+    command, target, before = "", None, None  # `before`: the identity of the result at -o before the command started
     try:
         with listening(to_the_end=argv is None):
             arguments = _arguments(argv)
             if isinstance(arguments, int):
                 code = arguments
             else:
-                target = getattr(arguments, "output", None)
-                before = _CommandState(command=arguments.command, target=target, result=_result_at(target))
+                command, target = arguments.command, getattr(arguments, "output", None)
+                before = _result_at(target)
                 arguments.mujoco_gl = os.environ.get("MUJOCO_GL")
-                if argv is None and before.command != "view":
+                if argv is None and command != "view":
                     # Otherwise MuJoCo starts a process that looks for a window library and also receives signals.
                     # `render` uses MuJoCo's contexts directly.
                     os.environ["MUJOCO_GL"] = "disable"
@@ -69,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = _run(arguments)
             check()
     except KeyboardInterrupt:
-        code = _interrupted(before)
+        code = _interrupted(command, target, before)
         if argv is None:
             flush_streams()
             # After an interrupt in `exec`, for example while a dataclass is made, Python would end itself by SIGINT.
@@ -143,20 +133,16 @@ def _run(arguments: argparse.Namespace) -> int:
         return unforeseen(arguments.command, error)
 
 
-def _interrupted(before: _CommandState) -> int:
-    """Print the state of an interrupted command's result, and return the exit code."""
-    what, result = "nothing was written", _result_at(before.target)
-    if result not in (None, before.result):
-        what = f"the result is in '{before.target}', whole"
-    elif (
-        before.command in ("experiment", "batch")
-        and before.target
-        and os.path.isdir(f"{before.target.rstrip('/')}.unfinished")
-    ):
-        what = f"what is done is in '{before.target.rstrip('/')}.unfinished', and the same command goes on from it"
-    elif before.command == "explore":
+def _interrupted(command: str, target: str | None, before: str | None) -> int:
+    """Print the state of an interrupted command's result, and return the exit code; `before` as in `main`."""
+    what, result, parts = "nothing was written", _result_at(target), f"{(target or '').rstrip('/')}.unfinished"
+    if result not in (None, before):
+        what = f"the result is in '{target}', whole"
+    elif command in ("experiment", "batch") and target and os.path.isdir(parts):
+        what = f"what is done is in '{parts}', and the same command goes on from it"
+    elif command == "explore":
         what = "the page is no longer served; problem files that it saved stay"
-    refuse(before.command, f"interrupted; {what}")
+    refuse(command, f"interrupted; {what}")
     return SIGNAL_BASE + (ended_by() or signal.SIGINT)
 
 

@@ -5,7 +5,7 @@ phase margin and the largest sensitivity peak.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop, pd_gain
 from linkplan.studies.frequency.quick import quick_margins
-from linkplan.studies.frequency.trial import Trials, settle_trials
+from linkplan.studies.frequency.trial import settle_trials
 
 # Points along each axis of the grid that the boundary is drawn from.
 _BORDER_GRID_POINTS = 240
@@ -29,7 +29,7 @@ class StabilityMap:
 
     `radius` (n, m): the largest pole. `phase_margin_deg` and `sensitivity_peak` (n, m) are NaN where the loop is unstable.
     `worst` (n, m): index of the point with the largest pole. `border` (kp, kd, radius): the radius on a finer grid.
-    `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `trials`: the results of these simulations.
+    `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `settles` (tried,): whether they settle there.
     """
 
     points: tuple[OperatingPoint, ...]
@@ -42,7 +42,7 @@ class StabilityMap:
     worst: np.ndarray
     border: tuple[np.ndarray, np.ndarray, np.ndarray]
     tried: tuple[tuple[float, float, int], ...] = ()
-    trials: Trials | None = None
+    settles: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
@@ -192,8 +192,7 @@ def stability_map(
     tried = border_points(found)
     say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
     loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
-    trials = settle_trials(loops, effort_limit) if loops else None
-    return replace(found, tried=tuple(tried), trials=trials)
+    return replace(found, tried=tuple(tried), settles=settle_trials(loops, effort_limit)) if loops else found
 
 
 def border_points(found: StabilityMap) -> list[tuple[float, float, int]]:

@@ -271,13 +271,19 @@ class OdePlan(ode_planned.OdePlan):
         Raises:
             LinkplanError: if there is no motion.
         """
-        from linkplan.studies.output.draw_ode import ode_figure
+        from linkplan.studies.output.figure import figure_of
+        from linkplan.studies.output.lines import TIME, Line, plots
 
-        columns = self.sample()
-        limits = dict(zip(map(str, self.problem.states), self.problem.state_limit, strict=True))
-        limits |= dict(zip(map(str, self.problem.efforts), self.problem.effort_limit, strict=True))
-        n_x = self.problem.n_x
-        return drawn(path, lambda place: ode_figure(f"{self.problem.name}: {self.message}", columns, n_x, limits, place))
+        (_, time), *columns = self.sample().items()
+        limits = [*self.problem.state_limit, *self.problem.effort_limit]
+        lines = [
+            Line(name=name, values=values, unit="1", limits=tuple(ends))
+            for (name, values), ends in zip(columns, limits, strict=True)
+        ]
+        states, efforts = lines[: self.problem.n_x], lines[self.problem.n_x :]
+        panels = [*plots("States", "state", TIME, time, states), *plots("Efforts", "effort", TIME, time, efforts)]
+        title = f"{self.problem.name}: {self.message}"
+        return drawn(path, lambda place: figure_of(panels, place, title=title, panel_in=(7.0, 2.7)))
 
     def save(self, folder: str | Path) -> Path:
         """Write the solution as a folder, whole or not at all, and return its path: ode.json, trajectory.csv, plan.png.
