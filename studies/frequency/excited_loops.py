@@ -11,7 +11,7 @@ from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 class ExcitedLoops:
     """Simulations (n,) of loops of one mechanism and one timing: every row (loop, excitation) `repeats` times.
 
-    `hold` (n, n_u) [N.m or N] are the holding efforts; `read` (n, n_u) measures the effort at which a channel's loop is broken.
+    `hold` (n, n_u) [N.m or N] are the holding efforts; `read` (n, n_u) measures the effort where the loop is broken.
     """
 
     def __init__(

@@ -29,8 +29,8 @@ GAINS = {
 class Transfer:
     """A transfer table, the linkage at home, the motors' effort limits (n_m, 2), and what is carried across.
 
-    `motor_speed` are the motors' top speeds (n_m,) or None. `gains` are by name in `GAINS`: those of joints (n_o,) are carried
-    to the motors, those of motors (n_m,) to the joints; all in SI.
+    `motor_speed` are the motors' top speeds (n_m,) or None. `gains` have names of `GAINS`: those of joints (n_o,) go to the
+    motors, those of motors (n_m,) to the joints; all in SI.
     `serial` is the serial equivalent; None if the linkage has none, with the reason in `serial_note`.
     """
 
