@@ -96,7 +96,7 @@ def deliver(
     """Save a study's record, report and other files into the folder of -o, if there is one, and show the result."""
     if target is not None:
         from linkplan.planner.files.folders import write_json, write_whole
-        from linkplan.studies.report.saving import save_report
+        from linkplan.studies.report.render import save_report
 
         record = f"{arguments.command}.json"
 

@@ -66,9 +66,8 @@ def run_experiment(arguments: argparse.Namespace) -> int:
 
 def _write_page(outcome: Outcome, target: Path) -> None:
     """Write the page into a folder with results, which stay unchanged."""
-    from linkplan.studies.report.render import write_report
+    from linkplan.studies.report.render import PAGE, write_report
     from linkplan.studies.report.reports import experiment_report
-    from linkplan.studies.report.saving import PAGE
 
     write_report(experiment_report(outcome, functools.partial(sample_again, target)), target / PAGE)
 
@@ -78,7 +77,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.compare import Comparison, comparison_record
     from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
     from linkplan.studies.compare.time_series import save_time_series
-    from linkplan.studies.experiment.replay import replay
+    from linkplan.studies.experiment.block import replay
     from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
     from linkplan.studies.output.document import Text
     from linkplan.studies.report.experiment_sections import machine_section

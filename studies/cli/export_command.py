@@ -32,7 +32,7 @@ def run_export(arguments: argparse.Namespace) -> int:
 def _export_c(arguments: argparse.Namespace) -> int:
     """Write a model's dynamics or a plan's control law as C into a folder; 1 if the plan has no motion."""
     from linkplan.planner.files.folders import write_json, write_whole
-    from linkplan.studies.export.c_blocks import cost_blocks
+    from linkplan.studies.export.c_files import cost_blocks
 
     choose("tracker for C", arguments.tracker, C_TRACKERS, ProblemError)
     if arguments.every_s is not None:

@@ -33,14 +33,13 @@ def run_plan(arguments: argparse.Namespace) -> int:
     plan = _proved(with_price(plan, price), arguments.prove, time.process_time() - begun, say)
     if plan.passed and target is not None:
         from linkplan.planner.files.folders import write_whole
-        from linkplan.studies.output.save_plan import save_plan
+        from linkplan.studies.output.draw_plan import save_plan
 
         def write(place: Path) -> None:
             save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet)
             if arguments.report:
-                from linkplan.studies.report.render import write_report
+                from linkplan.studies.report.render import PAGE, write_report
                 from linkplan.studies.report.reports import plan_report
-                from linkplan.studies.report.saving import PAGE
 
                 write_report(plan_report(plan), place / PAGE)
 

@@ -26,8 +26,7 @@ from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.experiment.defaults import default_imperfections
 from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
 from linkplan.studies.experiment.machines import machine_of
-from linkplan.studies.sensitivity.salib import salib_version
-from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
+from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme, salib_version
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

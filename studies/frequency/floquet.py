@@ -145,7 +145,7 @@ def floquet(
             product, log = product / largest, log + np.log(largest)
         transition[k + 1] = product * np.exp(min(log, 460.0))  # e^460 = 1e200
     measured = np.nan_to_num(
-        _measured(mechanism, _signals(one, feeds_forward(tracker)), one, motion, before, gains, timing, effort_limit, scale),
+        _measured(mechanism, one, motion, before, gains, feeds_forward(tracker), timing, effort_limit, scale),
         nan=_MAX_GROWTH,
         posinf=_MAX_GROWTH,
     )
@@ -205,11 +205,11 @@ def _signals(reference: SampledReference, forward: bool) -> tuple[np.ndarray, np
 
 def _measured(
     mechanism: Mechanism,
-    signals: tuple[np.ndarray, np.ndarray],
     reference: SampledReference,
     motion: SampledReference,
     before: np.ndarray,
     gains: np.ndarray,
+    forward: bool,
     timing: Sampling,
     effort_limit: np.ndarray,
     scale: np.ndarray,
@@ -240,7 +240,8 @@ def _measured(
         effort_limit=effort_limit,
         motion=reference,
     )
-    states, commands = batch.run(np.arange(size + 1), *(np.repeat(x, size + 1, axis=1) for x in signals), gains)
+    along, fed = (np.repeat(x, size + 1, axis=1) for x in _signals(reference, forward))
+    states, commands = batch.run(np.arange(size + 1), along, fed, gains)
     history = np.empty((n + 1, size + 1, size))
     history[:n, :, : 2 * n_s], history[n, :, : 2 * n_s] = states, batch.state()
     whole = np.concatenate([under_way, commands])  # whole[k + p] = u_k

@@ -4,9 +4,8 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.studies.output.digits import figure, known_digits
+from linkplan.studies.output.digits import figure, known_digits, objective_unit
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.proof_blocks import proof_blocks
 
 

@@ -19,9 +19,9 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
+from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings, plan_digest
 from linkplan.studies.experiment.experiment_blocks import outcome_blocks, sensitivity
-from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment

@@ -193,7 +193,7 @@ class Plan(planned.Plan):
             LinkplanError: if the plan has no motion, the folder has other files, or it cannot be written.
         """
         self.require_motion("save")
-        from linkplan.studies.output.save_plan import save_plan
+        from linkplan.studies.output.draw_plan import save_plan
 
         target = path_of(folder, "folder")
         write_whole(target, lambda place: save_plan(self, place, target, jumps=jumps))

@@ -140,8 +140,8 @@ class TrackingResult:
         from linkplan.planner.files.folders import write_json, write_whole
         from linkplan.studies.compare.comparison_blocks import comparison_figure
         from linkplan.studies.compare.time_series import save_time_series
+        from linkplan.studies.report.render import save_report
         from linkplan.studies.report.reports import comparison_report
-        from linkplan.studies.report.saving import save_report
 
         target = path_of(folder, "folder")
 

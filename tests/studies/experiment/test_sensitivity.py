@@ -8,9 +8,9 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.planning import silent
+from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings, experiment_of
 from linkplan.studies.experiment.experiment_blocks import sensitivity
-from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.sensitivity_blocks import tornado_figure
 from linkplan.studies.experiment.study import RECORD, run_experiment, saved_outcome
 from linkplan.studies.output.text import text_of
