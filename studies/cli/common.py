@@ -4,6 +4,7 @@ import argparse
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,12 +91,16 @@ def deliver(
     target: Path | None,
     said: dict,
     result: "str | Sequence[Block]",
-    report: Callable[[], "Report"],
+    report: Callable[[ModuleType], "Report"],
     draw: Callable[[Path], object] = lambda _: None,
 ) -> None:
-    """Save a study's record, report and other files into the folder of -o, if there is one, and show the result."""
+    """Save a study's record, report and other files into the folder of -o, if there is one, and show the result.
+
+    `report` makes the report with the module `report.reports`, which is loaded for a folder only.
+    """
     if target is not None:
         from linkplan.planner.files.folders import write_json, write_whole
+        from linkplan.studies.report import reports
         from linkplan.studies.report.render import save_report
 
         record = f"{arguments.command}.json"
@@ -103,7 +108,7 @@ def deliver(
         def write(place: Path) -> None:
             write_json(place / record, said)
             draw(place)
-            save_report(report(), place, page=arguments.report)
+            save_report(report(reports), place, page=arguments.report)
 
         write_whole(target, write, record)
     show(arguments, said, result)

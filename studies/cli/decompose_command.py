@@ -1,6 +1,7 @@
 """The command `decompose`."""
 
 import argparse
+from pathlib import Path
 
 from linkplan.studies.cli.common import deliver, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
@@ -18,12 +19,10 @@ def run_decompose(arguments: argparse.Namespace) -> int:
     plan = plan_asked(arguments, say)
     found = decompose(plan, asked, arguments.samples, arguments.seed, say)
     said = decomposition_record(found)
-
-    def report():
-        from linkplan.studies.report.reports import decomposition_report
-
-        return decomposition_report(found)
-
     blocks = decomposition_blocks(found)
-    deliver(arguments, target, said, blocks, report, lambda place: decomposition_figure(found, place / "decompose.png"))
+
+    def draw(place: Path) -> None:
+        decomposition_figure(found, place / "decompose.png")
+
+    deliver(arguments, target, said, blocks, lambda reports: reports.decomposition_report(found), draw)
     return DONE if plan.passed and found.found else NO

@@ -43,12 +43,8 @@ def run_transfer(arguments: argparse.Namespace) -> int:
 
         write_files(found, place, parquet=arguments.parquet)
 
-    def report():
-        from linkplan.studies.report.reports import transfer_report
-
-        return transfer_report(found)
-
-    deliver(arguments, target, transfer_record(found), transfer_blocks(found), report, draw)
+    said, blocks = transfer_record(found), transfer_blocks(found)
+    deliver(arguments, target, said, blocks, lambda reports: reports.transfer_report(found), draw)
     return DONE if found.kept else NO
 
 
