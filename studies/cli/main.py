@@ -25,6 +25,9 @@ from linkplan.studies.cli.streams import put
 _SHARED = {
     "plan": "plan_commands",
     "batch": "plan_commands",
+    "prove": "plan_commands",
+    "experiment": "experiment_commands",
+    "decompose": "experiment_commands",
     "track": "tracking_commands",
     "compare": "tracking_commands",
     "bode": "feedback_loop_commands",

@@ -1,4 +1,4 @@
-"""The command `experiment`: trackers on many imperfect machines; and the repetition of a sample by `track`."""
+"""The commands `experiment` and `decompose`: trackers on many imperfect machines, and the causes of their errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.common import engine_asked, output_folder, plan_asked, sample_again, set_all, with_motion
+from linkplan.studies.cli.common import deliver, engine_asked, output_folder, plan_asked, sample_again, set_all, with_motion
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -70,3 +70,23 @@ def _write_page(outcome: Outcome, target: Path) -> None:
     from linkplan.studies.report.reports import experiment_report
 
     write_report(experiment_report(outcome, functools.partial(sample_again, target)), target / PAGE)
+
+
+def run_decompose(arguments: argparse.Namespace) -> int:
+    """Split trackers' errors among their causes; 1 if the plan has no motion or a tracker's error cannot be split."""
+    from linkplan.studies.compare.user_tracker import trackers_named
+    from linkplan.studies.decompose.decompose import decompose, decomposition_record
+    from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_figure
+
+    asked = trackers_named(arguments.trackers)
+    target, say = output_folder(arguments), progress(arguments)
+    plan = plan_asked(arguments, say)
+    found = decompose(plan, asked, arguments.samples, arguments.seed, say)
+    said = decomposition_record(found)
+    blocks = decomposition_blocks(found)
+
+    def draw(place: Path) -> None:
+        decomposition_figure(found, place / "decompose.png")
+
+    deliver(arguments, target, said, blocks, lambda reports: reports.decomposition_report(found), draw)
+    return DONE if plan.passed and found.found else NO
