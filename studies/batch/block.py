@@ -4,16 +4,15 @@ The blocks depend on the number of cases only, so that every plan is reproducibl
 """
 
 import io
-import json
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.reading import MAX_FILE_BYTES
@@ -32,15 +31,14 @@ _CASES = "cases.json"
 _FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Planned:
+class Planned(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One case's answer: its row of the table, its record, the reason if there is no plan, and the plan's files by name."""
 
     name: str
-    row: list
-    record: dict
+    row: list[str | None]
+    record: dict[str, Any]
     failure: str | None
-    files: Mapping[str, bytes]
+    files: dict[str, bytes] = field(default_factory=dict)
 
 
 def cases_of(block: int, n: int) -> range:
@@ -82,23 +80,14 @@ def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool,
 
 def packed(answers: list[Planned]) -> bytes:
     """Return the answers of a block as one archive."""
-    records = [{"name": a.name, "row": a.row, "record": a.record, "failure": a.failure} for a in answers]
+    records = msgspec.json.encode([replace(answer, files={}) for answer in answers])
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(_CASES), json.dumps(records))  # without date: zip has no dates before 1980
+        archive.writestr(zipfile.ZipInfo(_CASES), records)  # without date: zip has no dates before 1980
         for answer in answers:
             for name, content in answer.files.items():
                 archive.writestr(zipfile.ZipInfo(f"{answer.name}/{name}"), content)
     return buffer.getvalue()
-
-
-class _Answer(Struct, frozen=True):
-    """A case's answer in the archive of its block."""
-
-    name: str
-    row: list[str | None]
-    record: dict[str, Any]
-    failure: str | None
 
 
 def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> list[Planned]:
@@ -111,7 +100,7 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> li
         raise PlanFileError(f"'{path}' is not a file; remove it, and the same command plans its cases again")
     try:
         with zipfile.ZipFile(path) as archive:
-            answers = msgspec.json.decode(read_member(archive, _CASES, MAX_FILE_BYTES), type=list[_Answer])
+            answers = msgspec.json.decode(read_member(archive, _CASES, MAX_FILE_BYTES), type=list[Planned])
             if [one.name for one in answers] != [case.name for case in cases]:
                 raise ValueError("its cases are not those of the batch")
             if place is not None:
@@ -119,10 +108,10 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> li
     except Exception as error:  # the zip parser raises many kinds of errors on damaged files
         why = one_line(error) or type(error).__name__
         raise PlanFileError(f"'{path}' is damaged: {why}; remove it, and the same command plans its cases again") from error
-    return [Planned(name=one.name, row=one.row, record=one.record, failure=one.failure, files={}) for one in answers]
+    return answers
 
 
-def _unpack(archive: zipfile.ZipFile, answers: Sequence[_Answer], place: Path) -> None:
+def _unpack(archive: zipfile.ZipFile, answers: Sequence[Planned], place: Path) -> None:
     """Write the files of plans into a folder for each case, and check that the plans can be read.
 
     Raises:

@@ -51,7 +51,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     gains = tracker_gains(tracker)
     say(f"{law} frozen along {plan.problem.name}: {reference.n} control instants")
-    radius = frozen_radii(mechanism, reference, tracker, timing)
+    radius = frozen_radii(mechanism, reference, gains, timing)
     instants = np.unique(np.linspace(0, reference.n - 1, 25).astype(int))
     known: dict[int, tuple[Margins, int]] = {}
 

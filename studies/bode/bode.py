@@ -17,7 +17,6 @@ from linkplan.studies.bode.touching import touched, touching
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
-    QUANTITIES,
     SIMULATED,
     FeedbackLoop,
     OperatingPoint,
@@ -27,7 +26,7 @@ from linkplan.studies.frequency.feedback_loops import (
     refuse_above_nyquist,
     with_lqr_errors,
 )
-from linkplan.studies.frequency.margins import Margins, frequency_grid, margins
+from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
@@ -328,7 +327,7 @@ def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit
     for chosen, periods in ((~in_contact, MAX_TRIAL_PERIODS), (in_contact, _CONTACT_TRIAL_PERIODS)):
         if chosen.any():
             tried = [loops[i] for i in np.flatnonzero(chosen).tolist()]
-            settles[chosen] = settle_trials(tried, effort_limit, periods).settles
+            settles[chosen] = settle_trials(tried, effort_limit, periods)
     return settles
 
 
@@ -375,8 +374,8 @@ def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
     return positions
 
 
-def default_frequencies(bounds: Sequence[Margins], timing: Sampling, count: int = 20) -> np.ndarray:
-    """Return frequencies (count,) [Hz] from 1/20 to 40 times the loops' crossovers, up to 0.45 of the sampling rate.
+def default_frequencies(bounds: Sequence[Margins], timing: Sampling) -> np.ndarray:
+    """Return twenty frequencies [Hz] from 1/20 to 40 times the loops' crossovers, up to 0.45 of the sampling rate.
 
     They start at 1 Hz or below.
     """
@@ -384,10 +383,4 @@ def default_frequencies(bounds: Sequence[Margins], timing: Sampling, count: int 
     crossings = crossings or [0.05 / timing.period_s]
     high = min(0.45 / timing.period_s, 40.0 * max(crossings))
     low = min(max(min(crossings) / 20, min(1.0, min(crossings) / 4)), 0.1 * high)
-    return np.geomspace(low, high, count)
-
-
-def response_curves(loop: FeedbackLoop, channel: int, quantities: Sequence[str] = tuple(QUANTITIES)) -> dict[str, Response]:
-    """Return a loop's predicted responses on a dense frequency grid, for figures."""
-    grid = frequency_grid(loop.timing.period_s)[::2]
-    return {quantity: loop.response(quantity, grid, channel) for quantity in quantities}
+    return np.geomspace(low, high, 20)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
+from linkplan.studies.bode.bode import BodePoint, BodeStudy
 from linkplan.studies.bode.curves import lowest_hz, measured_phase, sensitivity_along, shifted_phase
 from linkplan.studies.bode.scan import Scan, bounds_text
 from linkplan.studies.bode.touching import contact_sentence
@@ -187,7 +187,7 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
 def _curve(entry: BodePoint, quantity: str, *, sampled: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return frequencies (n,) [Hz], gain [dB] and phase [deg] of a predicted response, thinned."""
     loop = entry.sampled if sampled else entry.continuous
-    curve = response_curves(loop, entry.channel, [quantity])[quantity]
+    curve = loop.response(quantity, frequency_grid(loop.timing.period_s)[::2], entry.channel)
     shown = curve.frequency_hz >= lowest_hz(entry)
     frequency, db = curve.frequency_hz[shown], curve.db[shown]
     phase = shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
@@ -307,7 +307,7 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
 
 def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
     """Return the map of the sensitivity over position and frequency."""
-    grid, heat = sensitivity_along(study, scan, every=16)
+    grid, heat = sensitivity_along(study, scan)
     return Plane(
         title="Sensitivity |S| over position and frequency",
         x_axis=replace(axis, ends=(float(x[0]), float(x[-1])) if len(x) > 1 else None),

@@ -1,11 +1,10 @@
 """The output of `linkplan bode`: a JSON record and a text table."""
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy
-from linkplan.studies.bode.bode_blocks import contacts_of, softness_of, summary
+from linkplan.studies.bode.bode_blocks import contacts_of, softness_of
 from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.excitation import EXCITATIONS
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, broken_at
-from linkplan.studies.output.text import text_of
 
 
 def bode_record(study: BodeStudy) -> dict:
@@ -92,8 +91,3 @@ def _measurement_record(study: BodeStudy) -> dict | None:
 
 def _channel_name(study: BodeStudy, channel: int) -> str:
     return f"{study.law} {study.mechanism.independent_joints[channel].name}"
-
-
-def bode_text(study: BodeStudy) -> str:
-    """Return the margins at every pose, the worst case over the reach, and the agreement with the measurement."""
-    return text_of(summary(study))

@@ -32,9 +32,9 @@ def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarr
     return measured + 360.0 * np.round((near - measured) / 360.0)
 
 
-def sensitivity_along(study: BodeStudy, scan: Scan, every: int = 4) -> tuple[np.ndarray, np.ndarray]:
+def sensitivity_along(study: BodeStudy, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies (m,) [Hz] and |S| (m, n) [dB] at a scan's n positions; NaN where the loop is unstable."""
-    grid = frequency_grid(study.timing.period_s)[::every]
+    grid = frequency_grid(study.timing.period_s)[::16]
     grid = grid[grid >= min((lowest_hz(entry) for entry in study.points), default=grid[0])]
     limit = study.effort_limit
     heat = np.full((len(grid), len(scan.positions)), np.nan)

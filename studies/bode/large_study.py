@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.limits import Limits
@@ -58,11 +56,4 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
 
 def large_study_record(study: LargeStudy) -> dict:
     """Return the large signals as a JSON record."""
-    record = large_record(study.signals)
-    clean = {k: _none(v) if isinstance(v, np.ndarray) and v.ndim == 2 else v for k, v in record.items()}
-    return clean | {"feasible": list(curve_rows(study.curve))}
-
-
-def _none(values: np.ndarray) -> list:
-    """Return a table with None in place of NaN."""
-    return [[float(x) if np.isfinite(x) else None for x in row] for row in values]
+    return large_record(study.signals) | {"feasible": list(curve_rows(study.curve))}

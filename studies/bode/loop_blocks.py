@@ -76,10 +76,10 @@ def _gains(study: MapStudy, marked: Marked, stiffness: str, damping: str) -> Pla
         line = _contour(found.kd, found.kp, found.phase_margin_deg, level)
         if line["x"]:
             curves.append(Curve(name=f"phase margin {level:g} deg", colour=0, width=0.8 + 0.4 * k, look="dash", **line))
-    if found.trials is not None:
-        tried = np.array([(kp, kd) for kp, kd, _ in found.tried]).reshape(-1, 2)
+    if found.tried:
+        tried = np.array([(kp, kd) for kp, kd, _ in found.tried])
         for settles, look, name in ((True, "points", "settles in MuJoCo"), (False, "cross", "does not settle")):
-            which = found.trials.settles == settles
+            which = found.settles == settles
             x, y = (rounded(tried[which, column], log=True) for column in (1, 0))
             curves.append(Curve(name=name, x=x, y=y, look=look, colour=None))
     curves += [Curve(name=name, x=[kd], y=[kp], look="star", colour=1 + k) for k, (name, kp, kd) in enumerate(marked)]
@@ -146,7 +146,7 @@ def along_blocks(found: AlongMotion) -> list[Block]:
 def large_blocks(study: LargeStudy) -> list[Block]:
     """Return large signals: gain at saturation, the describing function, feasible amplitudes."""
     signals, curve = study.signals, study.curve
-    joint = curve.point.mechanism.independent_joints[curve.channel]
+    joint = curve.point.mechanism.independent_joints[0]
     texts: list[Block] = [Text(text=f"large signals at {curve.point.name}")]
     cut = signals.saturated > 0.05
     if np.any(cut):

@@ -108,15 +108,13 @@ def _settles_near_border(points, kp: float, critical: np.ndarray, timing, effort
     """Return whether MuJoCo settles (n, 2) just below and just above the critical kd (n,); kd = 1 if there is none."""
     kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE])
     loops = [pd_loop(point, kp, value, timing) for point, pair in zip(points, kd, strict=True) for value in pair]
-    return settle_trials(loops, effort_limit).settles.reshape(-1, 2)
+    return settle_trials(loops, effort_limit).reshape(-1, 2)
 
 
 def agreement(found: StabilityMap) -> tuple[int, int]:
     """Return the number of simulated gains for which MuJoCo agrees with the sampled model, and the number simulated."""
-    if found.trials is None:
-        return 0, 0
-    predicted = [pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried]
-    return int(np.sum(np.array(predicted) == found.trials.settles)), len(predicted)
+    predicted = np.array([pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried], dtype=bool)
+    return int(np.sum(predicted == found.settles)), len(predicted)
 
 
 def map_record(study: MapStudy) -> dict:
@@ -143,7 +141,7 @@ def map_record(study: MapStudy) -> dict:
         "longest_period_s": study.longest_s if study.longest_s is not None and np.isfinite(study.longest_s) else None,
         "tried": [
             {"kp": kp, "kd": kd, "pose": found.points[i].name, "settles_in_mujoco": bool(settles)}
-            for (kp, kd, i), settles in zip(found.tried, [] if found.trials is None else found.trials.settles, strict=True)
+            for (kp, kd, i), settles in zip(found.tried, found.settles, strict=True)
         ],
         "as_predicted": right,
         "tried_count": tried,

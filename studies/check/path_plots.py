@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.reach import Reach
+from linkplan.models.poses.reach import Reach, toggles
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
-from linkplan.studies.check.draw_mechanism import mark_turning
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
+from linkplan.studies.output.drawing import GREY, RED
 from linkplan.studies.output.lines import TIME, Line, plots
 
 if TYPE_CHECKING:
@@ -195,3 +195,19 @@ def inner_ends(lines: Sequence[Line]) -> tuple[float, float] | None:
         return None
     room = 0.3 * (most - least)
     return least - room, most + room
+
+
+def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:
+    """Draw the singular poses of a reach as red dotted lines and the turning points of dependent joints as grey ones."""
+    joint = mechanism.joints[mechanism.independent[can.coordinate]]
+    left, right = axes.get_xlim()
+    labelled = set()
+    for words, colour, positions in (
+        ("singular pose", RED, can.singular),
+        ("a joint turns back", GREY, [position for _, position in toggles(mechanism, can.coordinate)]),
+    ):
+        for position in positions:
+            if left <= joint.shown(position) <= right:  # only one turn of a joint is drawn
+                label = None if words in labelled else words
+                axes.axvline(joint.shown(position), color=colour, linestyle=":", linewidth=1.2, label=label)
+                labelled.add(words)

@@ -14,7 +14,6 @@ from linkplan.studies.output.document import Facts
 
 if TYPE_CHECKING:
     from linkplan.studies.check.whole_check import WholeCheck
-    from linkplan.studies.output.document import Report
 
 
 def run_check(arguments: argparse.Namespace) -> int:
@@ -28,7 +27,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         mechanism, problem, notes = mechanism_and_problem(name, sections, folder)
     except REFUSED as error:
         refused = RefusedModel(name=Path(name).stem, error=error)
-        deliver(arguments, target, refused.record(), refused.blocks(), lambda: _report(refused))
+        deliver(arguments, target, refused.record(), refused.blocks(), lambda reports: reports.check_report(refused))
         return NO  # a problem of the model, not bad input
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
     found = whole.found
@@ -48,7 +47,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
     blocks = whole.blocks() if arguments.all or arguments.at_deg else [*whole.summary(), _what_is_next(whole, arguments)]
     said = whole.record() if arguments.json or target is not None else {}
-    deliver(arguments, target, said, blocks, lambda: _report(whole), draw)
+    deliver(arguments, target, said, blocks, lambda reports: reports.check_report(whole), draw)
     return NO if found.problems else DONE
 
 
@@ -82,9 +81,3 @@ def _selection_options(arguments: argparse.Namespace) -> list[str]:
     base = ["--fix-base"] if arguments.fix_base else []
     locks = [word for lock in arguments.lock for word in ("--lock", lock)]
     return [*keep, *base, *locks, *([] if arguments.keyframe is None else ["--keyframe", arguments.keyframe])]
-
-
-def _report(found: "WholeCheck | RefusedModel") -> "Report":
-    from linkplan.studies.report.reports import check_report
-
-    return check_report(found)

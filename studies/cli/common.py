@@ -5,6 +5,7 @@ import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables, r
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.exit_codes import NO
+from linkplan.studies.cli.exit_codes import NoMotionError
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
 
@@ -91,20 +92,24 @@ def deliver(
     target: Path | None,
     said: dict,
     result: "str | Sequence[Block]",
-    report: Callable[[], "Report"],
+    report: Callable[[ModuleType], "Report"],
     draw: Callable[[Path], object] = lambda _: None,
 ) -> None:
-    """Save a study's record, report and other files into the folder of -o, if there is one, and show the result."""
+    """Save a study's record, report and other files into the folder of -o, if there is one, and show the result.
+
+    `report` makes the report with the module `report.reports`, which is loaded for a folder only.
+    """
     if target is not None:
         from linkplan.planner.files.folders import write_json, write_whole
-        from linkplan.studies.report.saving import save_report
+        from linkplan.studies.report import reports
+        from linkplan.studies.report.render import save_report
 
         record = f"{arguments.command}.json"
 
         def write(place: Path) -> None:
             write_json(place / record, said)
             draw(place)
-            save_report(report(), place, page=arguments.report)
+            save_report(report(reports), place, page=arguments.report)
 
         write_whole(target, write, record)
     show(arguments, said, result)
@@ -201,8 +206,23 @@ def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
 
 
 def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
-    """Return the plan of an argument: a saved plan, or the plan of a problem, made now."""
-    source, overrides = arguments.plan, arguments.set
+    """Return the plan with a motion of the argument PLAN.
+
+    Raises:
+        NoMotionError: if it has none; the command ends with the reason and exit code 1.
+    """
+    return with_motion(plan_of(arguments.plan, say, arguments.set, anyway=arguments.anyway))
+
+
+def with_motion(plan: Plan) -> Plan:
+    """Return a plan if it has a motion; else the command ends (`NoMotionError`)."""
+    if plan.trajectory is None:
+        raise NoMotionError(plan)
+    return plan
+
+
+def plan_of(source: str, say: Progress, overrides: Sequence[str] = (), *, anyway: bool = False) -> Plan:
+    """Return the plan of a source: a saved plan, or the plan of a problem, made now."""
     path = Path(source)
     if path.is_file():
         refuse_saved_plan(source, "plan", "name its folder")
@@ -222,17 +242,9 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
             )
     from linkplan.planner.plan_folder import read_plan, unchecked
 
-    plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
+    plan, note = read_plan(path, overrides, anyway=anyway), unchecked(path)
     if note is not None:
         say.keep(note)
     if not plan.passed:
         say.keep(f"run anyway: {plan.message}")
     return plan
-
-
-def no_plan(arguments: argparse.Namespace, plan: Plan) -> int:
-    """Show the reason why there is no motion and return the exit code."""
-    from linkplan.planner.plan_folder import record
-
-    show(arguments, record(plan), f"{plan.problem.name}: {plan.message}")
-    return NO

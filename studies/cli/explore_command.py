@@ -44,7 +44,7 @@ def _problem(arguments: argparse.Namespace, say) -> Problem:
         name, tables, folder = read_tables(arguments.model)
     else:
         from linkplan.studies.new.first_motion import first_motion
-        from linkplan.studies.new.problem_file import file_tables
+        from linkplan.studies.new.problem_text import file_tables
 
         refuse_no_model(arguments.model)
         say(f"looking for a first motion of {arguments.model}")

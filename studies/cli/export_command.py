@@ -5,7 +5,7 @@ from pathlib import Path
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
-from linkplan.studies.cli.common import new_file, no_plan, output_folder, plan_asked, selection_asked, tables_of
+from linkplan.studies.cli.common import new_file, output_folder, plan_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
@@ -22,8 +22,6 @@ def run_export(arguments: argparse.Namespace) -> int:
     target, say = new_file(arguments), progress(arguments)
     assert target is not None  # -o is required
     plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
     content = exported(plan, arguments.to, arguments.every_s, _joints(arguments))
     write_new(target, content)
     said = {"file": str(target), "format": arguments.to, "bytes": len(content), "plan": plan.problem.name}
@@ -34,7 +32,7 @@ def run_export(arguments: argparse.Namespace) -> int:
 def _export_c(arguments: argparse.Namespace) -> int:
     """Write a model's dynamics or a plan's control law as C into a folder; 1 if the plan has no motion."""
     from linkplan.planner.files.folders import write_json, write_whole
-    from linkplan.studies.export.c_blocks import cost_blocks
+    from linkplan.studies.export.c_files import cost_blocks
 
     choose("tracker for C", arguments.tracker, C_TRACKERS, ProblemError)
     if arguments.every_s is not None:
@@ -49,8 +47,6 @@ def _export_c(arguments: argparse.Namespace) -> int:
         if arguments.joints is not None:
             raise ProblemError("--joints is for ros, and for a model in C; a plan's law has the plan's own coordinates")
         plan = plan_asked(arguments, say)
-        if plan.trajectory is None:
-            return no_plan(arguments, plan)
         tables, passed = law_tables(plan, arguments.tracker), plan.passed
 
         def write(place: Path) -> None:

@@ -72,12 +72,8 @@ def run_bode(arguments: argparse.Namespace) -> int:
         for name, section in extras.items():
             figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3, panel_in=(6.0, 4.6))
 
-    def report():
-        from linkplan.studies.report.reports import bode_report
-
-        return bode_report(study, list(extras.values()), note)
-
-    deliver(arguments, target, said, blocks, report, draw)
+    sections = list(extras.values())
+    deliver(arguments, target, said, blocks, lambda reports: reports.bode_report(study, sections, note), draw)
     return DONE if study.stable else NO
 
 
@@ -125,12 +121,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
         (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
         tune_figure(found, place / "tune.png")
 
-    def report():
-        from linkplan.studies.report.reports import tune_report
-
-        return tune_report(found, note)
-
-    deliver(arguments, target, said, text, report, draw)
+    deliver(arguments, target, said, text, lambda reports: reports.tune_report(found, note), draw)
     return DONE if found.found else NO
 
 

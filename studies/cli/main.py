@@ -11,50 +11,28 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.command_line import build_parser
-from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE
+from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, NoMotionError
 from linkplan.studies.cli.faults import is_of_memory, saved_fault_report
-from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, quiet, refuse
+from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, quiet, refuse, show
 from linkplan.studies.cli.streams import put
 
-# The module of each command, loaded when the command runs.
-_MODULES = {
-    "list": "list_command",
-    "check": "check_command",
+# The modules of commands that share one; each other command has a module of its own, loaded when the command runs.
+_SHARED = {
     "plan": "plan_commands",
     "batch": "plan_commands",
-    "prove": "prove_command",
+    "prove": "plan_commands",
+    "experiment": "experiment_commands",
+    "decompose": "experiment_commands",
     "track": "tracking_commands",
     "compare": "tracking_commands",
-    "experiment": "experiment_command",
-    "decompose": "decompose_command",
-    "view": "view_command",
-    "render": "render_command",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
-    "transfer": "transfer_command",
-    "schema": "schema_command",
-    "demo": "demo_command",
-    "new": "new_command",
-    "export": "export_command",
-    "completion": "completion_command",
-    "report": "report_command",
-    "explore": "explore_command",
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _CommandState:
-    """A command, its -o, and the identity of the result at that path before the command started."""
-
-    command: str = ""
-    target: str | None = None
-    result: str | None = None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -66,17 +44,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         keep_closed_streams_closed()
         warnings.showwarning = _warned
-    before = _CommandState()
+    command, target, before = "", None, None  # `before`: the identity of the result at -o before the command started
     try:
         with listening(to_the_end=argv is None):
             arguments = _arguments(argv)
             if isinstance(arguments, int):
                 code = arguments
             else:
-                target = getattr(arguments, "output", None)
-                before = _CommandState(command=arguments.command, target=target, result=_result_at(target))
+                command, target = arguments.command, getattr(arguments, "output", None)
+                before = _result_at(target)
                 arguments.mujoco_gl = os.environ.get("MUJOCO_GL")
-                if argv is None and before.command != "view":
+                if argv is None and command != "view":
                     # Otherwise MuJoCo starts a process that looks for a window library and also receives signals.
                     # `render` uses MuJoCo's contexts directly.
                     os.environ["MUJOCO_GL"] = "disable"
@@ -84,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = _run(arguments)
             check()
     except KeyboardInterrupt:
-        code = _interrupted(before)
+        code = _interrupted(command, target, before)
         if argv is None:
             flush_streams()
             # After an interrupt in `exec`, for example while a dataclass is made, Python would end itself by SIGINT.
@@ -127,15 +105,21 @@ def _with_own_figures() -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     try:
-        module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
+        name = _SHARED.get(arguments.command, f"{arguments.command}_command")
+        module = importlib.import_module(f"linkplan.studies.cli.{name}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:
-            code, lost = run(arguments), getattr(arguments, "lost", None)
+            code = run(arguments)
+        except NoMotionError as none:
+            from linkplan.planner.plan_folder import record
+
+            show(arguments, record(none.plan), f"{none.plan.problem.name}: {none}")
+            code = NO
         finally:
             quiet(arguments)
         # With -o the folder is the result: a failure to print does not matter.
         saved = getattr(arguments, "output", None) is not None and not arguments.json
-        return code if saved else delivered(arguments.command, lost, code)
+        return code if saved else delivered(arguments.command, getattr(arguments, "lost", None), code)
     except LinkplanError as error:
         check()
         refuse(arguments.command, one_line(error))
@@ -152,20 +136,16 @@ def _run(arguments: argparse.Namespace) -> int:
         return unforeseen(arguments.command, error)
 
 
-def _interrupted(before: _CommandState) -> int:
-    """Print the state of an interrupted command's result, and return the exit code."""
-    what, result = "nothing was written", _result_at(before.target)
-    if result not in (None, before.result):
-        what = f"the result is in '{before.target}', whole"
-    elif (
-        before.command in ("experiment", "batch")
-        and before.target
-        and os.path.isdir(f"{before.target.rstrip('/')}.unfinished")
-    ):
-        what = f"what is done is in '{before.target.rstrip('/')}.unfinished', and the same command goes on from it"
-    elif before.command == "explore":
+def _interrupted(command: str, target: str | None, before: str | None) -> int:
+    """Print the state of an interrupted command's result, and return the exit code; `before` as in `main`."""
+    what, result, parts = "nothing was written", _result_at(target), f"{(target or '').rstrip('/')}.unfinished"
+    if result not in (None, before):
+        what = f"the result is in '{target}', whole"
+    elif command in ("experiment", "batch") and target and os.path.isdir(parts):
+        what = f"what is done is in '{parts}', and the same command goes on from it"
+    elif command == "explore":
         what = "the page is no longer served; problem files that it saved stay"
-    refuse(before.command, f"interrupted; {what}")
+    refuse(command, f"interrupted; {what}")
     return SIGNAL_BASE + (ended_by() or signal.SIGINT)
 
 

@@ -13,7 +13,7 @@ def run_new(arguments: argparse.Namespace) -> int:
     """Write a problem file for a mechanism; 1 if no motion was found for it."""
     from linkplan.planner.files.single_file import write_new
     from linkplan.studies.new.first_motion import first_motion
-    from linkplan.studies.new.problem_file import file_tables, first_text
+    from linkplan.studies.new.problem_text import file_tables, first_text
 
     target, say = new_file(arguments), progress(arguments)
     if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):

@@ -1,4 +1,4 @@
-"""The commands `plan` and `batch`."""
+"""The commands `plan`, `prove` and `batch`."""
 
 import argparse
 import time
@@ -11,7 +11,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.robustness import price_of, with_price
-from linkplan.studies.cli.common import PROVING, engine_asked, output_folder, set_all
+from linkplan.studies.cli.common import PROVING, engine_asked, output_folder, plan_of, set_all, with_motion
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.cli.progress import Progress
@@ -33,14 +33,13 @@ def run_plan(arguments: argparse.Namespace) -> int:
     plan = _proved(with_price(plan, price), arguments.prove, time.process_time() - begun, say)
     if plan.passed and target is not None:
         from linkplan.planner.files.folders import write_whole
-        from linkplan.studies.output.save_plan import save_plan
+        from linkplan.studies.output.draw_plan import save_plan
 
         def write(place: Path) -> None:
             save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet)
             if arguments.report:
-                from linkplan.studies.report.render import write_report
+                from linkplan.studies.report.render import PAGE, write_report
                 from linkplan.studies.report.reports import plan_report
-                from linkplan.studies.report.saving import PAGE
 
                 write_report(plan_report(plan), place / PAGE)
 
@@ -90,3 +89,25 @@ def run_batch(arguments: argparse.Namespace) -> int:
         say.keep(f"saved in {target}")
     show(arguments, outcome.record, batch_blocks(outcome.rows, outcome.failures))
     return NO if outcome.failures else DONE
+
+
+def run_prove(arguments: argparse.Namespace) -> int:
+    """Prove a plan's limits at every instant; 1 if one of them is refuted."""
+    from linkplan.models.errors import ProblemError
+    from linkplan.planner.plan_folder import read_to_prove
+    from linkplan.studies.output.document import Text
+    from linkplan.studies.output.proof_blocks import proof_blocks
+
+    say, folder = progress(arguments), Path(arguments.plan)
+    if folder.is_dir():
+        if arguments.set:
+            raise ProblemError(f"--set {arguments.set[0]}: a saved plan is fixed; it is proved as it is")
+        plan = read_to_prove(folder)
+    else:
+        plan = plan_of(arguments.plan, say, arguments.set)
+    plan = with_motion(plan)
+    say(PROVING)
+    proof = plan.prove()
+    said = {"plan": plan.problem.name, "verdict": proof.verdict} | proof.record()
+    show(arguments, said, [Text(text=plan.problem.name), *proof_blocks(proof)])
+    return DONE if proof.passed else NO

@@ -8,7 +8,7 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.models.names import choose
 from linkplan.planner.files.single_file import check_file_target
-from linkplan.studies.cli.common import no_plan, plan_asked
+from linkplan.studies.cli.common import plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.render.gl import find_gl
@@ -36,8 +36,6 @@ def run_render(arguments: argparse.Namespace) -> int:
     )
     gl = find_gl(arguments.mujoco_gl)
     plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
     from linkplan.studies.render.render import render
 
     done = render(plan, target, settings, gl, say)

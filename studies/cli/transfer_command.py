@@ -9,7 +9,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.common import deliver, output_folder, plan_asked, selection_asked, tables_of
+from linkplan.studies.cli.common import deliver, output_folder, plan_of, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress
 
@@ -23,9 +23,7 @@ def run_transfer(arguments: argparse.Namespace) -> int:
     name, tables, folder, is_problem = tables_of(arguments.model, arguments.set, selection_asked(arguments))
     problem = Problem.from_tables(name, tables, folder) if is_problem else None
     mechanism = mechanism_from_tables(tables, folder) if problem is None else problem.mechanism
-    along = None
-    if arguments.along is not None:
-        along = plan_asked(argparse.Namespace(plan=arguments.along, set=[], anyway=False), say)
+    along = None if arguments.along is None else plan_of(arguments.along, say)
     gains = {key: numbers(getattr(arguments, key), key) for key in GAINS if getattr(arguments, key) is not None}
     found = transfer_study(
         mechanism,
@@ -45,12 +43,8 @@ def run_transfer(arguments: argparse.Namespace) -> int:
 
         write_files(found, place, parquet=arguments.parquet)
 
-    def report():
-        from linkplan.studies.report.reports import transfer_report
-
-        return transfer_report(found)
-
-    deliver(arguments, target, transfer_record(found), transfer_blocks(found), report, draw)
+    said, blocks = transfer_record(found), transfer_blocks(found)
+    deliver(arguments, target, said, blocks, lambda reports: reports.transfer_report(found), draw)
     return DONE if found.kept else NO
 
 

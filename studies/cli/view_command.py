@@ -9,7 +9,7 @@ from linkplan.controllers.playback import has_screen, play
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
-from linkplan.studies.cli.common import no_plan, plan_asked
+from linkplan.studies.cli.common import plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.render.gl import find_gl
@@ -27,8 +27,6 @@ def run_view(arguments: argparse.Namespace) -> int:
     _refuse_without_screen()
     say = progress(arguments)
     plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
     from linkplan.studies.render.live import aim, run_maker
 
     say.keep(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")

@@ -241,21 +241,8 @@ def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
 @np.errstate(over="ignore", invalid="ignore")  # a diverged run has infinite errors
 def rollout_record(plan: Plan, rollout: Rollout) -> dict:
     """Return a run's metrics; the names contain the units."""
-    mechanism = plan.problem.mechanism
-    hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    steered = mechanism.steered  # passive degrees of freedom are uncontrollable
-    names = [actuator.name for actuator in mechanism.actuators]
-    record = {}
-    for unit, which, factor in (("deg", hinge & steered, 180 / np.pi), ("m", ~hinge & steered, 1.0)):
-        if not np.any(which):
-            continue
-        error = factor * np.linalg.norm(rollout.error_rad[:, which], axis=1)
-        record |= {
-            f"rms_error_{unit}": float(np.sqrt(np.mean(error**2))),
-            f"max_error_{unit}": float(error.max()),
-            f"final_error_{unit}": float(error[-1]),
-        }
-    return record | {
+    names = [actuator.name for actuator in plan.problem.mechanism.actuators]
+    return error_figures(plan.problem.mechanism, rollout.error_rad) | {
         "peak_effort": dict(zip(names, np.abs(rollout.applied).max(axis=0), strict=True)),
         "rms_effort": dict(zip(names, np.sqrt(np.mean(rollout.applied**2, axis=0)), strict=True)),
         "saturated_fraction": rollout.saturated_fraction,
@@ -264,6 +251,23 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
         "contacts": rollout.contacts,
         "stable": rollout.stable,
     }
+
+
+def error_figures(mechanism: Mechanism, error: np.ndarray) -> dict[str, float]:
+    """Return rms, largest and final size of errors (n, n_s) [rad or m], of hinges in degrees and of slides in metres."""
+    record = {}
+    for unit, (which, factor) in steered_by_unit(mechanism).items():
+        size = factor * np.linalg.norm(error[:, which], axis=1)
+        figures = {"rms": np.sqrt(np.mean(size**2)), "max": size.max(), "final": size[-1]}
+        record |= {f"{name}_error_{unit}": float(value) for name, value in figures.items()}
+    return record
+
+
+def steered_by_unit(mechanism: Mechanism) -> dict[str, tuple[np.ndarray, float]]:
+    """Return a mask (n_s,) of the controllable independent joints for each of their units, and the unit's factor from SI."""
+    hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
+    units = {"deg": (hinge & mechanism.steered, 180 / np.pi), "m": (~hinge & mechanism.steered, 1.0)}
+    return {unit: found for unit, found in units.items() if np.any(found[0])}
 
 
 def gap_units(plan: Plan) -> tuple[bool, bool]:

@@ -11,7 +11,6 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record, tracking_reference
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
-from linkplan.studies.output.text import text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,11 +23,6 @@ def comparison_blocks(comparison: Comparison) -> list[Block]:
     """Return a table of the trackers for each case, and notes."""
     tables = [table for title, runs in cases_of(comparison) for table in _tables(comparison, title, runs)]
     return [*tables, *(Text(text=note, tone="note") for note in comparison_notes(comparison))]
-
-
-def comparison_text(comparison: Comparison) -> str:
-    """Return the tables of the trackers, and notes, as text."""
-    return text_of(comparison_blocks(comparison))
 
 
 def comparison_figure(comparison: Comparison, path: Path | None = None, *, every_joint: bool = False) -> "Figure":

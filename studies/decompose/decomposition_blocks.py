@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from linkplan.studies.decompose.decompose import Decomposition, decomposition_record
 from linkplan.studies.decompose.ladder import RUNGS
 from linkplan.studies.output.document import LOWERING_COLOUR, RAISING_COLOUR, Axis, Bar, Bars, Block, Span, Text, table_of
-from linkplan.studies.output.text import text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,11 +37,6 @@ def decomposition_blocks(found: Decomposition) -> list[Block]:
         for why, count in one.failures.items()
     ]
     return [*blocks, *(Text(text=text, tone="note") for text in left_out)]
-
-
-def decomposition_text(found: Decomposition) -> str:
-    """Return the parts of every tracker's rms error as text."""
-    return text_of(decomposition_blocks(found))
 
 
 def decomposition_figure(found: Decomposition, path: Path | None = None) -> "Figure":

@@ -33,13 +33,13 @@ from linkplan.studies.compare.comparison_blocks import (
 from linkplan.studies.compare.document import DOCUMENT_KP, document_record, mended_runs, printed_runs
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of
+from linkplan.studies.output.draw_plan import save_plan
 from linkplan.studies.output.figure import figure_of, panels_of
-from linkplan.studies.output.save_plan import save_plan
 from linkplan.studies.report.check_sections import check_sections
 from linkplan.studies.report.loop_sections import bode_sections
 from linkplan.studies.report.plan_sections import plan_sections
+from linkplan.studies.report.render import PAGE, save_report
 from linkplan.studies.report.reports import report_of
-from linkplan.studies.report.saving import PAGE, save_report
 from linkplan.studies.report.tracking_sections import comparison_sections
 
 PLANNED = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")

@@ -1,10 +1,17 @@
 """The unit of work of an experiment: a block of samples with every tracker, as columns."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from linkplan.controllers.mujoco_plant import MujocoPlant, substeps_of
-from linkplan.controllers.simulate import bytes_each, simulate
+from linkplan.controllers.rollout import Rollout
+from linkplan.controllers.simulate import bytes_each, rollout_of, simulate
+from linkplan.models.errors import ProblemError
+from linkplan.studies.compare.user_tracker import known_tracker
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
-from linkplan.studies.experiment.metrics import measured, metrics_of, within_tube
+from linkplan.studies.experiment.metrics import measured, metrics_of
 
 # A worker computes one block at a time, and an interruption loses at most one block. The most samples of a block, and the
 # simulator steps that it has about: some ten seconds.
@@ -52,11 +59,7 @@ def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int |
         for name, law in laws.items():
             ensemble = simulate(plant, law, reference, machines)
             for i, sample in enumerate(part):
-                found[sample, name] = {
-                    "success": within_tube(ensemble, i, experiment.yardstick),
-                    "failure": ensemble.failure[i],
-                    **measured(ensemble, i, experiment.yardstick),
-                }
+                found[sample, name] = measured(ensemble, i, experiment)
     keys = [(sample, name) for sample in samples for name in experiment.settings.trackers]
     columns: dict[str, list] = {"sample": [key[0] for key in keys], "tracker": [key[1] for key in keys]}
     for name in ("success", "failure", *metrics_of(mechanism)):
@@ -64,3 +67,29 @@ def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int |
     for name, values in experiment.varied_values().items():
         columns[name] = [float(values[key[0]]) for key in keys]
     return columns
+
+
+def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, dict]:
+    """Return a tracker's run on a sample's machine, and its metrics.
+
+    Raises:
+        ProblemError: for an unknown sample, or one that failed before its first instant.
+    """
+    if not 0 <= sample < experiment.n:
+        raise ProblemError(f"samples of this experiment are from 0 to {experiment.n - 1}, got {sample}")
+    mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
+    law = law_of(tracker if tracker in experiment.own else known_tracker(tracker), experiment)
+    plant = MujocoPlant(mechanism=mechanism, loop=experiment.loop)
+    ensemble = simulate(plant, law, reference, [experiment.machine(sample)])
+    if ensemble.done[0] == 0:
+        raise ProblemError(f"sample {sample} has no run: {ensemble.failure[0]}")
+    labels = [factor.label for factor in experiment.section.factors]
+    record = {
+        "sample": sample,
+        "tracker": tracker,
+        "imperfections": dict(zip(labels, experiment.values[sample].tolist(), strict=True)),
+        **measured(ensemble, 0, experiment),
+    }
+    run = rollout_of(plant, ensemble, reference)
+    # Closure gaps computed from the mechanism's model would be wrong for a machine with other link lengths.
+    return replace(run, gap_m=np.full(len(run.time_s), ensemble.gap_m[0])), record

@@ -24,12 +24,9 @@ from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.experiment.defaults import default_imperfections
-from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES
-from linkplan.studies.experiment.layout import layout_of
+from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
 from linkplan.studies.experiment.machines import machine_of
-from linkplan.studies.experiment.metrics import Yardstick
-from linkplan.studies.sensitivity.salib import salib_version
-from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
+from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme, salib_version
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +81,9 @@ class Experiment:
     """Trackers of one plan on n machines.
 
     `values` (n, d): values of the section's factors in a problem file's units. `draws` (n,): number of each machine's noise
-    draw. `scheme`: the scheme of a sensitivity design, or None. `own`: trackers given as Python objects, by their names in
-    the settings.
+    draw. `scheme`: the scheme of a sensitivity design, or None. `tube` (n_s,) [rad or m]: the tolerance about the path.
+    `end_s` [s]: the end of the motion, after which the goal is held; None for a periodic motion. `own`: trackers given as
+    Python objects, by their names in the settings.
     """
 
     plan: Plan
@@ -96,7 +94,8 @@ class Experiment:
     scheme: Scheme | None
     reference: SampledReference
     loop: ControlLoop
-    yardstick: Yardstick
+    tube: np.ndarray
+    end_s: float | None
     own: Mapping[str, TrackerLike] = field(default_factory=dict)
 
     @property
@@ -125,7 +124,9 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     problem = plan.problem
     mechanism = problem.mechanism
     section = imperfections_of(imperfections_asked(plan), mechanism)
-    layout = layout_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
+    values, draws, scheme = machines_by_design(
+        section.factors, settings.design, settings.samples, settings.levels, settings.seed
+    )
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
@@ -136,26 +137,20 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     )
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     passive = ~mechanism.steered  # uncontrollable
-    middle = np.median(layout.values, axis=0)
+    middle = np.median(values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle.tolist(), mechanism, (0,)), 1)  # raises errors early
-    _refuse_late_push(section, layout.values, float(reference.time_s[-1]))
-    yardstick = Yardstick(
-        mechanism=mechanism,
-        reference=reference,
-        tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
-        end_s=trajectory.duration_s if ends else None,
-        effort_limit=loop.effort_limit,
-    )
+    _refuse_late_push(section, values, float(reference.time_s[-1]))
     return Experiment(
         plan=plan,
         settings=settings,
         section=section,
-        values=layout.values,
-        draws=layout.draws,
-        scheme=layout.scheme,
+        values=values,
+        draws=draws,
+        scheme=scheme,
         reference=reference,
         loop=loop,
-        yardstick=yardstick,
+        tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
+        end_s=trajectory.duration_s if ends else None,
     )
 
 
@@ -172,7 +167,7 @@ def _refuse_late_push(section: ImperfectionFactors, values: np.ndarray, end_s: f
 
 def fall_note(experiment: Experiment) -> str | None:
     """Return a sentence if the goal cannot be held after the motion within the effort limits, else None."""
-    end_s, reference = experiment.yardstick.end_s, experiment.reference
+    end_s, reference = experiment.end_s, experiment.reference
     if end_s is None or reference.time_s[-1] <= end_s:
         return None
     low, high = experiment.loop.effort_limit.T

@@ -9,7 +9,6 @@ from linkplan.studies.experiment.sensitivity_blocks import sensitivity_blocks
 from linkplan.studies.experiment.statistics import Estimate, Pair
 from linkplan.studies.experiment.study import Outcome
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.text import text_of
 
 _WORDS = (("rms", "rms"), ("max", "largest"), ("final", "final"))
 # The columns of the second table of trackers: metric, head, unit, factor.
@@ -37,11 +36,6 @@ def sensitivity(outcome: Outcome) -> list[Block]:
     """Return the influence of each imperfection; nothing without a design of sensitivity analysis."""
     record, experiment = outcome.record.get("sensitivity"), outcome.experiment
     return sensitivity_blocks(experiment.plan.problem.name, record, experiment.settings.seed) if record else []
-
-
-def outcome_text(outcome: Outcome) -> str:
-    """Return the tables of an outcome as text."""
-    return text_of(outcome_blocks(outcome))
 
 
 def summary(outcome: Outcome) -> list[Block]:

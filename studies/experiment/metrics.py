@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.reference import SampledReference, state_at
+from linkplan.controllers.reference import state_at
 from linkplan.controllers.simulate import Ensemble
 from linkplan.models.mechanism import Mechanism
+from linkplan.studies.compare.compare import error_figures, steered_by_unit
+from linkplan.studies.experiment.experiment import Experiment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,27 +21,12 @@ class Metric:
     better: str = "less"
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Yardstick:
-    """The reference values for the metrics of a plan's runs.
-
-    `tube` (n_s,) [rad or m] is the tolerance about the path. `end_s` [s] is the end of the motion, after which the goal is
-    held, or None for a periodic motion.
-    """
-
-    mechanism: Mechanism
-    reference: SampledReference
-    tube: np.ndarray
-    end_s: float | None
-    effort_limit: np.ndarray
-
-
 def metrics_of(mechanism: Mechanism) -> Mapping[str, Metric]:
     """Return the metrics of a mechanism's runs by name; names of errors contain the unit."""
     efforts = list(dict.fromkeys(actuator.unit for actuator in mechanism.actuators))
     effort = efforts[0] if len(efforts) == 1 else "N.m or N"
     found: dict[str, Metric] = {}
-    for unit in _units(mechanism):
+    for unit in steered_by_unit(mechanism):
         found |= {
             f"rms_error_{unit}": Metric(text="rms error", unit=unit),
             f"max_error_{unit}": Metric(text="largest error", unit=unit),
@@ -57,50 +44,34 @@ def metrics_of(mechanism: Mechanism) -> Mapping[str, Metric]:
     }
 
 
-def _units(mechanism: Mechanism) -> list[str]:
-    return [unit for unit in ("deg", "m") if np.any(_of_unit(mechanism, unit))]
-
-
-def _of_unit(mechanism: Mechanism, unit: str) -> np.ndarray:
-    """Return a mask (n_s,) of the controllable independent joints with a unit."""
-    hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    steered = mechanism.steered
-    return steered & (hinge if unit == "deg" else ~hinge)
-
-
 @np.errstate(over="ignore", invalid="ignore")  # the square of a large effort
-def measured(ensemble: Ensemble, i: int, yardstick: Yardstick) -> dict[str, float]:
-    """Return the metrics of simulation i by name; NaN if it was frozen, or if a metric does not apply."""
-    mechanism, reference = yardstick.mechanism, yardstick.reference
-    names = metrics_of(mechanism)
-    if ensemble.failure[i] is not None:
-        return dict.fromkeys(names, float("nan"))
+def measured(ensemble: Ensemble, i: int, experiment: Experiment) -> dict:
+    """Return success, failure and the metrics of simulation i by name; NaN if it was frozen, or if a metric does not apply.
+
+    A run succeeds if it was completed and every joint stayed inside the tube about the path.
+    """
+    mechanism, reference, failure = experiment.plan.problem.mechanism, experiment.reference, ensemble.failure[i]
+    if failure is not None:
+        return {"failure": failure, "success": False} | dict.fromkeys(metrics_of(mechanism), float("nan"))
     # Contiguous copies, so that numpy's order of summation does not depend on the number of simulations.
     time = np.ascontiguousarray(ensemble.time_s[:, i])
     position = np.ascontiguousarray(ensemble.pose[:, i][:, mechanism.independent])
     commanded, applied = (np.ascontiguousarray(x[:, i]) for x in (ensemble.commanded, ensemble.applied))
     wanted = state_at(reference, time)[0]
     error = wanted - position
-    inside = np.all(np.abs(error) <= yardstick.tube, axis=1)
-    low, high = yardstick.effort_limit.T
+    inside = np.all(np.abs(error) <= experiment.tube, axis=1)
+    low, high = experiment.loop.effort_limit.T
     # Overshoot is the distance beyond the range of the whole path.
     beyond = np.maximum(
         np.maximum(position - reference.position_rad.max(axis=0), reference.position_rad.min(axis=0) - position), 0
     )
-    found: dict[str, float] = {}
-    for unit in _units(mechanism):
-        which, factor = _of_unit(mechanism, unit), 180 / np.pi if unit == "deg" else 1.0
-        size = factor * np.linalg.norm(error[:, which], axis=1)
-        found |= {
-            f"rms_error_{unit}": float(np.sqrt(np.mean(size**2))),
-            f"max_error_{unit}": float(size.max()),
-            f"final_error_{unit}": float(size[-1]),
-            f"overshoot_{unit}": float(factor * np.linalg.norm(beyond[:, which], axis=1).max()),
-        }
+    found = {"failure": None, "success": bool(np.all(inside))} | error_figures(mechanism, error)
+    for unit, (which, factor) in steered_by_unit(mechanism).items():
+        found[f"overshoot_{unit}"] = float(factor * np.linalg.norm(beyond[:, which], axis=1).max())
     period = float(time[1] - time[0]) if len(time) > 1 else reference.period_s
     size = np.sqrt(np.sum(applied**2, axis=1))
     return found | {
-        "settling_s": _settling_s(time, inside, yardstick.end_s),
+        "settling_s": _settling_s(time, inside, experiment.end_s),
         "rms_effort": float(np.sqrt(np.mean(size**2))),
         "energy_j": float(period * np.sum(np.ascontiguousarray(ensemble.power[:, i]))),
         "peak_effort": float(np.abs(applied).max()),
@@ -116,12 +87,3 @@ def _settling_s(time: np.ndarray, inside: np.ndarray, end_s: float | None) -> fl
         return float("nan")
     outside = np.flatnonzero(~inside)
     return max(0.0, float(time[outside[-1] + 1]) - end_s) if len(outside) else 0.0
-
-
-def within_tube(ensemble: Ensemble, i: int, yardstick: Yardstick) -> bool:
-    """Return True if simulation i was completed and every joint stayed inside the tube about the path."""
-    if ensemble.failure[i] is not None:
-        return False
-    position = ensemble.pose[:, i][:, yardstick.mechanism.independent]
-    error = state_at(yardstick.reference, ensemble.time_s[:, i])[0] - position
-    return bool(np.all(np.abs(error) <= yardstick.tube))

@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.imperfections import Factor
-from linkplan.studies.experiment.layout import ends_of, varied
+from linkplan.studies.experiment.design import ends_of, varied
 from linkplan.studies.experiment.metrics import Metric, metrics_of
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.sensitivity.influence import Influence, influence_of

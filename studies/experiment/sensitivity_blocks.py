@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.planner.files.folders import plain_record
-from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_record
 from linkplan.studies.output.document import (
     LOWERING_COLOUR,
     RAISING_COLOUR,
@@ -24,7 +22,6 @@ from linkplan.studies.output.document import (
     Text,
     table_of,
 )
-from linkplan.studies.output.text import text_of
 from linkplan.studies.sensitivity.scheme import SOBOL
 
 if TYPE_CHECKING:
@@ -61,30 +58,19 @@ def sensitivity_blocks(name: str, record: Mapping, seed: int) -> list[Block]:
     ]
 
 
-def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
-    """Return a sensitivity as text."""
-    return text_of(sensitivity_blocks(name, plain_record(sensitivity_record(sensitivity)), seed))
-
-
-def save_tornados(sensitivity: Sensitivity, name: str, folder: Path) -> None:
+def save_tornados(name: str, record: Mapping, folder: Path) -> None:
     """Save the figure of each rms error in a folder: sensitivity.png, and a second one for hinges and slides together."""
-    for i, metric in enumerate(sensitivity.mains):
-        title = tornado_title(sensitivity, name, metric)
-        tornado_figure(sensitivity, metric, title, folder / ("sensitivity.png" if i == 0 else f"sensitivity_{metric}.png"))
+    for i, metric in enumerate(_mains(record)):
+        tornado_figure(name, record, metric, folder / ("sensitivity.png" if i == 0 else f"sensitivity_{metric}.png"))
 
 
-def tornado_title(sensitivity: Sensitivity, name: str, metric: str) -> str:
-    """Return the title of a figure: plan, metric, design and number of machines."""
-    machines = sensitivity.groups * sensitivity.size
-    text = sensitivity.metrics[metric].text
-    return f"{name}: what the {text} owes to each imperfection ({sensitivity.design}, {machines} machines)"
-
-
-def tornado_figure(sensitivity: Sensitivity, metric: str, title: str, path: Path | None) -> "Figure":
-    """Return the figure of the imperfections' influences on a metric, saved at `path` if given."""
+def tornado_figure(name: str, record: Mapping, metric: str, path: Path | None) -> "Figure":
+    """Return the figure of the imperfections' influences on a metric of a plan's runs, saved at `path` if given."""
     from linkplan.studies.output.figure import figure_of
 
-    charts = sensitivity_charts(plain_record(sensitivity_record(sensitivity)), metric)
+    charts, machines = sensitivity_charts(record, metric), record["groups"] * record["group_size"]
+    text = record["metrics"][metric]["text"]
+    title = f"{name}: what the {text} owes to each imperfection ({record['design']}, {machines} machines)"
     height_in = 1.4 + 0.33 * len(charts[0].rows)
     return figure_of(charts, path, title=title, columns=2, panel_in=(6.5, height_in))
 

@@ -26,11 +26,13 @@ class Estimate:
         return 0.5 * (self.high - self.low)
 
 
+# The upper end of a 95 % interval.
+_UPPER_QUANTILE = 0.975
 _NO_ESTIMATE = Estimate(value=float("nan"), low=float("nan"), high=float("nan"), n=0)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # diverging loops have huge efforts, and an infinite interval
-def mean_of(values: np.ndarray, replicate: np.ndarray | None = None, confidence: float = 0.95) -> Estimate:
+def mean_of(values: np.ndarray, replicate: np.ndarray | None = None) -> Estimate:
     """Return the mean of the finite values among (n,).
 
     `replicate` (n,) is the number of the independent group that each value belongs to; by default each is its own.
@@ -48,17 +50,17 @@ def mean_of(values: np.ndarray, replicate: np.ndarray | None = None, confidence:
     if groups == 1:
         return Estimate(value=mean, low=-np.inf, high=np.inf, n=len(kept))
     error = np.sqrt(groups / (groups - 1) * np.sum((share * (means - mean)) ** 2))
-    half = float(t.ppf(0.5 + confidence / 2, groups - 1) * error)
+    half = float(t.ppf(_UPPER_QUANTILE, groups - 1) * error)
     return Estimate(value=mean, low=mean - half, high=mean + half, n=len(kept))
 
 
-def share_of(hits: int, n: int, confidence: float = 0.95) -> Estimate:
+def share_of(hits: int, n: int) -> Estimate:
     """Return the share of hits among n."""
     from scipy.stats import norm
 
     if n == 0:
         return _NO_ESTIMATE
-    z, p = float(norm.ppf(0.5 + confidence / 2)), hits / n
+    z, p = float(norm.ppf(_UPPER_QUANTILE)), hits / n
     middle, half = (
         (p + z * z / (2 * n)) / (1 + z * z / n),
         z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n),

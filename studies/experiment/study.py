@@ -135,10 +135,10 @@ def _save(outcome: Outcome, folder: Path, place: Path) -> None:
     read_asked(place)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
-    settings, summary, sensitivity = outcome.experiment.settings, outcome.summary, outcome.sensitivity
+    settings, summary = outcome.experiment.settings, outcome.summary
     name = outcome.experiment.plan.problem.name
-    if sensitivity is not None:
-        save_tornados(sensitivity, name, place)
+    if outcome.sensitivity is not None:
+        save_tornados(name, outcome.record["sensitivity"], place)
     if outcome.distributed:
         title = f"{name}: {summary.samples} machines"
         experiment_figure(outcome.population, settings.trackers, summary.metrics, title, place / "experiment.png")

@@ -9,9 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.studies.export.c_model import DERIVATIVES, ModelCode, header_text, random_states, source_text, test_text
+from linkplan.studies.export.c_model import (
+    DERIVATIVES,
+    NEWTON_STEPS,
+    ModelCode,
+    header_text,
+    random_states,
+    source_text,
+    test_text,
+)
 from linkplan.studies.export.c_operations import in_single_precision, operations
 from linkplan.studies.export.c_text import cmake_text
+from linkplan.studies.output.document import Block, Text, table_of
 
 # States at which the error of single precision is measured, and the factor from what was seen to what is stated.
 _FLOAT_STATES, _FLOAT_MARGIN = 2000, 4.0
@@ -70,7 +79,7 @@ def write_model(code: ModelCode, place: Path, *, compiled: bool = True) -> dict:
         "mechanism": code.mechanism.name,
         "format": "c",
         "files": sorted(texts),
-        "newton_steps": code.newton_steps,
+        "newton_steps": NEWTON_STEPS,
         "functions": cost,
         "sizes": sizes(place, f"{code.prefix}.c", code.prefix.upper(), flags) if compiled else [],
         "sizes_without": [] if whole else [f"{code.prefix}_{DERIVATIVES}"],
@@ -107,3 +116,29 @@ def _size(place: Path, source: str, command: Sequence[str]) -> dict | None:
         text, data, bss = (int(word) for word in said.splitlines()[1].split()[:3])
         frames = [int(n) for use in Path(folder).glob("*.su") for n in re.findall(r"\t(\d+)\t", use.read_text())]
     return {"flash_bytes": text + data, "ram_bytes": data + bss, "stack_bytes": max(frames, default=0)}
+
+
+def cost_blocks(record: dict, target: Path) -> list[Block]:
+    """Return the record of an export to C as blocks."""
+    found: list[Block] = [Text(text=f"{target}: {', '.join(record['files'])}", tone="good")]
+    if "functions" in record:
+        kinds = list(dict.fromkeys(kind for row in record["functions"] for kind in row["operations"]))
+        rows = [
+            [row["function"], *(row["operations"].get(kind, 0) for kind in kinds), row["float_error"]]
+            for row in record["functions"]
+        ]
+        heads = ["operations of one call", *kinds, "error in float, share of the largest value"]
+        found.append(table_of("", heads, rows, digits=2))
+    else:
+        text = f"{record['tracker']} at {record['instants']} instants every {record['period_s']:g} s"
+        text += f", {record['table_numbers']} numbers"
+        found.append(Text(text=text))
+    if not record["sizes"]:
+        text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long"
+        found.append(Text(text=text, tone="note"))
+    rows = [[row["compiler"], row["real"], row["flash_bytes"], row["stack_bytes"]] for row in record["sizes"]]
+    if rows:
+        without = f", without {', '.join(record['sizes_without'])}" if record.get("sizes_without") else ""
+        heads = ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"]
+        found.append(table_of(f"Object code{without}", heads, rows))
+    return found

@@ -9,10 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.lqr import LQR
-from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.tracker import Feedforward
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
@@ -22,6 +18,7 @@ from linkplan.studies.export.c_files import sizes
 from linkplan.studies.export.c_source import identifier
 from linkplan.studies.export.c_text import MATH, block_comment, cmake_text, declared_array
 from linkplan.studies.export.formats import C_TRACKERS
+from linkplan.studies.frequency.floquet import feeds_forward, tracker_gains
 
 # A controller's flash rarely holds more; the file would have 100 megabytes of text.
 _MAX_NUMBERS = 4_000_000
@@ -59,7 +56,8 @@ def law_tables(plan: Plan, tracker: str) -> LawTables:
     """
     choose("tracker for C", tracker, C_TRACKERS, ProblemError)
     reference = tracking_reference(plan)
-    feedforward, gains = _linear(build_tracker(tracker, plan, reference), reference)
+    law = build_tracker(tracker, plan, reference)
+    gains, feedforward = tracker_gains(law), reference.effort * feeds_forward(law)
     if np.all(gains == gains[0]):
         gains = gains[:1]
     if reference.n * (2 * reference.position_rad.shape[1] + feedforward.shape[1]) + gains.size > _MAX_NUMBERS:
@@ -78,19 +76,6 @@ def law_tables(plan: Plan, tracker: str) -> LawTables:
         gains=gains,
         limit=np.array(plan.problem.limits.actuators_effort),
     )
-
-
-def _linear(tracker: object, reference: SampledReference) -> tuple[np.ndarray, np.ndarray]:
-    """Return the feedforward (n, n_u) and the gains (n, n_u, 2 n_s) of a tracker."""
-    n_s = reference.position_rad.shape[1]
-    if isinstance(tracker, Feedforward):
-        return reference.effort, _linear(tracker.feedback, reference)[1]
-    if isinstance(tracker, LQR):
-        return reference.effort, np.array(tracker.gains)
-    if not isinstance(tracker, PD):
-        raise TypeError(f"{tracker!r} is no linear law")
-    both = np.hstack([np.diag(np.broadcast_to(gain, (n_s,))) for gain in (tracker.kp, tracker.kd)])
-    return np.zeros_like(reference.effort), tracker.map @ both
 
 
 def write_law(tables: LawTables, place: Path, *, compiled: bool = True) -> dict:

@@ -26,7 +26,6 @@ class ModelCode:
 
     mechanism: Mechanism
     prefix: str
-    newton_steps: int
     inner: tuple[CFunction, ...]
     interface: tuple[CFunction, ...]
 
@@ -41,7 +40,7 @@ class ModelCode:
         return (*self.inner, *self.interface)
 
 
-def model_code(mechanism: Mechanism, newton_steps: int = NEWTON_STEPS) -> ModelCode:
+def model_code(mechanism: Mechanism) -> ModelCode:
     """Return the C functions of a mechanism."""
     prefix, dynamics = identifier(mechanism.name), mechanism.dynamics
     q, v, a, u = (
@@ -86,9 +85,7 @@ def model_code(mechanism: Mechanism, newton_steps: int = NEWTON_STEPS) -> ModelC
     if len(mechanism.dependent) == 0:
         inner = []
     interface = [function_of(f"{prefix}_{name}", about[name], *both) for name, both in parts.items()]
-    return ModelCode(
-        mechanism=mechanism, prefix=prefix, newton_steps=newton_steps, inner=tuple(inner), interface=tuple(interface)
-    )
+    return ModelCode(mechanism=mechanism, prefix=prefix, inner=tuple(inner), interface=tuple(interface))
 
 
 def header_text(code: ModelCode, about: Sequence[str]) -> str:
@@ -114,7 +111,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
             *about,
         ]
     )
-    sizes = {"N_Q": mechanism.n_q, "N_S": mechanism.dof, "N_U": mechanism.n_u, "NEWTON_STEPS": code.newton_steps}
+    sizes = {"N_Q": mechanism.n_q, "N_S": mechanism.dof, "N_U": mechanism.n_u, "NEWTON_STEPS": NEWTON_STEPS}
     lines = [comment, f"#ifndef {upper}_H", f"#define {upper}_H", "", '#ifdef __cplusplus\nextern "C" {\n#endif', ""]
     lines += [f"#ifdef {upper}_FLOAT", f"typedef float {code.real};", "#else", f"typedef double {code.real};", "#endif", ""]
     lines += [f"#define {upper}_{name} {value}" for name, value in sizes.items()]
@@ -123,7 +120,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
         block_comment(
             [
                 "Close the loops at independent positions s: q is the last closed pose on entry, the new one on return.",
-                f"{code.newton_steps} Newton steps are made, whatever comes. Returns the largest residual [m or rad]:",
+                f"{NEWTON_STEPS} Newton steps are made, whatever comes. Returns the largest residual [m or rad]:",
                 "above 1e-6 the pose is not closed (too far from the last one, or out of reach).",
             ]
         ),
@@ -187,7 +184,7 @@ def _close_text(code: ModelCode) -> str:
         return "\n".join([_close_prototype(code), "{", *given, "  return 0;", "}", ""])
     moved = [f"    q[{int(i)}] += step[{k}];" for k, i in enumerate(mechanism.dependent)]
     lines = [_close_prototype(code), "{", f"  {real} step[{len(mechanism.dependent)}], gap[1];", "  int k;", *given]
-    lines += [f"  for (k = 0; k < {code.newton_steps}; ++k) {{", f"    {prefix}_closure_step(q, step);", *moved, "  }"]
+    lines += [f"  for (k = 0; k < {NEWTON_STEPS}; ++k) {{", f"    {prefix}_closure_step(q, step);", *moved, "  }"]
     return "\n".join([*lines, f"  {prefix}_closure_gap(q, gap);", "  return gap[0];", "}", ""])
 
 

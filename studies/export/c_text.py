@@ -107,11 +107,11 @@ int main(void)
     )
 
 
-def cmake_text(prefix: str, *, with_float: bool = True) -> str:
+def cmake_text(prefix: str) -> str:
     """Return a CMakeLists.txt of a static library, one for float, and their tests."""
     upper = prefix.upper()
     lines = ["cmake_minimum_required(VERSION 3.10)", f"project({prefix} C)", "set(CMAKE_C_STANDARD 99)", "enable_testing()"]
-    for suffix, flag in (("", None), ("_float", f"{upper}_FLOAT")) if with_float else (("", None),):
+    for suffix, flag in (("", None), ("_float", f"{upper}_FLOAT")):
         lines += ["", f"add_library({prefix}{suffix} STATIC {prefix}.c)"]
         lines += [f"target_include_directories({prefix}{suffix} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})"]
         lines += [f"target_compile_definitions({prefix}{suffix} PUBLIC {flag})"] if flag else []

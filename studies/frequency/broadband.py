@@ -17,7 +17,7 @@ from linkplan.studies.frequency.excitation import (
     refuse_long,
     signal_amplitude,
 )
-from linkplan.studies.frequency.excited_loops import excited_loops
+from linkplan.studies.frequency.excited_loops import ExcitedLoops
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, refuse_above_nyquist
 
 # A repetition holds this many cycles of the lowest frequency. The lines are odd multiples of the repetition rate.
@@ -41,7 +41,7 @@ def run(
     # Bytes of a sample: reference and effort of every row, their spectra, and the stored windows.
     n = len(loops) * len(excitations)
     refuse_long(float(N), float(frequency[0]), float(n), bytes_a_sample=8 * (8 * mechanism.dof + 16))
-    excited = excited_loops(loops, excitations, channel, effort_limit)
+    excited = ExcitedLoops(loops, excitations, channel, effort_limit)
     signal, rate, forward = (
         np.stack(values, axis=1)
         for values in zip(

@@ -37,7 +37,6 @@ class LargeSignals:
     """
 
     loop: FeedbackLoop
-    channel: int
     quantity: str
     room: float
     frequency_hz: np.ndarray
@@ -67,14 +66,12 @@ def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.nda
     return mean
 
 
-def balance(
-    loop: FeedbackLoop, quantity: str, frequency_hz: float, amplitude: float, N: Callable, channel: int = 0
-) -> tuple[complex, float]:
+def balance(loop: FeedbackLoop, quantity: str, frequency_hz: float, amplitude: float, N: Callable) -> tuple[complex, float]:
     """Return harmonic balance's Y / R and command amplitude for a reference of an amplitude [rad or m]."""
     at = np.array([frequency_hz])
-    S, P = loop.gains("sensitivity", at, channel)[0], loop.gains("plant", at, channel)[0]
+    S, P = loop.gains("sensitivity", at)[0], loop.gains("plant", at)[0]
     L = 1.0 / S - 1.0
-    linear = loop.gains(quantity, at, channel)[0]
+    linear = loop.gains(quantity, at)[0]
     drive = linear / (P * S)  # input of the loop's summing point per unit of reference
 
     def excess(A: float) -> float:
@@ -97,7 +94,6 @@ def large_signals(
     *,
     multiples: Sequence[float] = MULTIPLES,
     quantity: str = "reference",
-    channel: int = 0,
     farthest: float | None = None,
     say: Callable[[str], None] = silent,
 ) -> LargeSignals:
@@ -109,7 +105,6 @@ def large_signals(
         frequency_hz: (n,), moved so that a period has whole samples.
         multiples: (m,) of the amplitude whose command just reaches the limit.
         quantity: "reference" or "reference+ff".
-        channel: the joint.
         farthest: the largest amplitude to try [rad or m]; results beyond it are NaN.
         say: receives progress messages.
     """
@@ -117,12 +112,12 @@ def large_signals(
     room = float(np.abs(effort_limit[0] - loop.point.hold[0]).min())
     cycles, samples = whole_samples(frequency_hz, loop.timing.period_s)
     frequency = cycles / (samples * loop.timing.period_s)
-    per_motion = np.abs(loop.gains(quantity, frequency, channel) / loop.gains("plant", frequency, channel))
+    per_motion = np.abs(loop.gains(quantity, frequency) / loop.gains("plant", frequency))
     sizes = np.asarray(multiples, dtype=float)[:, None] * room / per_motion
     limited = sizes if farthest is None else np.minimum(sizes, farthest)
     setup = Setup(longest_s=3.0)  # a saturated loop may never settle
     same = [loop] * len(sizes)
-    taken = sinestream.run(same, frequency, effort_limit, setup, (quantity,), channel, say, amplitudes=limited)
+    taken = sinestream.run(same, frequency, effort_limit, setup, (quantity,), 0, say, amplitudes=limited)
     rows = [
         (amplitude, responses[quantity], *actuated[quantity])
         for amplitude, responses, actuated in zip(sizes, taken.responses, taken.actuated, strict=True)
@@ -136,14 +131,13 @@ def large_signals(
         values["expected"][:, j] = N(np.abs(command))
         table["measured"][:, j], table["describing"][:, j] = response.gain, applied / command
         for i, f in enumerate(frequency):
-            table["predicted"][i, j] = balance(loop, quantity, f, amplitude[i], N, channel)[0]
+            table["predicted"][i, j] = balance(loop, quantity, f, amplitude[i], N)[0]
         if farthest is not None:
             beyond = amplitude > farthest
             for array in (*table.values(), *(values[k] for k in values if k != "amplitude")):
                 array[beyond, j] = np.nan
     return LargeSignals(
         loop=loop,
-        channel=channel,
         quantity=quantity,
         room=room,
         frequency_hz=frequency,
@@ -154,15 +148,15 @@ def large_signals(
     )
 
 
-def default_large_frequencies(loop: FeedbackLoop, crossover_hz: float | None, count: int = 8) -> np.ndarray:
-    """Return frequencies (count,) [Hz] around a crossover."""
+def default_large_frequencies(loop: FeedbackLoop, crossover_hz: float | None) -> np.ndarray:
+    """Return eight frequencies [Hz] around a crossover."""
     middle = crossover_hz or 0.02 / loop.timing.period_s
-    return np.geomspace(0.15 * middle, min(1.5 * middle, 0.2 / loop.timing.period_s), count)
+    return np.geomspace(0.15 * middle, min(1.5 * middle, 0.2 / loop.timing.period_s), 8)
 
 
 def large_record(found: LargeSignals) -> dict:
     """Return the large-signal results as a JSON record."""
-    joint = found.loop.point.mechanism.independent_joints[found.channel]
+    joint = found.loop.point.mechanism.independent_joints[0]
     shown = joint.shown(1.0)
     return {
         "pose": found.loop.point.name,

@@ -25,7 +25,6 @@ class FeasibleCurve:
     """
 
     point: OperatingPoint
-    channel: int
     amplitude: np.ndarray
     frequency_hz: np.ndarray
     reason: tuple[str | None, ...]
@@ -35,17 +34,15 @@ def feasible_curve(
     point: OperatingPoint,
     amplitude: np.ndarray,
     effort_limit: np.ndarray,
-    channel: int = 0,
     position_limit: np.ndarray | None = None,
     speed_limit: np.ndarray | None = None,
 ) -> FeasibleCurve:
-    """Return the curve of one joint about a point.
+    """Return the curve of the first independent joint about a point, while the others stay at rest.
 
     Args:
         point: the middle of the sinusoids.
         amplitude: (n,) [rad or m].
         effort_limit: (n_u, 2) [N.m or N].
-        channel: index of the moving joint among the independent joints; the others stay at rest.
         position_limit: of every joint (n_q, 2); default: the model's.
         speed_limit: of every joint (n_q, 2) [rad/s or m/s]; default: none.
 
@@ -58,22 +55,21 @@ def feasible_curve(
     mechanism = point.mechanism
     ranges = np.array([[j.lower, j.upper] for j in mechanism.joints]) if position_limit is None else position_limit
     speeds = np.tile([-np.inf, np.inf], (mechanism.n_q, 1)) if speed_limit is None else speed_limit
-    found = [_highest(mechanism, point, a, effort_limit, channel, ranges, speeds) for a in amplitude]
+    found = [_highest(mechanism, point, a, effort_limit, ranges, speeds) for a in amplitude]
     return FeasibleCurve(
         point=point,
-        channel=channel,
         amplitude=amplitude,
         frequency_hz=np.array([f for f, _ in found]),
         reason=tuple(reason for _, reason in found),
     )
 
 
-def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit, channel: int, ranges, speeds):
+def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit, ranges, speeds):
     """Return the highest frequency [Hz] of an amplitude, and the reason."""
     # The error of an extreme between two phases is of second order in their distance.
     phase = np.linspace(0.0, np.pi, 181)
     path = np.tile(point.state[: mechanism.dof], (len(phase), 1))
-    path[:, channel] += a * np.cos(phase)
+    path[:, 0] += a * np.cos(phase)
     try:
         poses = follow(mechanism, path, point.pose)
     except AssemblyError:
@@ -85,7 +81,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
     def broken(frequency: float) -> str | None:
         omega = 2 * np.pi * frequency
         v, acceleration = np.zeros_like(path), np.zeros_like(path)
-        v[:, channel], acceleration[:, channel] = -a * omega * np.sin(phase), -a * omega**2 * np.cos(phase)
+        v[:, 0], acceleration[:, 0] = -a * omega * np.sin(phase), -a * omega**2 * np.cos(phase)
         # The second half of the cycle has the poses of the first half with opposite velocities.
         for sign in (1.0, -1.0):
             rates = joint_rates(mechanism, poses, sign * v)
@@ -120,19 +116,19 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
     return good, reason
 
 
-def default_amplitudes(point: OperatingPoint, channel: int = 0, count: int = 25) -> np.ndarray:
-    """Return amplitudes (count,) [rad or m] from a hundredth of a degree to the distance to the nearer end of the range."""
-    joint = point.mechanism.independent_joints[channel]
-    at = float(point.state[channel])
+def default_amplitudes(point: OperatingPoint) -> np.ndarray:
+    """Return amplitudes (25,) [rad or m] from a hundredth of a degree to the distance to the nearer end of the range."""
+    joint = point.mechanism.independent_joints[0]
+    at = float(point.state[0])
     widest = min(joint.upper - at, at - joint.lower)
     unit = 1.0 if joint.kind == "hinge" else point.mechanism.extent_m
     widest = widest if np.isfinite(widest) and widest > 0 else np.pi * unit
-    return np.geomspace(np.radians(0.01) * unit, widest, count)
+    return np.geomspace(np.radians(0.01) * unit, widest, 25)
 
 
 def curve_rows(curve: FeasibleCurve) -> Sequence[dict]:
     """Return the curve as rows for files."""
-    joint = curve.point.mechanism.independent_joints[curve.channel]
+    joint = curve.point.mechanism.independent_joints[0]
     return [
         {f"amplitude_{joint.unit}": joint.shown(a), "highest_hz": f if np.isfinite(f) else None, "reason": reason}
         for a, f, reason in zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True)

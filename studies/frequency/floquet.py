@@ -9,7 +9,6 @@ analysis is done about it.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -97,14 +96,14 @@ def feeds_forward(tracker: AnyTracker) -> bool:
     return isinstance(tracker, Feedforward | LQR)
 
 
-def frozen_radii(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling) -> np.ndarray:
-    """Return the largest pole's size (n,) of the loop frozen at every control instant of a motion."""
-    return spectral_radius(_closed_along(mechanism, reference, tracker, timing))
+def frozen_radii(mechanism: Mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling) -> np.ndarray:
+    """Return the largest pole's size (n,) of the loop frozen at every control instant, with gains K (n, n_u, 2 n_s)."""
+    return spectral_radius(_closed_along(mechanism, reference, gains, timing))
 
 
-def _closed_along(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling) -> np.ndarray:
+def _closed_along(mechanism: Mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling) -> np.ndarray:
     A, B, B_late = simulated(mechanism, reference.pose_rad, reference.velocity_rad_s, reference.effort, timing)
-    return closed(*augmented(A, B, B_late, timing), tracker_gains(tracker))
+    return closed(*augmented(A, B, B_late, timing), gains)
 
 
 def floquet(
@@ -128,12 +127,12 @@ def floquet(
             f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods"
             f" of {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
         )
-    one, tracker = _cut(reference, n), _cut_tracker(tracker, n)
+    one, gains = _cut(reference, n), tracker_gains(tracker)[:n]
     if feeds_forward(tracker):
         motion, before = one, np.repeat(one.effort[:1], timing.memory, axis=0)
     else:
-        motion, before = _steady(mechanism, one, tracker, timing, effort_limit)
-    steps = _closed_along(mechanism, motion, tracker, timing)
+        motion, before = _steady(mechanism, one, gains, timing, effort_limit)
+    steps = _closed_along(mechanism, motion, gains, timing)
     size = steps.shape[1]
     scale = _scale(mechanism, size)
     transition = np.empty((n + 1, size, size))
@@ -146,7 +145,7 @@ def floquet(
             product, log = product / largest, log + np.log(largest)
         transition[k + 1] = product * np.exp(min(log, 460.0))  # e^460 = 1e200
     measured = np.nan_to_num(
-        _measured(mechanism, one, motion, before, tracker, timing, effort_limit, scale),
+        _measured(mechanism, one, motion, before, gains, feeds_forward(tracker), timing, effort_limit, scale),
         nan=_MAX_GROWTH,
         posinf=_MAX_GROWTH,
     )
@@ -163,24 +162,24 @@ def floquet(
     )
 
 
-def _steady(mechanism, reference: SampledReference, tracker: AnyTracker, timing: Sampling, effort_limit):
-    """Return a cycle of the motion that a tracker settles on, and the delayed commands (memory, n_u) at its start."""
+def _steady(mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling, effort_limit):
+    """Return a cycle of the motion that gains without feedforward settle on, and the commands (memory, n_u) before it."""
     n = reference.n
     batch = SimulatedLoops(
         mechanism,
         pose=reference.pose_rad[:1],
         velocity=reference.velocity_rad_s[:1],
-        gain=tracker_gains(tracker)[:1],
+        gain=gains[:1],
         under_way=reference.effort[:1],
         timing=timing,
         effort_limit=effort_limit,
         motion=reference,
     )
-    along, forward = _signals(reference, tracker, 1)
+    along, forward = _signals(reference, False)
     states, commands = np.full((n, 1, 2 * mechanism.dof), np.inf), np.zeros((n, 1, mechanism.n_u))
     for _ in range(40):
         last = states[0]
-        states, commands = batch.run(np.arange(1), along, forward, tracker_gains(tracker))
+        states, commands = batch.run(np.arange(1), along, forward, gains)
         if np.all(np.abs(states[0] - last) <= 1e-9 * np.abs(states).max(axis=0)):
             break
     position, velocity = states[:, 0, : mechanism.dof], states[:, 0, mechanism.dof :]
@@ -198,11 +197,10 @@ def _steady(mechanism, reference: SampledReference, tracker: AnyTracker, timing:
     return motion, commands[n - timing.memory :, 0]
 
 
-def _signals(reference: SampledReference, tracker: AnyTracker, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the reference states (n, count, 2 n_s) and feedforward efforts (n, count, n_u) of a tracker."""
-    forward = reference.effort if feeds_forward(tracker) else np.zeros_like(reference.effort)
+def _signals(reference: SampledReference, forward: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the reference states (n, 1, 2 n_s) and the efforts (n, 1, n_u) that are fed forward, zero without `forward`."""
     along = np.concatenate([reference.position_rad, reference.velocity_rad_s], axis=1)
-    return np.repeat(along[:, None], count, axis=1), np.repeat(forward[:, None], count, axis=1)
+    return along[:, None], reference.effort[:, None] * forward
 
 
 def _measured(
@@ -210,7 +208,8 @@ def _measured(
     reference: SampledReference,
     motion: SampledReference,
     before: np.ndarray,
-    tracker: AnyTracker,
+    gains: np.ndarray,
+    forward: bool,
     timing: Sampling,
     effort_limit: np.ndarray,
     scale: np.ndarray,
@@ -224,7 +223,6 @@ def _measured(
         s[i] += scale[i]
         pose[i + 1] = close_at(mechanism, s, motion.pose_rad[0])
         velocity[n_s + i + 1, i] += scale[n_s + i]
-    gain = tracker_gains(tracker)[:n]
     # The commands in the state are ordered from u_{-1} backwards.
     p = timing.memory
     under_way = np.repeat(before[:, None], size + 1, axis=1)
@@ -236,13 +234,14 @@ def _measured(
         mechanism,
         pose=pose,
         velocity=velocity,
-        gain=np.broadcast_to(gain[0], (size + 1, n_u, 2 * n_s)),
+        gain=np.broadcast_to(gains[0], (size + 1, n_u, 2 * n_s)),
         under_way=under_way,
         timing=timing,
         effort_limit=effort_limit,
         motion=reference,
     )
-    states, commands = batch.run(np.arange(size + 1), *_signals(reference, tracker, size + 1), gain)
+    along, fed = (np.repeat(x, size + 1, axis=1) for x in _signals(reference, forward))
+    states, commands = batch.run(np.arange(size + 1), along, fed, gains)
     history = np.empty((n + 1, size + 1, size))
     history[:n, :, : 2 * n_s], history[n, :, : 2 * n_s] = states, batch.state()
     whole = np.concatenate([under_way, commands])  # whole[k + p] = u_k
@@ -263,15 +262,6 @@ def _cut(reference: SampledReference, n: int) -> SampledReference:
         name: getattr(reference, name)[:n] for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
     }
     return SampledReference(period_s=reference.period_s, cycle=n, **arrays)
-
-
-def _cut_tracker(tracker: Any, n: int) -> Any:
-    """Return a tracker with the gains of its first n instants."""
-    if isinstance(tracker, Feedforward):
-        return Feedforward(reference=tracker.reference, feedback=_cut_tracker(tracker.feedback, n))
-    if isinstance(tracker, PD):
-        return PD(reference=tracker.reference, kp=tracker.kp, kd=tracker.kd, map=tracker.map[:n])
-    return LQR(reference=tracker.reference, gains=tracker.gains[:n])
 
 
 def _sorted(matrix: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ import numpy as np
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
-from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
 from linkplan.studies.frequency.worst import local_minima
 
 # Phase crossings below this frequency are ignored: a double integrator tends to -180 deg as the frequency tends to zero.
@@ -207,3 +206,25 @@ def bandwidth(closed: np.ndarray, frequency_hz: np.ndarray) -> float | None:
     k = below[0]
     share = drop[k - 1] / (drop[k - 1] - drop[k])
     return float(np.exp((1 - share) * np.log(frequency_hz[k - 1]) + share * np.log(frequency_hz[k])))
+
+
+# A state has settled at this share of its first error.
+SETTLED_SHARE = 0.02
+
+
+def settling_time_s(poles: np.ndarray, period_s: float) -> np.ndarray:
+    """Return the settling times (...,) [s] of loops with poles (..., M) per control period; infinite if unstable."""
+    radius = np.abs(poles).max(axis=-1)
+    with np.errstate(divide="ignore"):
+        time = np.log(SETTLED_SHARE) * period_s / np.log(np.minimum(radius, 1.0))
+    return np.where(radius < 1.0, time, np.inf)
+
+
+def damping_ratio(poles: np.ndarray) -> np.ndarray:
+    """Return the least damping ratios (...,) of loops with poles (..., M); 1 without oscillation, at most 0 if unstable."""
+    with np.errstate(divide="ignore"):
+        logarithm = np.log(np.asarray(poles, dtype=complex))
+    with np.errstate(invalid="ignore"):
+        ratio = -logarithm.real / np.abs(logarithm)
+    slow = np.abs(logarithm.imag) <= 0.5 * np.pi
+    return np.where(slow & np.isfinite(ratio), ratio, 1.0).min(axis=-1)

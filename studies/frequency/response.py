@@ -86,16 +86,3 @@ class Response:
             "phase_deg": self.phase_deg,
             **{name: getattr(self, name) for name in _COLUMNS},
         }
-
-
-def from_frd(data: control.FrequencyResponseData, unit: str = "1", origin: str = "python-control") -> Response:
-    """Return python-control's frequency response data as a response.
-
-    Raises:
-        LinkplanError: for data with several inputs or outputs.
-    """
-    if data.ninputs != 1 or data.noutputs != 1:
-        raise LinkplanError(f"a response has one input and one output, got {data.ninputs} and {data.noutputs}")
-    omega, gain = np.asarray(data.omega), np.asarray(data.frdata)[0, 0]
-    kept = omega > 0
-    return Response(frequency_hz=omega[kept] / (2 * np.pi), gain=gain[kept], unit=unit, origin=origin)

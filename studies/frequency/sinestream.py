@@ -17,7 +17,7 @@ from linkplan.studies.frequency.excitation import (
     signal_amplitude,
     whole_samples,
 )
-from linkplan.studies.frequency.excited_loops import ExcitedLoops, excited_loops
+from linkplan.studies.frequency.excited_loops import ExcitedLoops
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 
 # The harmonics up to this order count as distortion.
@@ -45,7 +45,7 @@ def run(
     total = float(np.maximum(samples, _MIN_WINDOW_PERIODS).sum()) * len(loops) * len(excitations)
     refuse_long(float(samples.max()), float(frequency[0]), total / float(samples.max()))
     n_f = len(frequency)
-    excited = excited_loops(loops, excitations, channel, effort_limit, repeats=n_f)
+    excited = ExcitedLoops(loops, excitations, channel, effort_limit, n_f)
     if amplitudes is None:
         amplitudes = np.array(
             [signal_amplitude(loop, frequency, name, effort_limit, setup, channel) for loop, name in excited.rows]

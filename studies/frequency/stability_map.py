@@ -5,7 +5,7 @@ phase margin and the largest sensitivity peak.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop, pd_gain
 from linkplan.studies.frequency.quick import quick_margins
-from linkplan.studies.frequency.trial import Trials, settle_trials
+from linkplan.studies.frequency.trial import settle_trials
 
 # Points along each axis of the grid that the boundary is drawn from.
 _BORDER_GRID_POINTS = 240
@@ -29,7 +29,7 @@ class StabilityMap:
 
     `radius` (n, m): the largest pole. `phase_margin_deg` and `sensitivity_peak` (n, m) are NaN where the loop is unstable.
     `worst` (n, m): index of the point with the largest pole. `border` (kp, kd, radius): the radius on a finer grid.
-    `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `trials`: the results of these simulations.
+    `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `settles` (tried,): whether they settle there.
     """
 
     points: tuple[OperatingPoint, ...]
@@ -42,7 +42,7 @@ class StabilityMap:
     worst: np.ndarray
     border: tuple[np.ndarray, np.ndarray, np.ndarray]
     tried: tuple[tuple[float, float, int], ...] = ()
-    trials: Trials | None = None
+    settles: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
@@ -153,7 +153,6 @@ def stability_map(
     kd: np.ndarray,
     effort_limit: np.ndarray | None = None,
     say: Callable[[str], None] = silent,
-    channel: int = 0,
 ) -> StabilityMap:
     """Return the map over gains kp (n,) and kd (m,).
 
@@ -172,7 +171,7 @@ def stability_map(
         radius = np.maximum(radius, here)
         phase, Ms = np.empty(shape), np.empty(shape)
         for i, p in enumerate(kp):
-            quick = quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing, channel)
+            quick = quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing)
             phase[i], Ms[i] = quick.phase_margin_deg, quick.sensitivity_peak
         margin, peak = np.minimum(margin, phase), np.maximum(peak, Ms)
     unstable = radius >= 1.0
@@ -193,14 +192,13 @@ def stability_map(
     tried = border_points(found)
     say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
     loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
-    trials = settle_trials(loops, effort_limit) if loops else None
-    return replace(found, tried=tuple(tried), trials=trials)
+    return replace(found, tried=tuple(tried), settles=settle_trials(loops, effort_limit)) if loops else found
 
 
-def border_points(found: StabilityMap, share: float = 0.03, count: int = 7) -> list[tuple[float, float, int]]:
+def border_points(found: StabilityMap) -> list[tuple[float, float, int]]:
     """Return gains (kp, kd, point index) on both sides of the upper border, for the point that determines it at each kp."""
-    tried = []
-    for kp in np.geomspace(found.kp[0] if found.kp[0] > 0 else found.kp[1], found.kp[-1], count):
+    tried, share = [], 0.03
+    for kp in np.geomspace(found.kp[0] if found.kp[0] > 0 else found.kp[1], found.kp[-1], 7):
         borders = []
         for index, point in enumerate(found.points):
             try:

@@ -1,7 +1,6 @@
 """Stability trials in MuJoCo: disturbed loops run side by side until the disturbance has decayed or grown."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,16 +18,10 @@ _GROWTH_FACTOR = 100.0
 MAX_TRIAL_PERIODS = 40_000
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Trials:
-    """The verdict of each loop, `settles` (n,), and the number of simulated control periods."""
-
-    settles: np.ndarray
-    periods: int
-
-
-def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MAX_TRIAL_PERIODS) -> Trials:
-    """Simulate loops of one timing in MuJoCo after a small kick to every joint with a loop, and judge which settle."""
+def settle_trials(
+    loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MAX_TRIAL_PERIODS
+) -> np.ndarray:
+    """Return True for each of n loops of one timing, (n,), that settles in MuJoCo after a small kick to its joints."""
     mechanism, timing, n = loops[0].point.mechanism, loops[0].timing, len(loops)
     n_s = mechanism.dof
     state = np.array([loop.point.state for loop in loops])
@@ -68,4 +61,4 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
         trend = np.where(decisive, change, late_change)
         settles[active[finished]] = (decayed | (~grown & (trend < 0)))[finished]
         active = active[~finished]
-    return Trials(settles=settles, periods=batch.periods)
+    return settles

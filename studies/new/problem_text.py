@@ -3,9 +3,11 @@
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from linkplan.models.library import BUILT_IN as MODELS
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
@@ -14,6 +16,7 @@ from linkplan.models.tree.sites import site_names
 from linkplan.planner.files.tables import inline, key_text
 from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES
+from linkplan.studies.new.first_motion import FirstMotion, model_beside
 
 # The largest width of lines, and the column of the comments after values.
 _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
@@ -143,3 +146,23 @@ def _place(mechanism: Mechanism) -> tuple[str, str] | None:
 def _shown(joint: Joint, position: float) -> float:
     """Return a position in the unit of files, rounded to six digits."""
     return float(f"{joint.shown(position):.6g}") + 0.0
+
+
+def file_tables(found: FirstMotion, model: str, target: Path | None) -> dict[str, dict]:
+    """Return the tables of a first motion's file at `target`."""
+    tables = found.tables
+    if model not in MODELS:
+        tables = tables | {"mechanism": tables["mechanism"] | {"model": model_beside(model, target)}}
+    return tables
+
+
+def first_text(found: FirstMotion, tables: dict[str, dict], steps: tuple[str, str]) -> str:
+    """Return the commented text of a first motion's file; `steps` are how to plan it and how to track the plan."""
+    plans, tracks = steps
+    begin = [
+        plans.ljust(42) + "plans it, certifies it between the nodes and saves it",
+        tracks.ljust(42) + "tracks it in MuJoCo by PD, PD + feedforward and LQR",
+        "",
+        *(line for note in found.changed for line in [*textwrap.wrap(f"CHANGED: {note}", 98), ""]),
+    ]
+    return problem_text(found.mechanism, tables, found.description, begin)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.problem import Problem
 
 # Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
@@ -37,3 +38,18 @@ def radius_figure(radius: float | None) -> str:
         return "-"
     beyond = radius - 1.0
     return f"1{beyond:+.1e}" if 0 < abs(beyond) < 5e-4 else figure(radius, 4)
+
+
+def objective_unit(problem: Problem) -> str:
+    """Return the unit of a single term, after a space; an empty string for a sum of terms."""
+    terms = list(problem.objective.weights)
+    unit, mechanism = problem.objective.unit, problem.mechanism
+    if not unit:
+        return ""
+    units = [unit]
+    if terms[0].startswith("effort"):
+        of_kind = {"N.m": unit, "N": unit.replace("N2 m2", "N2")}
+        units = [of_kind[actuator.unit] for actuator in mechanism.actuators]
+    elif terms[0] == "tracking":
+        units = [unit if joint.kind == "hinge" else unit.replace("rad2", "m2") for joint in mechanism.independent_joints]
+    return f" {' and '.join(dict.fromkeys(units))}"

@@ -9,6 +9,7 @@ import numpy as np
 from linkplan.models.errors import ModelError
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import write_plan
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.motion import LEAST_SHOWN, Motion, motion_of
@@ -120,3 +121,9 @@ def _site_lines(plan: Plan, motion: Motion) -> list[Line]:
             if np.ptp(values) > 1e-6 * mechanism.extent_m:
                 lines.append(Line(name=f"{name}, {axis}", values=1e3 * values, unit="mm"))
     return lines
+
+
+def save_plan(plan: Plan, place: Path, target: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:
+    """Write a plan and its figure into an empty folder, which the caller moves to `target` if it is given."""
+    write_plan(plan, place, target, jumps=jumps, parquet=parquet)
+    plan_figure(plan, place / "plan.png")

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from html import escape
 
 from linkplan.studies.output.document import Block, Checklist, Code, Facts, Table, Text
-from linkplan.studies.output.tables import headed
-from linkplan.studies.output.text import checks
+from linkplan.studies.output.text import checks, headed
 
 _TONES = {"good": "color:#116b3a", "bad": "color:#b3261e;font-weight:600", "note": "opacity:.75"}
 

@@ -4,11 +4,9 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.studies.output.digits import figure, known_digits
+from linkplan.studies.output.digits import figure, known_digits, objective_unit
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.proof_blocks import proof_blocks
-from linkplan.studies.output.text import text_of
 
 
 def plan_blocks(plan: Plan) -> list[Block]:
@@ -31,11 +29,6 @@ def plan_blocks(plan: Plan) -> list[Block]:
     title = f"certificate: {'passed' if certificate.passed else 'NOT passed'}"
     rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
     return [*blocks, table_of(title, ["between the nodes", "worst", "unit"], rows), *proof_blocks(plan.proof), *notes]
-
-
-def plan_text(plan: Plan) -> str:
-    """Return a plan's verdict and certificate as text."""
-    return text_of(plan_blocks(plan))
 
 
 def facts(plan: Plan) -> list[tuple[str, str]]:

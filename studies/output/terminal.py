@@ -10,8 +10,7 @@ from rich.table import Table as Drawn
 from rich.text import Text as Words
 
 from linkplan.studies.output.document import Block, Checklist, Table, Text
-from linkplan.studies.output.tables import SENTENCE_LETTERS, headed, said, to_the_left
-from linkplan.studies.output.text import ROUNDED_DIGITS, checks, text_of
+from linkplan.studies.output.text import ROUNDED_DIGITS, SENTENCE_LETTERS, checks, headed, said, text_of, to_the_left
 
 _TONES = {"good": "green", "bad": "red", "note": "yellow"}
 _VERDICTS = {"NO": "red", "infeasible": "red", "failed": "red", "optimal": "green", "passed": "green"}

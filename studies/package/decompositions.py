@@ -14,8 +14,9 @@ from linkplan.planner.problem.values import whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study
-from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_text
+from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
 from linkplan.studies.output.html import html_of
+from linkplan.studies.output.text import text_of
 from linkplan.subjects import listed, plan_to_track, with_imperfections
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class DecompositionResult:
         return html_of(decomposition_blocks(self.decomposition))
 
     def __str__(self) -> str:
-        return decomposition_text(self.decomposition)
+        return text_of(decomposition_blocks(self.decomposition))
 
     def __repr__(self) -> str:
         names = ", ".join(one.name for one in self.decomposition.trackers)

@@ -19,14 +19,14 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
+from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings, plan_digest
-from linkplan.studies.experiment.experiment_blocks import outcome_blocks, outcome_text
-from linkplan.studies.experiment.replay import replay
+from linkplan.studies.experiment.experiment_blocks import outcome_blocks, sensitivity
 from linkplan.studies.experiment.sensitivity import Sensitivity
-from linkplan.studies.experiment.sensitivity_blocks import sensitivity_text
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
 from linkplan.studies.output.html import html_of
+from linkplan.studies.output.text import text_of
 from linkplan.studies.tasks.cluster import cluster as at_address
 from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 from linkplan.subjects import listed, plan_to_track, with_imperfections
@@ -148,7 +148,7 @@ class ExperimentResult:
         return html_of(outcome_blocks(self.outcome))
 
     def __str__(self) -> str:
-        return outcome_text(self.outcome)
+        return text_of(outcome_blocks(self.outcome))
 
     def __repr__(self) -> str:
         one = self.outcome.experiment
@@ -180,19 +180,18 @@ class SensitivityResult:
 
     def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
         """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
-        from linkplan.studies.experiment.sensitivity_blocks import tornado_figure, tornado_title
+        from linkplan.studies.experiment.sensitivity_blocks import tornado_figure
 
-        _, name = self._asked(next(iter(self.found.influences)), metric)
-        title = tornado_title(self.found, self.outcome.experiment.plan.problem.name, name)
-        return drawn(path, lambda place: tornado_figure(self.found, name, title, place))
+        _, asked = self._asked(next(iter(self.found.influences)), metric)
+        name, record = self.outcome.experiment.plan.problem.name, self.outcome.record["sensitivity"]
+        return drawn(path, lambda place: tornado_figure(name, record, asked, place))
 
     def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
         choose("tracker", tracker, tuple(self.found.influences), ProblemError)
         return tracker, choose("metric", metric or self.found.mains[0], tuple(self.found.metrics), ProblemError)
 
     def __str__(self) -> str:
-        one = self.outcome.experiment
-        return sensitivity_text(one.plan.problem.name, self.found, one.settings.seed)
+        return text_of(sensitivity(self.outcome))
 
     def __repr__(self) -> str:
         one = self.outcome.experiment

@@ -281,9 +281,10 @@ class BodeResult:
         return html_of(summary(self.study))
 
     def __str__(self) -> str:
-        from linkplan.studies.bode.bode_report import bode_text
+        from linkplan.studies.bode.bode_blocks import summary
+        from linkplan.studies.output.text import text_of
 
-        return bode_text(self.study) + _noted(self.note)
+        return text_of(summary(self.study)) + _noted(self.note)
 
     def __repr__(self) -> str:
         return f"BodeResult({self.study.mechanism.name!r}: {self.message})"

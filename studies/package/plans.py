@@ -193,7 +193,7 @@ class Plan(planned.Plan):
             LinkplanError: if the plan has no motion, the folder has other files, or it cannot be written.
         """
         self.require_motion("save")
-        from linkplan.studies.output.save_plan import save_plan
+        from linkplan.studies.output.draw_plan import save_plan
 
         target = path_of(folder, "folder")
         write_whole(target, lambda place: save_plan(self, place, target, jumps=jumps))
@@ -223,9 +223,10 @@ class Plan(planned.Plan):
         return html_of(plan_blocks(self))
 
     def __str__(self) -> str:
-        from linkplan.studies.output.plan_blocks import plan_text
+        from linkplan.studies.output.plan_blocks import plan_blocks
+        from linkplan.studies.output.text import text_of
 
-        return plan_text(self)
+        return text_of(plan_blocks(self))
 
 
 class OdePlan(ode_planned.OdePlan):
@@ -270,13 +271,19 @@ class OdePlan(ode_planned.OdePlan):
         Raises:
             LinkplanError: if there is no motion.
         """
-        from linkplan.studies.output.draw_ode import ode_figure
+        from linkplan.studies.output.figure import figure_of
+        from linkplan.studies.output.lines import TIME, Line, plots
 
-        columns = self.sample()
-        limits = dict(zip(map(str, self.problem.states), self.problem.state_limit, strict=True))
-        limits |= dict(zip(map(str, self.problem.efforts), self.problem.effort_limit, strict=True))
-        n_x = self.problem.n_x
-        return drawn(path, lambda place: ode_figure(f"{self.problem.name}: {self.message}", columns, n_x, limits, place))
+        (_, time), *columns = self.sample().items()
+        limits = [*self.problem.state_limit, *self.problem.effort_limit]
+        lines = [
+            Line(name=name, values=values, unit="1", limits=tuple(ends))
+            for (name, values), ends in zip(columns, limits, strict=True)
+        ]
+        states, efforts = lines[: self.problem.n_x], lines[self.problem.n_x :]
+        panels = [*plots("States", "state", TIME, time, states), *plots("Efforts", "effort", TIME, time, efforts)]
+        title = f"{self.problem.name}: {self.message}"
+        return drawn(path, lambda place: figure_of(panels, place, title=title, panel_in=(7.0, 2.7)))
 
     def save(self, folder: str | Path) -> Path:
         """Write the solution as a folder, whole or not at all, and return its path: ode.json, trajectory.csv, plan.png.

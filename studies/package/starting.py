@@ -45,7 +45,7 @@ def new(
     """
     from linkplan.planner.files.single_file import check_new, write_new
     from linkplan.studies.new.first_motion import first_motion
-    from linkplan.studies.new.problem_file import file_tables, first_text
+    from linkplan.studies.new.problem_text import file_tables, first_text
 
     name = str(model)
     target = None if path is None else path_of(path, "path")

@@ -14,9 +14,10 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
-from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_text
+from linkplan.studies.compare.comparison_blocks import comparison_blocks
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.output.html import html_of
+from linkplan.studies.output.text import text_of
 from linkplan.subjects import listed, plan_to_track, tracking_table
 
 if TYPE_CHECKING:
@@ -139,8 +140,8 @@ class TrackingResult:
         from linkplan.planner.files.folders import write_json, write_whole
         from linkplan.studies.compare.comparison_blocks import comparison_figure
         from linkplan.studies.compare.time_series import save_time_series
+        from linkplan.studies.report.render import save_report
         from linkplan.studies.report.reports import comparison_report
-        from linkplan.studies.report.saving import save_report
 
         target = path_of(folder, "folder")
 
@@ -179,7 +180,7 @@ class TrackingResult:
         return html_of(comparison_blocks(self.comparison))
 
     def __str__(self) -> str:
-        return comparison_text(self.comparison)
+        return text_of(comparison_blocks(self.comparison))
 
     def __repr__(self) -> str:
         names = ", ".join(self.comparison.nominal)

@@ -9,10 +9,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
-from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN_JOINT, TRN_SITE, TRN_TENDON, gear_of
-from linkplan.models.poses.tendon_lines import tendon_lines
-from linkplan.models.tree.coordinates import HINGE, SLIDE
-from linkplan.models.tree.tendons import is_fixed
+from linkplan.studies.output.effort_marks import effort_marks
 from linkplan.studies.render.shapes import Shape, arrow, load_colour
 
 # Sizes are shares of the mechanism's extent. The offset towards the eye keeps arrows in front of the links.
@@ -57,47 +54,13 @@ def effort_shapes(
     """
     if not np.isfinite(share):
         return ()
-    index = actuator.index
-    kind, (on, other) = int(model.actuator_trntype[index]), (int(i) for i in model.actuator_trnid[index])
-    gear = gear_of(model, index)
-    if kind in (TRN_JOINT, TRN_IN_PARENT):
-        return _on_joint(model, data, on, gear, share, size, towards)
-    if kind == TRN_TENDON and is_fixed(model, on):
-        first = int(model.tendon_adr[on])
-        shapes: tuple[Shape, ...] = ()
-        for wrap in range(first, first + int(model.tendon_num[on])):
-            pull = gear * np.sign(model.wrap_prm[wrap])
-            shapes += _on_joint(model, data, int(model.wrap_objid[wrap]), pull, share, size, towards)
-        return shapes
-    if kind == TRN_TENDON:
-        return _along_tendon(data, on, share, size)
-    if kind == TRN_CRANK:  # along the slider's axis, which is its site's z
-        axis = data.site_xmat[other].reshape(3, 3)[:, 2] * np.sign(gear[0])
-        return _straight(data.site_xpos[other], axis, share, size, towards)
-    if kind == TRN_SITE:
-        turned = np.array(data.site_xmat[on if other < 0 else other]).reshape(3, 3)
-        return _wrench(data.site_xpos[on], turned, gear, share, size, towards)
-    return ()
-
-
-def _on_joint(model, data, joint: int, gear: np.ndarray, share: float, size: float, towards) -> tuple[Shape, ...]:
-    anchor, axis = np.array(data.xanchor[joint]), np.array(data.xaxis[joint])
-    kind = int(model.jnt_type[joint])
-    if kind == HINGE:
-        return _arc(anchor, axis * np.sign(gear[0]), share, size, towards)
-    body = int(model.jnt_bodyid[joint])
-    if kind == SLIDE:  # its anchor stays where it is; the body moves
-        return _straight(data.xipos[body], axis * np.sign(gear[0]), share, size, towards)
-    turned = np.array(data.xmat[body]).reshape(3, 3)
-    wrench = gear if gear[3:].any() else np.concatenate([np.zeros(3), gear[:3]])  # a ball's gear is a moment
-    return _wrench(anchor, turned, wrench, share, size, towards)
-
-
-def _wrench(at, turned: np.ndarray, gear: np.ndarray, share: float, size: float, towards) -> tuple[Shape, ...]:
-    """Return a site's force and moment: `gear` (6,) in the frame `turned` (3, 3)."""
-    force, moment = turned @ gear[:3], turned @ gear[3:]
-    shapes = _straight(at, force / np.linalg.norm(force), share, size, towards) if force.any() else ()
-    return shapes + (_arc(at, moment / np.linalg.norm(moment), share, size, towards) if moment.any() else ())
+    shapes: tuple[Shape, ...] = ()
+    for kind, at, axis in effort_marks(model, data, actuator):
+        if kind == "line":
+            shapes += _along_line(at, share, size)
+        else:
+            shapes += (_arc if kind == "arc" else _straight)(at, axis, share, size, towards)
+    return shapes
 
 
 def _arc(centre, axis: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[Shape, ...]:
@@ -142,7 +105,6 @@ def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[
     return arrow(points, thin, load_colour(share), _HEAD_PARTS, base)
 
 
-def _along_tendon(data: mujoco.MjData, tendon: int, share: float, size: float) -> tuple[Shape, ...]:
-    pairs = (pair for line in tendon_lines(data, tendon) for pair in itertools.pairwise(line))
+def _along_line(points: np.ndarray, share: float, size: float) -> tuple[Shape, ...]:
     thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _SHAFT_RADIUS * size
-    return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in pairs)
+    return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in itertools.pairwise(points))

@@ -31,10 +31,10 @@ def axes_of(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, n
     return np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]), sight
 
 
-def own_direction(model: mujoco.MjModel, *, tilted: bool = True) -> tuple[float, float]:
+def own_direction(model: mujoco.MjModel) -> tuple[float, float]:
     """Return azimuth and elevation [rad] of the default view of a mechanism.
 
-    The hinges of a planar mechanism point to the eye, or a little below it if `tilted`. A spatial mechanism is seen from the
+    The hinges of a planar mechanism point a little below the eye. A spatial mechanism is seen from the
     side and above. In a planar mechanism all hinge axes are parallel to a thousandth.
     """
     data = mujoco.MjData(model)
@@ -47,9 +47,9 @@ def own_direction(model: mujoco.MjModel, *, tilted: bool = True) -> tuple[float,
     sight = np.cross(up, right)
     elevation = float(np.arcsin(np.clip(sight[2], -1.0, 1.0)))
     azimuth = float(np.arctan2(-right[0], right[1])) + np.pi if abs(sight[2]) > 1 - 1e-9 else np.arctan2(sight[1], sight[0])
-    if tilted and abs(sight[2]) < 0.5:
+    if abs(sight[2]) < 0.5:
         elevation -= float(np.radians(_TILT_DEG))
-    elif tilted:  # a vertical view is tilted to the side
+    else:  # a vertical view is tilted to the side
         elevation += float(np.copysign(np.radians(2 * _TILT_DEG), -sight[2]))
     return float(azimuth), elevation
 

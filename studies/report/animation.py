@@ -46,7 +46,6 @@ def animation(
     ghosts: Mapping[str, Run] | None = None,
     sites: Mapping[str, int] | None = None,
     period: float | None = None,
-    planned: str = "planned",
     unit: str = "s",
 ) -> Animation:
     """Return the animation of a mechanism.
@@ -62,7 +61,6 @@ def animation(
         ghosts: other runs at the same instants, by name.
         sites: indices of the MuJoCo sites whose paths are drawn, by name.
         period: of a periodic motion [s].
-        planned: name of the solid drawing in the legend.
         unit: of `time_s`, if it is another quantity than time.
     """
     right, up = view(mechanism.model)
@@ -88,7 +86,6 @@ def animation(
         drives=drives,
         labels=_labels(drawing, poses, places),
         paths=[(name, rounded(place)) for name, place in places.items()],
-        planned=planned,
         period=period,
         unit=unit,
         floors=floors_of(mechanism) if not flat or abs(up[2] - 1) < 1e-9 else [],

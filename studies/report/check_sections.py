@@ -11,14 +11,14 @@ from linkplan.studies.output.document import Section
 from linkplan.studies.report.animation import animation, frames_of
 
 
-def check_sections(whole: WholeCheck, *, depth: int = 1) -> list[Section]:
+def check_sections(whole: WholeCheck) -> list[Section]:
     """Return the sections of a check."""
-    first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(whole.found), depth=depth)
+    first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(whole.found))
     n = len(whole.paths)
-    return [first, *(path_section(path, whole.name, depth=depth + 1, of=n) for path in whole.paths)]
+    return [first, *(path_section(path, whole.name, n) for path in whole.paths)]
 
 
-def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, of: int = 1) -> Section:
+def path_section(path: KinematicLoopPath, name: str, of: int) -> Section:
     """Return the section of one `of` several paths: an animation, a table, plots of ratios, inertias, efforts and forces."""
     axis, x = over(path)
     group = f"path:{name}:{path.title}"
@@ -36,4 +36,4 @@ def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, of: int 
         unit=axis.unit,
     )
     blocks = [moving, *path_blocks(path), *path_plots(path, group)]
-    return Section(title=f"Along {path.title}, at rest", blocks=blocks, depth=depth, folded=of > MAX_COORDINATES_DRAWN)
+    return Section(title=f"Along {path.title}, at rest", blocks=blocks, depth=2, folded=of > MAX_COORDINATES_DRAWN)

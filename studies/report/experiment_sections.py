@@ -14,19 +14,19 @@ from linkplan.studies.output.document import Block, Code, Section, Table, table_
 Again = Callable[[str, int], str]
 
 
-def experiment_sections(outcome: Outcome, again: Again | None, *, depth: int = 1) -> list[Section]:
+def experiment_sections(outcome: Outcome, again: Again | None) -> list[Section]:
     """Return the sections of an experiment; `again` returns the command that runs a sample again, if there is one."""
-    experiment, metrics, below = outcome.experiment, outcome.summary.metrics, depth + 1
+    experiment, metrics = outcome.experiment, outcome.summary.metrics
     drawn = [name for start in SHOWN for name in metrics if name.startswith(start)]
     others = [name for name in metrics if name not in drawn]
 
     def section(title: str, blocks: list, *, folded: bool = False) -> list[Section]:
-        return [Section(title=title, blocks=blocks, depth=below, folded=folded)] if blocks else []
+        return [Section(title=title, blocks=blocks, depth=2, folded=folded)] if blocks else []
 
     def distributed(names: list[str]) -> list[Block]:
         return list(distributions(outcome.population, experiment.settings.trackers, names, metrics))
 
-    found = [Section(title=f"Experiment: {experiment.plan.problem.name}", blocks=summary(outcome), depth=depth)]
+    found = [Section(title=f"Experiment: {experiment.plan.problem.name}", blocks=summary(outcome))]
     if outcome.distributed:  # else the machines do not have the distributions of the imperfections
         found += section("Trackers in pairs", pairs(outcome))
         found += section("How the figures are distributed", distributed(drawn))

@@ -13,13 +13,12 @@ from linkplan.studies.tune.tune import Tuning
 from linkplan.studies.tune.tune_report import gain_lines, places, tracking_table, tuned_joints
 
 
-def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool = True) -> list[Section]:
+def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[Section]:
     """Return the sections of a bode study.
 
     Args:
         study: with predicted responses, and measured ones if there are any.
         name: of this loop in the report, for titles and its cursor.
-        depth: of the first section.
         verdict: whether the first section starts with the verdict; False if the page's header shows it.
     """
     group, joints = f"frequency:{name}", study.mechanism.independent_joints
@@ -33,7 +32,7 @@ def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool 
         joint = joints[scan.channel]
         of = "" if len(joints) == 1 else f" of the loop of {joint.name}"
         found.append((f"Margins{of} over {scan.line.name}", [*margins_along(study, scan, f"{name}:{joint.name}")]))
-    return [Section(title=title, blocks=blocks, depth=depth + (k > 0)) for k, (title, blocks) in enumerate(found)]
+    return [Section(title=title, blocks=blocks, depth=1 + (k > 0)) for k, (title, blocks) in enumerate(found)]
 
 
 def tune_sections(found: Tuning) -> list[Section]:

@@ -27,39 +27,37 @@ def group_of(plan: Plan) -> str:
     return f"time:{plan.problem.name}"
 
 
-def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict: bool = True) -> list[Section]:
+def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) -> list[Section]:
     """Return a plan's sections.
 
     Args:
         plan: to show, with or without a motion.
-        depth: of the first section; the others are one level below.
         animated: whether the motion is animated; False if a comparison animates it.
         verdict: whether the first section has the plan's name and verdict; False if the page's header shows them.
     """
     title, first, about = f"Plan: {plan.problem.name}" if verdict else "Overview", _verdict(plan, said=verdict), _about(plan)
     if plan.trajectory is None or plan.certificate is None:
-        return [Section(title=title, blocks=[*first, about, *_notes(plan), _solves(plan), *_problem(plan)], depth=depth)]
+        return [Section(title=title, blocks=[*first, about, *_notes(plan), _solves(plan), *_problem(plan)])]
     try:
         motion = motion_of(plan)
     except AssemblyError as error:
         lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
-        return [Section(title=title, blocks=[*first, about, *_notes(plan), lost, *_problem(plan)], depth=depth)]
+        return [Section(title=title, blocks=[*first, about, *_notes(plan), lost, *_problem(plan)])]
     group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
     over_time = [plot for of in time_plots(plan, motion, group, period).values() for plot in of]
     over_time += force_plots(plan, motion, group, period)
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
-    below = depth + 1
-    robust = robust_section(plan, motion, group, period, depth=below)
+    robust = robust_section(plan, motion, group, period)
     return [
-        Section(title=title, blocks=[*first, *seen, lead_facts(plan, motion), *_notes(plan)], depth=depth),
-        Section(title="Motion and effort", blocks=over_time, depth=below),
-        *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
+        Section(title=title, blocks=[*first, *seen, lead_facts(plan, motion), *_notes(plan)]),
+        Section(title="Motion and effort", blocks=over_time, depth=2),
+        *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=2)]),
         *([] if robust is None else [robust]),
-        Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=below),
-        *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=below)]),
-        Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=below),
-        Section(title="Problem", blocks=[about, *_problem(plan)], depth=below),
+        Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=2),
+        *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=2)]),
+        Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=2),
+        Section(title="Problem", blocks=[about, *_problem(plan)], depth=2),
     ]
 
 

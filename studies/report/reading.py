@@ -19,8 +19,8 @@ from linkplan.studies.batch.study import RECORD as BATCH
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.experiment.study import saved_outcome
 from linkplan.studies.output.document import Block, Facts, Report, Section, Table, Text
+from linkplan.studies.report.render import DOCUMENT, read_document
 from linkplan.studies.report.reports import experiment_report, plan_report, report_of
-from linkplan.studies.report.saving import DOCUMENT, read_document
 
 
 def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = None) -> Report:

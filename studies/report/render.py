@@ -13,7 +13,8 @@ from pathlib import Path
 import msgspec
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.reading import read_head
+from linkplan.models.reading import MAX_FILE_BYTES, read_head
+from linkplan.planner.files.json_record import read_record
 from linkplan.planner.files.single_file import write_over
 from linkplan.studies.output.document import Report
 
@@ -85,3 +86,23 @@ def refuse_other_files(path: Path) -> None:
         begin = b""
     if _OURS not in begin:
         raise PlanFileError(f"'{path}' is no report of linkplan's, and is not replaced; name another file")
+
+
+DOCUMENT, PAGE = "report.json", "report.html"
+
+
+def save_report(report: Report, place: Path, *, page: bool) -> None:
+    """Write a report's document into a folder and read it back; write its page if `page`."""
+    (place / DOCUMENT).write_bytes(document_json(report) + b"\n")
+    read_document(place / DOCUMENT)
+    if page:
+        write_report(report, place / PAGE)
+
+
+def read_document(path: Path) -> Report:
+    """Return a saved document.
+
+    Raises:
+        PlanFileError: if the file is not a document, or a block lacks a value or has a value of another type.
+    """
+    return read_record(path, Report, MAX_FILE_BYTES)  # a robot with forty joints has ten megabytes

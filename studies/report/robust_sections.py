@@ -12,7 +12,7 @@ from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.motion import Motion
 
 
-def robust_section(plan: Plan, motion: Motion, group: str, period: float | None, *, depth: int = 2) -> Section | None:
+def robust_section(plan: Plan, motion: Motion, group: str, period: float | None) -> Section | None:
     """Return the section of a plan's reserve and corners; None if it has neither."""
     corners, reserve = plan.problem.robust.corners, plan.problem.limits.reserve
     if not corners and not reserve:
@@ -22,7 +22,7 @@ def robust_section(plan: Plan, motion: Motion, group: str, period: float | None,
     blocks: list[Block] = [Facts(rows=_facts(plan)), Text(text=f"{said[:1].upper()}{said[1:]}.")]
     if corners:
         blocks += [_table(plan), *_efforts(plan, motion, group, period)]
-    return Section(title="Reserve and corners", blocks=blocks, depth=depth)
+    return Section(title="Reserve and corners", blocks=blocks, depth=2)
 
 
 def _facts(plan: Plan) -> list[tuple[str, str]]:

@@ -24,14 +24,11 @@ from linkplan.studies.report.plan_sections import group_of, plan_sections
 _MAX_JOINTS_SHOWN = 6
 
 
-def comparison_sections(comparison: Comparison, *, depth: int = 1) -> list[Section]:
+def comparison_sections(comparison: Comparison) -> list[Section]:
     """Return the sections of trackers' runs on a plan, without those of the plan."""
     blocks = [_animation(comparison), *comparison_blocks(comparison)]
-    first = Section(title=f"Tracking: {comparison.plan.problem.name}", blocks=blocks, depth=depth)
-    over_time = [
-        section for title, runs in cases_of(comparison) for section in _over_time(comparison, title, runs, depth=depth + 1)
-    ]
-    return [first, *over_time]
+    first = Section(title=f"Tracking: {comparison.plan.problem.name}", blocks=blocks)
+    return [first, *(section for case in cases_of(comparison) for section in _over_time(comparison, *case))]
 
 
 def whole_comparison(comparison: Comparison) -> list[Section]:
@@ -71,7 +68,7 @@ def _run(run: Rollout, frames: np.ndarray) -> Run:
     return Run(poses=np.nan_to_num(run.pose_rad[at]), effort=np.where((frames <= last)[:, None], run.applied[at], 0.0))
 
 
-def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout], *, depth: int) -> list[Section]:
+def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Section]:
     """Return the plots over time: joints and actuators with the largest figures, and the others in a folded section."""
     mechanism = comparison.plan.problem.mechanism
     chosen = largest(np.max([np.abs(run.error_rad).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
@@ -79,10 +76,10 @@ def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout], 
     others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
     blocks = [*joint_plots(comparison, runs, chosen), *site_plots(comparison, runs)]
     blocks += [*effort_plots(comparison, runs, pushed), *gap_plots(comparison, runs)]
-    found = [Section(title=f"Over time: {title}", blocks=[*_left_out(mechanism, *others), *blocks], depth=depth)]
+    found = [Section(title=f"Over time: {title}", blocks=[*_left_out(mechanism, *others), *blocks], depth=2)]
     if any(others):
         blocks = [*joint_plots(comparison, runs, others[0]), *effort_plots(comparison, runs, others[1])]
-        found.append(Section(title=f"Other joints: {title}", blocks=blocks, depth=depth, folded=True))
+        found.append(Section(title=f"Other joints: {title}", blocks=blocks, depth=2, folded=True))
     return found
 
 

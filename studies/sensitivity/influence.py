@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.studies.sensitivity.salib import salib, unit_cube
-from linkplan.studies.sensitivity.scheme import MORRIS, MORRIS_LEVELS, ONE_AT_A_TIME, SOBOL, Scheme
+from linkplan.studies.sensitivity.scheme import MORRIS, MORRIS_LEVELS, ONE_AT_A_TIME, SOBOL, Scheme, salib, unit_cube
 
 _CONFIDENCE_LEVEL = 0.95
 _BOOTSTRAP_RESAMPLES = 100

@@ -6,11 +6,13 @@ another factor's step is not due to the noise.
 """
 
 from dataclasses import dataclass
+from importlib import metadata
+from types import ModuleType
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
-from linkplan.studies.sensitivity.salib import salib, unit_cube
+from linkplan.models.extras import load_extra
 
 ONE_AT_A_TIME, MORRIS, SOBOL = SENSITIVE = ("one-at-a-time", "morris", "sobol")
 # Levels of Morris' grid; a step is two thirds of the range (Saltelli et al., Global Sensitivity Analysis, 2008, 3.2).
@@ -108,3 +110,27 @@ def _sobol(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
 
 def _generator(seed: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed))
+
+
+def salib(name: str) -> ModuleType:
+    """Return a module of SALib.
+
+    Raises:
+        MissingPackageError: if it is not installed.
+    """
+    return load_extra(f"SALib.{name}", "Morris' or Sobol's design")
+
+
+def salib_version() -> str:
+    """Return SALib's version, on which the trials depend.
+
+    Raises:
+        MissingPackageError: if it is not installed.
+    """
+    salib("util")
+    return metadata.version("SALib")
+
+
+def unit_cube(d: int) -> dict:
+    """Return SALib's description of d factors between 0 and 1."""
+    return {"num_vars": d, "names": [str(i) for i in range(d)], "bounds": [[0.0, 1.0]] * d, "groups": None}

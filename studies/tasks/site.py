@@ -15,14 +15,6 @@ from linkplan.planner.plan_folder import versions
 _ONE_TASK_LOCK = threading.Lock()
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Site:
-    """The folder for relative paths, and the versions on which results depend."""
-
-    folder: str
-    versions: Mapping[str, str]
-
-
 @dataclass(frozen=True, slots=True)
 class Refused:
     """The text of the error of a task, because not every error can be sent from one process to another."""
@@ -30,26 +22,19 @@ class Refused:
     text: str
 
 
-def this_site() -> Site:
-    """Return the site of this process."""
-    return Site(folder=os.getcwd(), versions=versions())
-
-
-def at_site(site: Site, work: Callable, *given: object) -> object:
-    """Return the result of `work` at a site, or its error as `Refused`."""
+def at_site(folder: str, expected: Mapping[str, str], work: Callable, *given: object) -> object:
+    """Return the result of `work` in a folder, or its error as `Refused`; `expected` are the versions that it needs."""
     try:
-        with _ONE_TASK_LOCK, _in_folder(site.folder):
-            _refuse_other_versions(site)
+        with _ONE_TASK_LOCK, _in_folder(folder):
+            _refuse_other_versions(expected)
             return work(*given)
     except LinkplanError as error:
         return Refused(str(error))
 
 
-def _refuse_other_versions(site: Site) -> None:
+def _refuse_other_versions(expected: Mapping[str, str]) -> None:
     mine = versions()
-    other = [
-        f"{name} {mine.get(name)}, here {version}" for name, version in site.versions.items() if mine.get(name) != version
-    ]
+    other = [f"{name} {mine.get(name)}, here {version}" for name, version in expected.items() if mine.get(name) != version]
     if other:
         raise LinkplanError(
             f"a worker on {socket.gethostname()} has {other[0]}; results would differ, install the same there"

@@ -1,13 +1,15 @@
 """Tasks on an engine: every result once, as soon as it is available, even if workers are lost."""
 
 import concurrent.futures
+import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TypeVar
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.interrupts import check
+from linkplan.planner.plan_folder import versions
 from linkplan.studies.tasks.engine import Engine, Pool, Say
-from linkplan.studies.tasks.site import Refused, at_site, this_site
+from linkplan.studies.tasks.site import Refused, at_site
 
 # After more losses of workers, the cause is assumed to be permanent.
 _MOST_DEATHS = 3
@@ -50,11 +52,11 @@ def streamed(
 
 def _once(pool: Pool, work: Callable[[int, int], Result], tasks: Sequence[int]) -> Iterator[tuple[int, Result]]:
     """Yield tasks with their results from an open pool, until a worker is lost."""
-    site, queue, asked = this_site(), iter(tasks), {}
+    site, queue, asked = (os.getcwd(), versions()), iter(tasks), {}
     while True:
         while len(asked) < pool.ahead and (task := next(queue, None)) is not None:
             check()
-            asked[pool.executor.submit(at_site, site, work, task, pool.threads)] = task
+            asked[pool.executor.submit(at_site, *site, work, task, pool.threads)] = task
         if not asked:
             return
         check()

@@ -57,12 +57,12 @@ def arrays_of(transfer: Transfer) -> dict[str, np.ndarray]:
     found["effort_box"] = effort_box(ratio, limit)
     if ratio.shape[1] <= MOST_CORNER_MOTORS and np.isfinite(limit).all():
         found["effort_corners"] = effort_corners(ratio, limit)
-    speed = transfer.carried.motor_speed
+    speed = transfer.motor_speed
     if speed is not None:
         found["speed_alone"] = speed_alone(ratio, speed)
         if ratio.shape[1] == ratio.shape[2]:
             found["speed_box"] = speed_box(ratio, speed)
-    for name, gains in transfer.carried.gains.items():
+    for name, gains in transfer.gains.items():
         side, _, letter = name.partition("_")
         if side == "joint":
             found[f"motor_{letter}"] = motor_gains(ratio, np.diag(gains))

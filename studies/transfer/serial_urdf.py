@@ -70,7 +70,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
         found.append(
             f"no <transmission>, which carries a constant of one joint: {why}; transmission.hpp and the tables carry it"
         )
-    if transfer.carried.motor_speed is None or not np.isfinite(_speeds(transfer)).all():
+    if transfer.motor_speed is None or not np.isfinite(_speeds(transfer)).all():
         found.append(f"speed limits are {_UNKNOWN_SPEED} where no speeds of the motors are given")
     lacking = {
         "springs of joints": bool(np.any(model.jnt_stiffness)),
@@ -149,7 +149,7 @@ def _first(model: mujoco.MjModel, body: int, anchor: np.ndarray, shift: np.ndarr
 
 def _speeds(transfer: Transfer) -> np.ndarray:
     """Return the joints' largest speeds (n_o,) at home, infinite where unknown."""
-    speed, ratio = transfer.carried.motor_speed, transfer.home.ratio
+    speed, ratio = transfer.motor_speed, transfer.home.ratio
     if speed is None or ratio.shape[1] != ratio.shape[2]:
         return np.full(ratio.shape[2], np.inf)
     found = speed_box(ratio, speed)[0]

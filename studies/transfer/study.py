@@ -26,27 +26,19 @@ GAINS = {
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Carried:
-    """What is carried across a transmission: the motors' top speeds (n_m,) or None, and gains by their name in `GAINS`.
-
-    Gains of joints (n_o,) are carried to the motors, those of motors (n_m,) to the joints; all in SI.
-    """
-
-    motor_speed: np.ndarray | None
-    gains: Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Transfer:
     """A transfer table, the linkage at home, the motors' effort limits (n_m, 2), and what is carried across.
 
+    `motor_speed` are the motors' top speeds (n_m,) or None. `gains` have names of `GAINS`: those of joints (n_o,) go to the
+    motors, those of motors (n_m,) to the joints; all in SI.
     `serial` is the serial equivalent; None if the linkage has none, with the reason in `serial_note`.
     """
 
     table: TransferTable
     home: Transmission
     effort_limit: np.ndarray
-    carried: Carried
+    motor_speed: np.ndarray | None
+    gains: Mapping[str, np.ndarray]
     serial: Serial | None
     serial_note: str
 
@@ -130,7 +122,8 @@ def transfer_study(
         table=table,
         home=transmission(outputs, inside.home[None]),
         effort_limit=limit,
-        carried=Carried(motor_speed=speed, gains=carried),
+        motor_speed=speed,
+        gains=carried,
         serial=serial,
         serial_note=note,
     )

@@ -114,7 +114,7 @@ def transfer_record(transfer: Transfer) -> dict:
 def carried_gains(transfer: Transfer) -> dict[str, np.ndarray]:
     """Return the gains carried across at home, by their names: "motor_kp" (n_m, n_m), "joint_kp" (n_o, n_o), ..."""
     found = {}
-    for name, gains in transfer.carried.gains.items():
+    for name, gains in transfer.gains.items():
         side, _, letter = name.partition("_")
         across, other = (motor_gains, "motor") if side == "joint" else (joint_gains, "joint")
         found[f"{other}_{letter}"] = across(transfer.home.ratio, np.diag(gains))[0]

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.tables import inline
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from linkplan.studies.tune.judged import JudgedLoop
 from linkplan.studies.tune.tune import Tuning
 

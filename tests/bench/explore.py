@@ -6,7 +6,7 @@ import time
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.explore.session import Session
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.timing import median_s, say
 
 PROBLEM = "knee-reach"

@@ -8,7 +8,7 @@ from linkplan.controllers.simulate import simulate_one
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.timing import median_s, say
 
 

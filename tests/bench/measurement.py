@@ -9,7 +9,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.measure import measure
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.timing import median_s
 
 

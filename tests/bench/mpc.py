@@ -14,7 +14,7 @@ from linkplan.controllers.trackers.prediction import predictor
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.timing import say
 
 _RUNS = 5

@@ -17,7 +17,7 @@ from linkplan.planner.files.tables import BUILT_IN
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.replan import Replanner
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.packages import installed
 from tests.bench.shares import timed_solves
 from tests.bench.timing import EXACT_TIME, GOAL, REPEATS, first_solve, medians_s, over, own_cache, say

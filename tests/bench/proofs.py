@@ -11,7 +11,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.proof.prove import prove
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.timing import say
 from tests.support.digger import DIGGER
 from tests.support.four_bars import load

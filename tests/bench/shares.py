@@ -18,7 +18,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers import solve as solving
 from linkplan.planner.solvers.solve import Solver, build_solver, run_solver
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.timing import first_program, own_cache, say
 
 _REPEATS = 9

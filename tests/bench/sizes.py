@@ -22,7 +22,7 @@ from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.solvers.solve import build_solver, run_solver
-from linkplan.studies.output.tables import table
+from linkplan.studies.output.text import table
 from tests.bench.timing import first_program, say
 from tests.support.planar import random_planar
 

@@ -13,7 +13,8 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import record
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.studies.output.plan_blocks import plan_text
+from linkplan.studies.output.plan_blocks import plan_blocks
+from linkplan.studies.output.text import text_of
 
 # The knee's reach said of the rocker C, whose motor is at O.
 AT_C = {"kind": "reach", "start_deg": {"C": -20.0}, "goal_deg": {"C": 40.0}, "duration_s": 0.3}
@@ -41,7 +42,7 @@ def test_a_motion_of_a_joint_that_is_not_driven_is_planned_in_it_and_says_so():
     found = plan(asked)
     by_hand = plan(problem(AT_C, mechanism={"model": "optimus-knee", "independent": ["C"]}))
     assert found.objective == pytest.approx(by_hand.objective, rel=1e-9)
-    assert f"note: {note}" in plan_text(found)
+    assert f"note: {note}" in text_of(plan_blocks(found))
     assert record(found)["notes"] == [note]
     assert record(found)["problem"]["mechanism"]["independent"] == ["C"]
 
@@ -108,7 +109,7 @@ def test_the_notes_are_printed_where_there_is_no_motion_too():
     free = {key: value for key, value in AT_C.items() if key != "duration_s"}
     none = plan_motion(problem(free | {"max_duration_s": 1e-3, "start_speed_deg_s": {"C": 0.0}}))
     assert none.trajectory is None
-    assert "note: the motion names C" in plan_text(none)
+    assert "note: the motion names C" in text_of(plan_blocks(none))
     assert json.dumps(record(none)["notes"])
 
 

@@ -3,10 +3,10 @@
 import re
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.plan_folder import write_plan

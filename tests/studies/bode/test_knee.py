@@ -13,11 +13,13 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study, default_poses
-from linkplan.studies.bode.bode_report import bode_record, bode_text
+from linkplan.studies.bode.bode_blocks import summary
+from linkplan.studies.bode.bode_report import bode_record
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.measure import measure
+from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import (
     AT_NYQUIST_DB,
     CROSSOVER,
@@ -105,7 +107,7 @@ def test_the_study_names_the_worst_angle_and_says_how_well_the_two_agree():
         frequency_hz=np.array([200.0, 1000.0]),
         scanned=7,
     )
-    record, text = bode_record(study), bode_text(study)
+    record, text = bode_record(study), text_of(summary(study))
     # Where the inertia is least the sampled loop is nearest to its border.
     scan = study.scans[0]
     assert np.degrees(scan.positions[scan.worst]) == pytest.approx(62.45, abs=0.1)

@@ -12,12 +12,12 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_report import bode_text
+from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.measure import measure
-from linkplan.studies.frequency.trial import Trials
+from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import CROSSOVER, MARGIN, MEASURED_DB, MEASURED_DEG
 
 # The five-bar in the coordinates of its left leg: each of its motors, on the legs' first joints, moves both.
@@ -64,7 +64,7 @@ def test_the_crossover_that_is_stated_is_where_the_phase_margin_is_and_others_ar
     first, _ = study.points
     others = ", ".join(f"{f:.4g}" for f in first.margins.other_crossovers_hz)
     stated = first.margins.crossover_hz
-    assert f"the gain is one at {others} Hz too; the phase margin is least at {stated:.4g} Hz" in bode_text(study)
+    assert f"the gain is one at {others} Hz too; the phase margin is least at {stated:.4g} Hz" in text_of(summary(study))
 
 
 def test_a_coordinate_s_loop_is_measured_as_predicted():
@@ -101,13 +101,13 @@ def test_default_poses_of_several_freedoms_lie_along_the_motion():
 def test_the_text_says_where_the_loops_are_broken():
     mechanism, point, _ = leg_loop()
     limit = mechanism.effort_limit
-    text = bode_text(bode_study(mechanism, point.state[:2], GAINS, limit, scanned=0))
+    text = text_of(summary(bode_study(mechanism, point.state[:2], GAINS, limit, scanned=0)))
     assert "each loop is broken at the effort on its coordinate (O1, E1), made by act_O1, act_O2 together" in text
 
 
 def test_a_loop_that_is_stable_in_the_model_and_not_in_mujoco_is_a_no(monkeypatch):
     mechanism, point, _ = leg_loop()
-    never = Trials(settles=np.zeros(1, dtype=bool), periods=1)
+    never = np.zeros(1, dtype=bool)
     monkeypatch.setattr(bode_module, "settle_trials", lambda *_: never)
     study = bode_study(mechanism, point.state[:2], GAINS, mechanism.effort_limit, scanned=0)
     assert all(entry.margins.stable for entry in study.points)

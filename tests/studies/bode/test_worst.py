@@ -8,13 +8,14 @@ from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_report import bode_text
+from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import _roots as crossings
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.stability_map import critical_kd
 from linkplan.studies.frequency.worst import local_minima
+from linkplan.studies.output.text import text_of
 from linkplan.studies.tune.tune import Wanted, tune
 from tests.support.tolerances_loops import ON_A_GRID
 
@@ -45,7 +46,7 @@ def test_the_least_gain_margin_over_the_reach_is_the_largest_stable_damping_gain
     assert np.degrees(study.scans[0].positions[k]) == pytest.approx(WORST_DEG, abs=0.1)
     assert least == pytest.approx(5.23, abs=0.01)
     assert min(point.margins.gain_margin_db for point in study.points) == pytest.approx(least, abs=1e-3)
-    assert "least gain margin 5.23 dB at O = 62.4" in bode_text(study)
+    assert "least gain margin 5.23 dB at O = 62.4" in text_of(summary(study))
     worst = operating_point(study.mechanism, study.scans[0].line.at(study.scans[0].positions[k]))
     assert critical_kd(worst, 200.0, study.timing)[1] == pytest.approx(LARGEST_SAFE_KD, abs=1e-3)
 

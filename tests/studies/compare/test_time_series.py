@@ -18,9 +18,10 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
 from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, track
-from linkplan.studies.compare.comparison_blocks import comparison_figure, comparison_text
+from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.time_series import run_columns, save_time_series
-from linkplan.studies.output.plan_blocks import plan_text
+from linkplan.studies.output.plan_blocks import plan_blocks
+from linkplan.studies.output.text import text_of
 
 SOFT = re.sub(r' solref="[^"]*" solimp="[^"]*"', "", built_in_text("optimus-knee"))
 
@@ -76,7 +77,7 @@ def test_the_figure_has_every_joint_and_every_actuator():
 
 def test_the_table_has_the_peak_of_every_actuator():
     comparison = compared("five-bar")
-    text = comparison_text(comparison)
+    text = text_of(comparison_blocks(comparison))
     head = text.split("----")[0]
     assert head.count("peak") == head.count("[N.m]") == 2
     assert head.index("act_O1") < head.index("act_O2")
@@ -93,7 +94,7 @@ def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
     assert f"{1e3 * run.gap_m.max():.3g} mm" in note
     assert re.search(r"[A-D] is off by up to [\d.e-]+ deg", note)
     assert 'mechanism.solref = "stiff"' in note
-    assert note in comparison_text(comparison)
+    assert note in text_of(comparison_blocks(comparison))
     assert comparison_notes(compared("optimus-knee")) == []
 
 
@@ -117,10 +118,10 @@ def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
     assert note.startswith(
         f"pd, soft closures: in MuJoCo angles that closures tie are off by up to {off.max():.3g} rad, and B"
     )
-    text = comparison_text(comparison)
+    text = text_of(comparison_blocks(comparison))
     assert "gap [urad]" in text
     assert "[um]" not in text
-    (row,) = (line for line in plan_text(plan).splitlines() if line.startswith("closure gap"))
+    (row,) = (line for line in text_of(plan_blocks(plan)).splitlines() if line.startswith("closure gap"))
     assert row.endswith("rad")
     assert certificate_record(plan.problem, plan.certificate)["closure_gap_rad"] == 0
 

@@ -15,11 +15,12 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, default_mismatch, track, tracking_reference
 from linkplan.studies.decompose.decompose import decompose, decomposition_record
-from linkplan.studies.decompose.decomposition_blocks import decomposition_figure, decomposition_text
+from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_figure
 from linkplan.studies.decompose.ladder import RUNGS
 from linkplan.studies.experiment.block import run_block
 from linkplan.studies.experiment.experiment import Settings, experiment_of
 from linkplan.studies.output.document import Table
+from linkplan.studies.output.text import text_of
 from linkplan.studies.report.reports import decomposition_report
 from tests.support.plans import optimal, problem_of
 from tests.support.tolerances_planner import SAME_FIGURE
@@ -135,7 +136,7 @@ def test_random_imperfections_are_drawn_as_an_experiment_draws_them():
     each = np.array(run_block(experiment_of(plan, Settings(trackers=("lqr",), samples=5, seed=3)), 0)["rms_error_deg"])
     assert np.ptp(each) > 0
     assert found.trackers[0].shares["deg"].rms == pytest.approx(np.sqrt(np.mean(each**2)), rel=SAME_RUN)
-    assert "5 machines" in decomposition_text(found)
+    assert "5 machines" in text_of(decomposition_blocks(found))
 
 
 def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
@@ -144,14 +145,14 @@ def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
     lost = found.trackers[0]
     assert lost.machines == 0
     assert "lost after discretisation of the plan was switched on" in next(iter(lost.failures))
-    text = decomposition_text(found)
+    text = text_of(decomposition_blocks(found))
     assert "pd+ff, 1 of 1 machines left out" in text
     assert "lqr" in text.splitlines()[3]
 
 
 def test_tables_have_all_trackers_and_columns_add_up():
     found = decompose(reach(SHORT, "imperfections.payload_mass_factor=1.2"), TRACKERS)
-    text = decomposition_text(found)
+    text = text_of(decomposition_blocks(found))
     for name in TRACKERS:
         assert name in text
     column = [float(line.split()[-1]) for line in text.split("\n\n")[1].splitlines()[3:]]

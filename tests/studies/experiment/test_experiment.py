@@ -17,8 +17,8 @@ from linkplan.planner.planning import silent
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.experiment import block as blocks
 from linkplan.studies.experiment import conduct as conducting
+from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings, experiment_of, fall_note
-from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
 from linkplan.studies.tasks import unfinished as parts
 from tests.support.data import ROOT

@@ -8,8 +8,8 @@ from linkplan.planner.planning import silent
 from linkplan.studies.compare.tracker_source import source_files, source_hash
 from linkplan.studies.compare.user_tracker import tracker_named
 from linkplan.studies.experiment import conduct as conducting
+from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings
-from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.study import RESULTS, refuse_changed_tracker, run_experiment, saved_experiment
 from tests.support.plans import optimal
 

@@ -8,10 +8,12 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.planning import silent
+from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings, experiment_of
-from linkplan.studies.experiment.replay import replay
-from linkplan.studies.experiment.sensitivity_blocks import sensitivity_text, tornado_figure
+from linkplan.studies.experiment.experiment_blocks import sensitivity
+from linkplan.studies.experiment.sensitivity_blocks import tornado_figure
 from linkplan.studies.experiment.study import RECORD, run_experiment, saved_outcome
+from linkplan.studies.output.text import text_of
 from tests.support.plans import optimal
 
 SHORT, START = "tracking.duration_s=0.01", "tracking.duration_s=0.05"
@@ -106,13 +108,14 @@ def test_the_record_the_table_and_the_figure_stand_in_the_folder(tmp_path):
     ordered = [one["effects"][label]["importance"] for label in one["ranking"]]
     assert ordered == sorted(ordered, reverse=True)
     assert saved_outcome(tmp_path / "x").record == outcome.record
-    text = sensitivity_text("knee-reach", outcome.sensitivity, 0)
+    text = text_of(sensitivity(outcome))
     assert text.count("coulomb_friction.O") >= 1
 
 
 def test_a_tornados_bars_end_where_the_figure_does_at_the_ends_of_each_range():
-    found = tried("one-at-a-time", [DELAY, PAYLOAD], SHORT).sensitivity
-    (axis,) = tornado_figure(found, "rms_error_deg", "tornado", None).axes
+    outcome = tried("one-at-a-time", [DELAY, PAYLOAD], SHORT)
+    found = outcome.sensitivity
+    (axis,) = tornado_figure("knee-reach", outcome.record["sensitivity"], "rms_error_deg", None).axes
     one = found.influences["pd+ff"]["rms_error_deg"]
     bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axis.patches]
     assert [sorted(bar) for bar in bars] == [
@@ -129,7 +132,7 @@ def test_failures_are_told_and_success_says_what_they_are_owed_to():
     assert found.influences["pd+ff"]["rms_error_deg"].left_out > 0
     assert found.influences["pd+ff"]["success"].left_out == 0
     assert found.ranking("pd+ff", "success")[0] == "link_length_factor.coupler"
-    assert "left out of the errors" in sensitivity_text("knee-reach", found, 0)
+    assert "left out of the errors" in text_of(sensitivity(outcome))
 
 
 def test_python_has_it_as_a_value():

@@ -17,8 +17,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.cli.main import main
 from linkplan.studies.export import c_files
-from linkplan.studies.export.c_blocks import cost_blocks
-from linkplan.studies.export.c_files import write_model
+from linkplan.studies.export.c_files import cost_blocks, write_model
 from linkplan.studies.export.c_model import ModelCode, header_text, model_code, random_states
 from linkplan.studies.export.c_operations import in_single_precision, operations
 from linkplan.studies.export.c_source import function_of, identifier

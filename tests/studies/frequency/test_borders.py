@@ -57,8 +57,8 @@ def test_critical_kd_brackets_mujocos_own_border_at_nine_angles(knee):
     critical = [critical_kd(point, 200.0, timing)[1] for point in points]
     below = [pd_loop(point, 200.0, kd * (1 - BORDER), timing) for point, kd in zip(points, critical, strict=True)]
     above = [pd_loop(point, 200.0, kd * (1 + BORDER), timing) for point, kd in zip(points, critical, strict=True)]
-    assert settle_trials(below, knee.effort_limit).settles.all()
-    assert not settle_trials(above, knee.effort_limit).settles.any()
+    assert settle_trials(below, knee.effort_limit).all()
+    assert not settle_trials(above, knee.effort_limit).any()
 
 
 def test_the_documents_gains_are_beyond_the_border_at_every_angle_and_within_it_at_a_tenth_of_the_period(knee):
@@ -66,7 +66,7 @@ def test_the_documents_gains_are_beyond_the_border_at_every_angle_and_within_it_
     for period, stable in ((1e-4, False), (1e-5, True)):
         loops = [pd_loop(point, 200.0, 10.0, sampling(knee, period)) for point in points]
         assert [loop.stable for loop in loops] == [stable] * 9
-        assert settle_trials(loops, knee.effort_limit).settles.tolist() == [stable] * 9
+        assert settle_trials(loops, knee.effort_limit).tolist() == [stable] * 9
 
 
 @pytest.mark.slow
@@ -82,7 +82,7 @@ def test_a_delay_a_little_below_its_margin_is_stable_in_mujoco_and_a_little_abov
     for delay, toward in ((margin * (1 - DELAY), np.floor), (margin * (1 + DELAY), np.ceil)):
         late = timing.delayed(int(toward(delay / timing.timestep_s)))
         trial = feedback_loop(point, loop.gain, late, SIMULATED)
-        settled.append(bool(settle_trials([trial], knee.effort_limit).settles[0]))
+        settled.append(bool(settle_trials([trial], knee.effort_limit)[0]))
     assert settled == [True, False]
 
 
@@ -93,8 +93,8 @@ def test_the_longest_period_of_the_documents_gains_is_the_critical_ones(knee):
     assert longest == pytest.approx(2 * least / 10.0, rel=LONGEST_PERIOD)
     assert where.name == points[-1].name
     loops = {f: [pd_loop(points[-1], 200.0, 10.0, sampling(knee, f * longest))] for f in (0.97, 1.03)}
-    assert settle_trials(loops[0.97], knee.effort_limit).settles.all()
-    assert not settle_trials(loops[1.03], knee.effort_limit).settles.any()
+    assert settle_trials(loops[0.97], knee.effort_limit).all()
+    assert not settle_trials(loops[1.03], knee.effort_limit).any()
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_a_map_agrees_with_mujoco_on_both_sides_of_its_border(payload):
     found = stability_map(points, timing, kp, kd, mechanism.effort_limit)
     predicted = [pd_loop(points[i], p, d, timing).stable for p, d, i in found.tried]
     assert {True, False} == set(predicted)
-    assert found.trials.settles.tolist() == predicted
+    assert found.settles.tolist() == predicted
     for i, j in ((0, 0), (3, 4), (7, 8), (5, 2)):
         loops = [pd_loop(point, kp[i], kd[j], timing) for point in points]
         assert found.radius[i, j] == pytest.approx(max(loop.radius for loop in loops), rel=RADIUS)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.studies.output.digits import figure, known_digits, radius_figure
-from linkplan.studies.output.objective_unit import objective_unit
-from linkplan.studies.output.plan_blocks import plan_text
+from linkplan.studies.output.digits import figure, known_digits, objective_unit, radius_figure
+from linkplan.studies.output.plan_blocks import plan_blocks
+from linkplan.studies.output.text import text_of
 from tests.support.plans import optimal, problem_of
 
 
@@ -16,7 +16,7 @@ def test_a_plan_s_figures_have_the_digits_that_its_integration_leaves_of_its_mot
     plan = optimal("knee-reach")  # over 105.34 deg
     worse = replace(plan, certificate=replace(plan.certificate, integration_error_deg=error_deg))
     assert known_digits(worse) == digits
-    said = next(line for line in plan_text(worse).splitlines() if line.startswith("objective")).split()[2]
+    said = next(line for line in text_of(plan_blocks(worse)).splitlines() if line.startswith("objective")).split()[2]
     assert said == f"{plan.objective:.{digits}g}"
 
 
@@ -28,7 +28,7 @@ def test_errors_have_two_digits_and_rounding_none():
 
 
 def test_every_effort_and_limit_has_its_unit():
-    lines = [line for line in plan_text(optimal("knee-reach")).splitlines() if line.startswith("effort act_O")]
+    lines = [line for line in text_of(plan_blocks(optimal("knee-reach"))).splitlines() if line.startswith("effort act_O")]
     assert len(lines) == 1
     assert lines[0].count("N.m") == 2
 

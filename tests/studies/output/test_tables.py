@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkplan.studies.output.document import Facts, Table, Text, table_of
-from linkplan.studies.output.tables import table
 from linkplan.studies.output.terminal import drawn
-from linkplan.studies.output.text import text_of
+from linkplan.studies.output.text import table, text_of
 
 SEQUENCE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 WORD = st.text(st.characters(whitelist_categories=("Lu", "Ll", "Nd"), whitelist_characters="_.-"), min_size=1, max_size=50)

@@ -9,9 +9,8 @@ from linkplan.models.errors import PlanFileError
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Checklist, Report, Table, Text
 from linkplan.studies.report.reading import folder_report
-from linkplan.studies.report.render import document_json, write_report
+from linkplan.studies.report.render import DOCUMENT, document_json, save_report, write_report
 from linkplan.studies.report.reports import plan_report
-from linkplan.studies.report.saving import DOCUMENT, save_report
 from tests.support.plans import optimal, saved_plan
 from tests.support.reports import blocks
 

@@ -11,6 +11,7 @@ import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.planner.keys.sections import BatchFile, CaseSection
+from linkplan.planner.plan_folder import versions
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
 from linkplan.studies.tasks import cluster as dask_cluster
@@ -18,7 +19,7 @@ from linkplan.studies.tasks import streaming
 from linkplan.studies.tasks.cluster import cluster
 from linkplan.studies.tasks.engine import Pool, here, processes
 from linkplan.studies.tasks.progress import Progress
-from linkplan.studies.tasks.site import Refused, Site, at_site, this_site
+from linkplan.studies.tasks.site import Refused, at_site
 from linkplan.studies.tasks.streaming import streamed
 
 
@@ -89,18 +90,16 @@ def test_workers_that_die_again_and_again_end_it_in_one_line(monkeypatch):
 
 
 def test_a_worker_with_other_versions_is_refused():
-    site = Site(folder=os.getcwd(), versions={**this_site().versions, "mujoco": "9.9"})
-    answer = at_site(site, squared, 2, 1)
+    answer = at_site(os.getcwd(), {**versions(), "mujoco": "9.9"}, squared, 2, 1)
     assert isinstance(answer, Refused)
     assert "here 9.9; results would differ" in answer.text
 
 
 def test_a_task_runs_in_the_folder_of_who_asks(tmp_path, monkeypatch):
     before = os.getcwd()
-    site = Site(folder=str(tmp_path), versions={})
-    assert at_site(site, os.getcwd) == str(tmp_path)
+    assert at_site(str(tmp_path), {}, os.getcwd) == str(tmp_path)
     assert os.getcwd() == before
-    answer = at_site(Site(folder=str(tmp_path / "nowhere"), versions={}), os.getcwd)
+    answer = at_site(str(tmp_path / "nowhere"), {}, os.getcwd)
     assert isinstance(answer, Refused)
     assert "does not see" in answer.text
     monkeypatch.undo()

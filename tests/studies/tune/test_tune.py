@@ -8,8 +8,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
-from linkplan.studies.frequency.margins import margins
-from linkplan.studies.frequency.poles import damping_ratio, settling_time_s
+from linkplan.studies.frequency.margins import damping_ratio, margins, settling_time_s
 from linkplan.studies.tune.draw_tune import tune_figure
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
