@@ -14,8 +14,8 @@ BOUNDARY_SHARE = 1e-6
 
 
 Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
-# Start and goal may exceed a limit by this share of the extent, because inverse kinematics and rounding are inexact.
-SITE_SLACK = 2e-9
+# Start and goal may exceed a limit by this share of its size, because inverse kinematics and rounding are inexact.
+POSE_SLACK = 2e-9
 
 
 def relative_violation(values: np.ndarray, bounds: Bounds, size: np.ndarray | float) -> float:

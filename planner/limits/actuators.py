@@ -21,14 +21,13 @@ from linkplan.planner.limits.path_limit import (
     RELAXED_FACTOR,
     Bounds,
     Instant,
-    Margin,
+    Measured,
     MotionArrays,
     PathLimit,
     Problem,
     Samples,
     Scales,
     limited_rows,
-    margin_of,
     with_limits,
 )
 from linkplan.planner.limits.samples import samples_of
@@ -61,12 +60,11 @@ class EffortRateLimit(PathLimit):
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any]:
         return "rate_columns", self.item
 
-    def margin(self, samples: Samples) -> Margin:
-        actuator = samples.problem.mechanism.actuators[self.item]
-        rate, jumps = effort_rates(samples.trajectory, samples.time)
+    def measured(self, at: Samples) -> Measured:
+        actuator, bounds = at.problem.mechanism.actuators[self.item], at.problem.limits.effort_rate[self.item]
+        rate, jumps = effort_rates(at.trajectory, at.time)
         values = np.where(np.isnan(jumps[:, self.item]), rate[:, self.item], jumps[:, self.item])
-        bounds: Sequence[float] = samples.problem.limits.effort_rate[self.item]
-        return margin_of(self, actuator.name, values, bounds, f"{actuator.unit}/s", samples)
+        return Measured(actuator.name, values, bounds, f"{actuator.unit}/s")
 
     @classmethod
     def without(cls, problem: Problem) -> Problem:
@@ -155,10 +153,10 @@ class PowerLimit(PathLimit):
         rate, columns = scales.position / scales.time_s, list(self.levers)
         return maps[:, columns, self.item] * scales.effort[self.item] * rate[columns] / scales.power
 
-    def margin(self, samples: Samples) -> Margin:
-        j, problem = self.item, samples.problem
-        values = samples.u[:, j] * samples.actuator_speeds[:, j]
-        return margin_of(self, problem.mechanism.actuators[j].name, values, problem.limits.power[j], "W", samples)
+    def measured(self, at: Samples) -> Measured:
+        j, problem = self.item, at.problem
+        values = at.u[:, j] * at.actuator_speeds[:, j]
+        return Measured(problem.mechanism.actuators[j].name, values, problem.limits.power[j], "W")
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,10 +202,10 @@ class MotorLimit(PathLimit):
         alpha, beta = 1.0 / motor.stall_effort, 1.0 / motor.no_load_speed
         return alpha * scales.effort[self.item], beta * gear * scales.position[self.column] / scales.time_s
 
-    def margin(self, samples: Samples) -> Margin:
-        j, motor = self.item, samples.problem.motors[self.item]
-        values = samples.u[:, j] / motor.stall_effort + samples.actuator_speeds[:, j] / motor.no_load_speed
-        return margin_of(self, samples.problem.mechanism.actuators[j].name, values, (-1.0, 1.0), "", samples)
+    def measured(self, at: Samples) -> Measured:
+        j, motor = self.item, at.problem.motors[self.item]
+        values = at.u[:, j] / motor.stall_effort + at.actuator_speeds[:, j] / motor.no_load_speed
+        return Measured(at.problem.mechanism.actuators[j].name, values, (-1.0, 1.0))
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:
@@ -247,12 +245,12 @@ class ControlLimit(PathLimit):
         actuator = problem.mechanism.actuators[self.item]
         return actuator.control_lower / _unit(actuator), actuator.control_upper / _unit(actuator)
 
-    def margin(self, samples: Samples) -> Margin:
-        j, actuator = self.item, samples.problem.mechanism.actuators[self.item]
-        u, bounds = samples.u[:, j], (actuator.control_lower, actuator.control_upper)
-        ctrl = _ctrl(actuator, u, samples.of_pose("actuator_length")[:, j], samples.actuator_speeds[:, j])
-        ranged, bent = _ranged(actuator, ctrl, u, len(samples.points))
-        return margin_of(self, actuator.name, ranged, bounds, "", samples, bent=bent)
+    def measured(self, at: Samples) -> Measured:
+        j, actuator = self.item, at.problem.mechanism.actuators[self.item]
+        u, bounds = at.u[:, j], (actuator.control_lower, actuator.control_upper)
+        ctrl = _ctrl(actuator, u, at.of_pose("actuator_length")[:, j], at.actuator_speeds[:, j])
+        ranged, bent = _ranged(actuator, ctrl, u, len(at.points))
+        return Measured(actuator.name, ranged, bounds, bent=bent)
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:
@@ -327,12 +325,12 @@ class RobustLimit(PathLimit):
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return tuple(problem.robust.room * problem.limits.effort[self.actuator] / scales.effort[self.actuator])
 
-    def margin(self, samples: Samples) -> Margin:
-        problem, actuator = samples.problem, samples.problem.mechanism.actuators[self.actuator]
+    def measured(self, at: Samples) -> Measured:
+        problem, actuator = at.problem, at.problem.mechanism.actuators[self.actuator]
         corner = self.corners[self.corner].description(tuple(joint.name for joint in problem.mechanism.joints))
         bounds = problem.robust.room * problem.limits.effort[self.actuator]
-        values = samples.corner_efforts[:, self.corner, self.actuator]
-        return margin_of(self, f"{actuator.name} with {corner}", values, bounds, actuator.unit, samples)
+        values = at.corner_efforts[:, self.corner, self.actuator]
+        return Measured(f"{actuator.name} with {corner}", values, bounds, actuator.unit)
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:

@@ -5,21 +5,20 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import casadi as ca
-import numpy as np
 
-from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.path_limit import (
     BETWEEN_NODES_FACTOR,
     Bounds,
     Instant,
     Margin,
+    Measured,
     PathLimit,
+    Poses,
     Problem,
     Samples,
     Scales,
     Tightened,
-    margin_of,
 )
 from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, uses
 from linkplan.planner.problem.instant import free_instant
@@ -58,16 +57,13 @@ class ExtraPathLimit(PathLimit):
         limit = problem.extra_limits[self.item]
         return limit.lower / limit.size, limit.upper / limit.size
 
-    def margin(self, samples: Samples) -> Margin:
-        limit = samples.problem.extra_limits[self.item]
-        values = self.values(samples.problem.mechanism, samples.q, samples.v, samples.a, samples.u)
-        return margin_of(self, limit.name, values, (limit.lower, limit.upper), limit.unit, samples, limit.size)
-
-    def values(self, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
-        """Evaluate the expression (n,) along q (n, n_q), v and a (n, n_s), u (n, n_u); q alone suffices if `of_position`."""
-        at, symbols = free_instant(mechanism)
-        function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(self.extra, at))])
-        return sampled(function, *motion).reshape(-1)
+    def measured(self, at: Poses) -> Measured:
+        limit = at.problem.extra_limits[self.item]
+        motion = (at.q, at.v, at.a, at.u) if isinstance(at, Samples) else (at.q,)
+        instant, symbols = free_instant(at.problem.mechanism)
+        function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(self.extra, instant))])
+        values = sampled(function, *motion).reshape(-1)
+        return Measured(limit.name, values, (limit.lower, limit.upper), limit.unit, limit.size)
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:

@@ -22,14 +22,15 @@ from linkplan.planner.limits.path_limit import (
     Bounds,
     Instant,
     Margin,
+    Measured,
     PathLimit,
+    Poses,
     Problem,
     Samples,
     Scales,
     Tightened,
     Trajectory,
     limited_rows,
-    margin_of,
 )
 
 
@@ -38,6 +39,9 @@ class RangeLimit(PathLimit):
     """The range of one joint; `column` is its index among the independent joints if intervals have rows for it."""
 
     key: ClassVar[str] = "position"
+    words: ClassVar[str] = "joint {}"
+    verb: ClassVar[str] = "stands at"
+    of_position: ClassVar[bool] = True
     item: int
     column: int | None
     at_nodes: ClassVar[bool] = False
@@ -53,6 +57,14 @@ class RangeLimit(PathLimit):
 
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
         return None if self.column is None else ("position_columns", self.column)
+
+    def measured(self, at: Poses) -> Measured:
+        joint = at.problem.mechanism.joints[self.item]
+        unit, values, bounds = joint.shown(1.0), at.q[:, self.item], at.problem.limits.position[self.item]
+        return Measured(joint.name, unit * values, unit * bounds, joint.unit, unit)
+
+    def margin(self, samples: Samples) -> None:
+        return None
 
     @classmethod
     def violation(cls, problem: Problem, motion: Trajectory) -> str | None:
@@ -157,10 +169,10 @@ class BallLimit(PathLimit):
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -np.inf, 1.0
 
-    def margin(self, samples: Samples) -> Margin:
-        ball, turns = samples.problem.mechanism.balls[self.item], samples.of_pose("ball_turns")[:, self.item]
+    def measured(self, at: Poses) -> Measured:
+        ball, turns = at.problem.mechanism.balls[self.item], at.of_pose("ball_turns")[:, self.item]
         angles = np.degrees(2 * np.arcsin(np.sqrt(np.clip(turns, 0.0, 1.0))))
-        return margin_of(self, ball.name, angles, (-np.inf, np.degrees(ball.largest)), "deg", samples)
+        return Measured(ball.name, angles, (-np.inf, np.degrees(ball.largest)), "deg")
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:
@@ -193,9 +205,9 @@ class TendonLimit(PathLimit):
         tendon = problem.mechanism.tendons[self.item]
         return tendon.low / tendon.span, tendon.high / tendon.span
 
-    def margin(self, samples: Samples) -> Margin:
-        tendon, lengths = samples.problem.mechanism.tendons[self.item], samples.of_pose("tendon_length")[:, self.item]
-        return margin_of(self, tendon.name, lengths, (tendon.low, tendon.high), tendon.unit, samples, tendon.span)
+    def measured(self, at: Poses) -> Measured:
+        tendon, lengths = at.problem.mechanism.tendons[self.item], at.of_pose("tendon_length")[:, self.item]
+        return Measured(tendon.name, lengths, (tendon.low, tendon.high), tendon.unit, tendon.span)
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:

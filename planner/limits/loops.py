@@ -19,13 +19,14 @@ from linkplan.planner.limits.path_limit import (
     Bounds,
     Instant,
     Margin,
+    Measured,
     MotionArrays,
     PathLimit,
+    Poses,
     Problem,
     Samples,
     Scales,
     Tightened,
-    margin_of,
     with_limits,
 )
 
@@ -78,10 +79,10 @@ class ClosureForceLimit(PathLimit):
         force = sampled(problem.mechanism.dynamics.closure_force, *motion)[:, list(self.rows), 0]
         return force / problem.limits.closure_force[self.item]
 
-    def margin(self, samples: Samples) -> Margin:
-        problem, c = samples.problem, self.item
+    def measured(self, at: Samples) -> Measured:
+        problem, c = at.problem, self.item
         bounds = (-np.inf, problem.limits.closure_force[c])
-        return margin_of(self, problem.mechanism.closure_names[c], samples.closure_forces[:, c], bounds, "N", samples)
+        return Measured(problem.mechanism.closure_names[c], at.closure_forces[:, c], bounds, "N")
 
     @classmethod
     def without(cls, problem: Problem) -> Problem:
@@ -95,6 +96,7 @@ class SingularMarginLimit(PathLimit):
     key: ClassVar[str] = "singular_margin"
     words: ClassVar[str] = "the distance from a singular pose"
     beyond: ClassVar[str] = "short of"
+    of_position: ClassVar[bool] = True
     row_kind: ClassVar[str] = "singular"
     n_numbers: ClassVar[int] = 1
     item: int
@@ -114,9 +116,9 @@ class SingularMarginLimit(PathLimit):
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return problem.limits.singular_margin, np.inf
 
-    def margin(self, samples: Samples) -> Margin:
-        problem, bounds = samples.problem, (samples.problem.limits.singular_margin, np.inf)
-        return margin_of(self, problem.mechanism.name, samples.block_ratios[:, self.item], bounds, "", samples)
+    def measured(self, at: Poses) -> Measured:
+        bounds = (at.problem.limits.singular_margin, np.inf)
+        return Measured(at.problem.mechanism.name, at.block_ratios[:, self.item], bounds)
 
     @classmethod
     def without(cls, problem: Problem) -> Problem:

@@ -16,13 +16,25 @@ import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.limits.samples import Samples, least_between, samples_of
+from linkplan.planner.limits.samples import Poses, Samples, least_between, samples_of
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-__all__ = ["Bounds", "Instant", "Margin", "PathLimit", "Problem", "Samples", "Scales", "Tightened", "Trajectory"]
+__all__ = [
+    "Bounds",
+    "Instant",
+    "Margin",
+    "Measured",
+    "PathLimit",
+    "Poses",
+    "Problem",
+    "Samples",
+    "Scales",
+    "Tightened",
+    "Trajectory",
+]
 
 Bounds = tuple[float, float]
 MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
@@ -38,6 +50,22 @@ class Tightened(Enum):
     BY_SHARE = "of the bound"
     SQUARED = "of the bound, whose square the row is"
     IN_UNITS = "of the row's unit: a place or a length has no natural size"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Measured:
+    """A limited quantity at poses or along a motion: its `values` (n,), their bounds [low, high], and their unit.
+
+    `name` is that of the limit's actuator, joint, closure, tendon or site. Overruns are shares of `size`, by default of the
+    limit itself. Intervals with a `bent` sample (n,) have a kink.
+    """
+
+    name: str
+    values: np.ndarray
+    bounds: Sequence[float]
+    unit: str = ""
+    size: float | None = None
+    bent: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -92,6 +120,7 @@ class PathLimit(Protocol):
     Args:
         key: the limit's key in a problem file.
         words: a title with {} for a name.
+        verb: the verb of a sentence on its value at a pose.
         beyond: the word for an overrun.
         enclosable: rows of intervals can impose it at every instant.
         jumps_with_effort: its row jumps when the effort does.
@@ -101,6 +130,7 @@ class PathLimit(Protocol):
 
     key: ClassVar[str]
     words: ClassVar[str] = "{}"
+    verb: ClassVar[str] = "is"
     beyond: ClassVar[str] = "beyond"
     enclosable: ClassVar[bool] = False
     jumps_with_effort: ClassVar[bool] = False
@@ -177,9 +207,14 @@ class PathLimit(Protocol):
 
     # The certificate.
 
+    def measured(self, at: Any) -> Measured | None:
+        """Return the limited quantity at `Samples` of a motion; `Poses` suffice if it is `of_position`."""
+        return None
+
     def margin(self, samples: Samples) -> Margin | None:
         """Return the margin along a motion; None for joints' limits, which the certificate lists by joint."""
-        return None
+        measured = self.measured(samples)
+        return None if measured is None else margin_of(self, measured, samples)
 
     # The diagnosis: relaxing all limits of the kind together.
 
@@ -236,22 +271,13 @@ def overrun_margins(kind: type[PathLimit], problem: Problem, motion: Trajectory)
     return [margin for margin in found if margin is not None and not margin.kept]
 
 
-def margin_of(
-    of: PathLimit,
-    name: str,
-    values: np.ndarray,
-    bounds: Sequence[float],
-    unit: str,
-    samples: Samples,
-    size: float | None = None,
-    bent: np.ndarray | None = None,
-) -> Margin:
-    """Return the margin of values (n,) along a motion to a limit [low, high].
+def margin_of(of: PathLimit, measured: Measured, samples: Samples) -> Margin:
+    """Return the margin of a quantity along a motion.
 
-    Overruns are shares of `size`, by default of the limit itself. Intervals with a `bent` sample (n,) have a kink, so their
-    least margin is that of the samples without interpolation by parabolas.
+    The least margin of an interval with a kink is that of the samples, without interpolation by parabolas.
     """
-    (low, high), points = bounds, samples.points
+    (low, high), points = measured.bounds, samples.points
+    values, bent = measured.values, measured.bent
     inside = np.minimum(values - low, high - values)
     at = int(np.argmin(inside))
     limit = high if high - values[at] <= values[at] - low else low
@@ -263,12 +289,12 @@ def margin_of(
     value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
     return Margin(
         of=of,
-        name=name,
+        name=measured.name,
         value=float(value),
         limit=float(limit),
         left=left,
-        unit=unit,
+        unit=measured.unit,
         time_s=float(samples.time[at]),
-        overrun=np.maximum(0.0, -least) / (size or abs(limit) or 1.0),
+        overrun=np.maximum(0.0, -least) / (measured.size or abs(limit) or 1.0),
         upper=bool(limit == high),
     )

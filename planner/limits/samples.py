@@ -1,4 +1,4 @@
-"""Dense samples of a motion, for measuring margins."""
+"""Poses and dense samples of a motion, at which limits are measured."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,18 +13,33 @@ from linkplan.planner.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Samples:
+class Poses:
+    """Closed poses `q` (n, n_q) of a problem's mechanism."""
+
+    problem: Problem
+    q: np.ndarray
+
+    def of_pose(self, name: str) -> np.ndarray:
+        """Return a column (n, rows) of the reduced dynamics that depends on the pose only."""
+        return sampled(getattr(self.problem.mechanism.dynamics, name), self.q)[:, :, 0]
+
+    @cached_property
+    def block_ratios(self) -> np.ndarray:
+        """The determinants (n, n_blocks) of J_z's blocks, relative to home."""
+        return block_ratios(self.problem, self.q)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Samples(Poses):
     """A motion of a problem at `time` (n,) [s], at the shares `points` of every interval.
 
     Poses `q` (n, n_q), independent speeds and accelerations `v`, `a` (n, n_s), efforts `u` (n, n_u). Everything else is
     computed when it is first used.
     """
 
-    problem: Problem
     trajectory: Trajectory
     points: np.ndarray
     time: np.ndarray
-    q: np.ndarray
     v: np.ndarray = field(init=False)
     a: np.ndarray = field(init=False)
     u: np.ndarray = field(init=False)
@@ -39,19 +54,10 @@ class Samples:
         """The actuators' speeds (n, n_u) [rad/s or m/s]."""
         return actuator_speeds(self.problem, self.q, self.v)
 
-    def of_pose(self, name: str) -> np.ndarray:
-        """Return a column (n, rows) of the reduced dynamics that depends on the pose only."""
-        return sampled(getattr(self.problem.mechanism.dynamics, name), self.q)[:, :, 0]
-
     @cached_property
     def closure_forces(self) -> np.ndarray:
         """The size (n, n_closures) [N] of every closure's force."""
         return closure_forces(self.problem, self.q, self.v, self.a, self.u)
-
-    @cached_property
-    def block_ratios(self) -> np.ndarray:
-        """The determinants (n, n_blocks) of J_z's blocks, relative to home."""
-        return block_ratios(self.problem, self.q)
 
     @cached_property
     def corner_efforts(self) -> np.ndarray:

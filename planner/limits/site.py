@@ -20,7 +20,9 @@ from linkplan.planner.limits.path_limit import (
     Bounds,
     Instant,
     Margin,
+    Measured,
     PathLimit,
+    Poses,
     Problem,
     Samples,
     Scales,
@@ -79,13 +81,18 @@ class SitePathLimit(PathLimit):
         off = limit.origin - float(limit.normal @ site_at_home(mechanism, limit.index))
         return (limit.low + off) / mechanism.extent_m, (limit.high + off) / mechanism.extent_m
 
-    def margin(self, samples: Samples) -> Margin:
-        mechanism, limit = samples.problem.mechanism, samples.problem.limits.site[self.item]
-        values = limit.value(places_of(mechanism, limit.index, samples.q))
+    def measured(self, at: Poses) -> Measured:
+        mechanism, limit = at.problem.mechanism, at.problem.limits.site[self.item]
+        values = limit.value(places_of(mechanism, limit.index, at.q))
         # A tube's distance has no lower bound. A slab's overruns are shares of the mechanism's extent.
         bounds, size = ((-np.inf, limit.high), limit.high) if self.is_tube else ((limit.low, limit.high), mechanism.extent_m)
-        margin = margin_of(self, site_title(limit), values, bounds, "m", samples, size)
-        return _margin_sampled_finely(samples, limit, margin, values, bounds, size)
+        return Measured(site_title(limit), values, bounds, "m", size)
+
+    def margin(self, samples: Samples) -> Margin:
+        measured = self.measured(samples)
+        return _margin_sampled_finely(
+            samples, samples.problem.limits.site[self.item], margin_of(self, measured, samples), measured
+        )
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:
@@ -129,16 +136,14 @@ def _tube(p: ca.SX, along: np.ndarray, radius: float) -> ca.SX:
     return ca.dot(weights, squares) / ca.sum1(weights)
 
 
-def _margin_sampled_finely(
-    samples: Samples, limit: SiteLimit, margin: Margin, values: np.ndarray, bounds: Bounds, size: float
-) -> Margin:
-    """Return a margin measured again on finer samples in every interval near the limit.
+def _margin_sampled_finely(samples: Samples, limit: SiteLimit, margin: Margin, measured: Measured) -> Margin:
+    """Return a margin measured again on finer samples in every interval near the limit; `measured` are the coarse ones.
 
-    Between two segments a tube's distance has a kink, which parabolas do not fit. `values` (n,) are the coarse samples.
+    Between two segments a tube's distance has a kink, which parabolas do not fit.
     """
     problem, trajectory, n_points = samples.problem, samples.trajectory, len(samples.points)
-    low, high = bounds
-    inside = np.minimum(values - low, high - values).reshape(-1, n_points)
+    (low, high), size = measured.bounds, measured.size
+    inside = np.minimum(measured.values - low, high - measured.values).reshape(-1, n_points)
     worst = inside.argmin(axis=1)
     near_share = 1e-3  # of the limit's size
     chosen = np.flatnonzero(inside.min(axis=1) < max(near_share * size, float(inside.min()) + near_share * size))

@@ -1,39 +1,37 @@
 """Before any solving: is the problem within what the mechanism can do at all, and is there a plain contradiction in it?"""
 
+import contextlib
 import functools
+from collections.abc import Iterator
 
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
-from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
-from linkplan.planner.certificate.boundary import SITE_SLACK
-from linkplan.planner.limits.extra import ExtraPathLimit
-from linkplan.planner.limits.samples import singularity_ratios
-from linkplan.planner.limits.site import site_title
+from linkplan.planner.certificate.boundary import POSE_SLACK
+from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.path_limit import PathLimit
+from linkplan.planner.limits.samples import Poses
+from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.phase_plane.energy_bounds import no_way_to_stop
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import SiteLimit, SitePoint
+from linkplan.planner.problem.sites import SitePoint
 
-# The words on poses between start and goal of one degree of freedom, and the tolerance of ranges [rad or m] and of the
-# margin to singular poses [share] on the way: smaller overruns are left to the solver and the certificate.
-_PASSES, _POSE_TOLERANCE = "between start and goal, where every motion of one degree of freedom passes", 1e-6
+# Poses on the only way may exceed a limit by this share of the quantity's size: smaller overruns are left to the solver and
+# the certificate.
+ONLY_WAY_SLACK = 1e-6
 
 
 def plain_contradiction(problem: Problem) -> str | None:
     """Return the sentence on a limit that no motion can keep, found without solving, or None."""
     looks = (
         _speed_at_an_end,
-        _range_at_an_end,
         _branches_on_the_way,
-        _singular,
         _beyond_ctrl,
-        _site_beyond,
-        _range_on_the_only_way,
+        _pose_beyond,
         no_way_to_stop,
         _mean_speed,
     )
@@ -51,23 +49,6 @@ def _speed_at_an_end(problem: Problem) -> str | None:
                 return (
                     f"infeasible: motion.{name} of joint {joint.name} is {joint.said(value[column], 4)} {joint.unit}/s,"
                     f" beyond its speed limit of {joint.said(high if value[column] > 0 else low, 4)} {joint.unit}/s"
-                )
-    return None
-
-
-def _range_at_an_end(problem: Problem) -> str | None:
-    """Return the sentence on a joint that stands beyond its range at start or goal, or None."""
-    mechanism, motion = problem.mechanism, problem.motion
-    for name in ("start", "goal"):
-        if getattr(motion, name) is None or (name == "goal" and motion.goal_is_free):
-            continue
-        pose = close_at(mechanism, getattr(motion, name))
-        for joint, x, (low, high) in zip(mechanism.joints, pose, problem.limits.position, strict=True):
-            if not low <= x <= high:
-                return (
-                    f"infeasible: joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at the {name},"
-                    f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
-                    f" {joint.said(min(max(x, low), high), 4)}"
                 )
     return None
 
@@ -112,65 +93,79 @@ def _branches_on_the_way(problem: Problem) -> str | None:
     return None
 
 
-def _site_beyond(problem: Problem) -> str | None:
-    """Return the sentence on a site, tendon or extra limit that start, goal or a waypoint overruns, or None."""
-    motion, limits = problem.motion, problem.limits
-    places = [("the start", motion.start, None), ("the goal", motion.goal, motion.goal_at if motion.goal_is_free else None)]
-    for k, waypoint in enumerate(motion.waypoints):
-        places.append((f"motion.waypoints[{k}]", waypoint.guessed, waypoint.at if waypoint.at_rows else None))
-    for name, s, open_at in places:
-        if s is None or np.any(np.isnan(s)) or not _limits_poses(problem):
-            continue
-        pose = close_at(problem.mechanism, s)[None]
-        sentence = _pose_beyond(problem, pose, f"at {name}") if open_at is None else None
+def _pose_beyond(problem: Problem) -> str | None:
+    """Return the sentence on a limit that a pose of start, goal or a waypoint overruns, or one on the only way; or None."""
+    limits = [limit for limit in limits_of(problem) if limit.of_position]
+    for when, pose, open_at in _known_poses(problem) if limits else ():
+        known = [limit for limit in limits if open_at is None or _is_known(problem, limit, open_at)]
+        sentence = sentence_beyond(problem, known, pose[None], when, POSE_SLACK)
         if sentence is not None:
             return sentence
-        for limit in limits.site:
-            known = open_at is None or _known(limit, open_at)
-            sentence = _beyond(problem, limit, pose, f"at {name}") if known else None
-            if sentence is not None:
-                return sentence
-    return _on_the_only_way(problem)
+    poses = only_way(problem) if limits else None
+    return None if poses is None else sentence_beyond(problem, limits, poses, None, ONLY_WAY_SLACK)
 
 
-def _known(limit: SiteLimit, points: tuple[SitePoint, ...]) -> bool:
-    """True if the given places of sites of an open pose determine the quantity that a limit on a site bounds."""
-    looked_at = np.ones(3, dtype=bool) if limit.normal is None else limit.normal != 0
-    return any(p.index == limit.index and not np.any(np.isnan(p.point[looked_at])) for p in points)
+def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[SitePoint, ...] | None]]:
+    """Yield the words on start, goal and waypoints, their closed poses, and the places of sites that an open pose keeps."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if motion.start is not None:
+        yield "at the start", close_at(mechanism, motion.start), None
+    if motion.goal is not None:
+        yield "at the goal", close_at(mechanism, motion.goal), motion.goal_at if motion.goal_is_free else None
+    for k, waypoint in enumerate(motion.waypoints):
+        if not np.any(np.isnan(waypoint.guessed)):
+            with contextlib.suppress(AssemblyError):  # the search finds that the loops do not close there
+                pose = close_at(mechanism, waypoint.guessed)
+                yield f"at motion.waypoints[{k}]", pose, waypoint.at if waypoint.at_rows else None
 
 
-def _on_the_only_way(problem: Problem) -> str | None:
-    """Return the sentence on a limit on poses that is overrun between start and goal of a single freedom."""
-    poses = only_way(problem) if _limits_poses(problem) else None
-    if poses is None:
-        return None
-    beyond = (_beyond(problem, limit, poses, _PASSES) for limit in problem.limits.site)
-    return _pose_beyond(problem, poses, _PASSES) or next((found for found in beyond if found), None)
+def _is_known(problem: Problem, limit: PathLimit, points: tuple[SitePoint, ...]) -> bool:
+    """True if the given places of sites of an open pose determine the quantity that a limit bounds."""
+    if not isinstance(limit, SitePathLimit):
+        return False
+    bounded = problem.limits.site[limit.item]
+    looked_at = np.ones(3, dtype=bool) if bounded.normal is None else bounded.normal != 0
+    return any(p.index == bounded.index and not np.any(np.isnan(p.point[looked_at])) for p in points)
 
 
-def _limits_poses(problem: Problem) -> bool:
-    return bool(problem.limits.site or problem.mechanism.tendons or problem.mechanism.balls or problem.extra_limits)
+def sentence_beyond(
+    problem: Problem, limits: list[PathLimit], poses: np.ndarray, when: str | None, slack: float
+) -> str | None:
+    """Return the sentence on the first limit that the worst of poses (n, n_q) overruns, or None.
 
-
-def _pose_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
-    """Return the sentence on a tendon, ball joint or extra limit that the worst of poses (n, n_q) overruns, or None."""
-    return _tendon_beyond(problem, poses, when) or _ball_beyond(problem, poses, when) or _extra_beyond(problem, poses, when)
-
-
-def _extra_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
-    """Return the sentence on an extra limit on the pose alone that the worst of poses (n, n_q) overruns, or None."""
-    for limit in ExtraPathLimit.of(problem):
-        if not limit.of_position:
-            continue
-        extra, values = limit.extra, limit.values(problem.mechanism, poses)
-        nearest = np.clip(values, extra.lower, extra.upper)
-        k = int(np.argmax(np.abs(values - nearest)))
-        off = abs(values[k] - nearest[k])
-        if off > SITE_SLACK * extra.size:
-            unit = f" {extra.unit}".rstrip()
-            value = f"{values[k]:.6g}{unit} {when}, {off:.4g}{unit} beyond its limit of {nearest[k]:.6g}"
-            return f"infeasible: the extra limit '{extra.name}' is {value}"
+    Args:
+        problem: the problem.
+        limits: on poses.
+        poses: closed.
+        when: the words on a single pose; None for poses on the only way.
+        slack: the allowed overrun as a share of the limited quantity's size.
+    """
+    at = Poses(problem=problem, q=poses)
+    for limit in limits:
+        measured = limit.measured(at)
+        assert measured is not None  # of the pose
+        low, high = measured.bounds
+        nearest = np.clip(measured.values, low, high)
+        off = np.abs(measured.values - nearest)
+        k = int(np.argmax(off))
+        # Sites are as exact as the mechanism is large.
+        size = problem.mechanism.extent_m if isinstance(limit, SitePathLimit) else measured.size or abs(nearest[k]) or 1.0
+        if off[k] > slack * size:
+            unit, title = f" {measured.unit}".rstrip(), limit.words.format(measured.name)
+            return (
+                f"infeasible: {title} {limit.verb} {measured.values[k]:.6g}{unit} {when or _where(problem, poses[k])},"
+                f" {off[k]:.4g}{unit} {limit.beyond} its limit of {nearest[k]:.6g}"
+            )
     return None
+
+
+def _where(problem: Problem, pose: np.ndarray) -> str:
+    """Return the words on a pose (n_q,) on the only way."""
+    (crank,), (driven,) = problem.mechanism.independent_joints, problem.mechanism.independent
+    return (
+        f"where {crank.name} = {crank.said(float(pose[driven]), 4)} {crank.unit}, between start and goal, where every motion"
+        " of one degree of freedom passes"
+    )
 
 
 @functools.lru_cache(maxsize=4)
@@ -184,79 +179,6 @@ def only_way(problem: Problem) -> np.ndarray | None:
         return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
     except AssemblyError:  # the way is not open: said elsewhere
         return None
-
-
-def _tendon_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
-    """Return the sentence on a tendon whose range the worst of poses (n, n_q) leaves, or None."""
-    mechanism = problem.mechanism
-    if not mechanism.tendons:
-        return None
-    lengths = sampled(mechanism.dynamics.tendon_length, poses)[:, :, 0]
-    for tendon, values in zip(mechanism.tendons, lengths.T, strict=True):
-        off = np.maximum(tendon.low - values, values - tendon.high)
-        k = int(np.argmax(off))
-        if off[k] > SITE_SLACK * tendon.span:
-            return (
-                f"infeasible: the length of tendon {tendon.name} is {values[k]:.6g} {tendon.unit}".rstrip()
-                + f" {when}, {off[k]:.4g} beyond its range of {tendon.low:g} to {tendon.high:g}"
-            )
-    return None
-
-
-def _ball_beyond(problem: Problem, poses: np.ndarray, when: str) -> str | None:
-    """Return the sentence on a ball joint beyond the largest angle at the worst of poses (n, n_q), or None."""
-    mechanism = problem.mechanism
-    for item, ball in enumerate(mechanism.balls):
-        turns = sampled(mechanism.dynamics.ball_turns, poses)[:, item, 0]
-        angle = float(np.degrees(2 * np.arcsin(np.sqrt(np.clip(turns.max(), 0.0, 1.0)))))
-        if turns.max() > np.sin(ball.largest / 2) ** 2 * (1 + SITE_SLACK):
-            most = np.degrees(ball.largest)
-            return (
-                f"infeasible: ball joint {ball.name} is turned by {angle:.6g} deg {when}, beyond its range of {most:.6g} deg"
-            )
-    return None
-
-
-def _range_on_the_only_way(problem: Problem) -> str | None:
-    """Return the sentence on a joint beyond its range, or a pose too near to a singular one, on the only way; or None."""
-    mechanism, limit, margin = problem.mechanism, problem.limits.position, problem.limits.singular_margin
-    dependent = mechanism.dependent
-    poses = only_way(problem) if margin or np.any(np.isfinite(limit[dependent])) else None
-    if poses is None:
-        return None
-    (driven,) = mechanism.independent
-    (crank,), joints = mechanism.independent_joints, mechanism.joints
-    nearest = np.clip(poses, limit[:, 0], limit[:, 1])
-    off = np.abs(poses - nearest)
-    k, i = (int(x) for x in np.unravel_index(int(np.argmax(off)), off.shape))
-    if off[k, i] > _POSE_TOLERANCE:
-        at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
-        return (
-            f"infeasible: joint {joints[i].name} stands at {joints[i].said(poses[k, i], 5)} {joints[i].unit} where {at},"
-            f" {_PASSES}, {abs(joints[i].shown(off[k, i])):.4g} {joints[i].unit} beyond its limit of"
-            f" {joints[i].said(nearest[k, i], 5)}"
-        )
-    ratios = singularity_ratios(problem, poses) if margin else np.ones(1)
-    k = int(np.argmin(ratios))
-    if ratios[k] >= margin * (1 - _POSE_TOLERANCE):
-        return None
-    at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
-    return (
-        f"infeasible: where {at}, {_PASSES}, the mechanism is at {ratios[k]:.4g} of the distance from a singular pose that"
-        f" the home pose has, {margin - ratios[k]:.3g} short of limits.singular_margin = {margin:g}"
-    )
-
-
-def _beyond(problem: Problem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:
-    """Return the sentence on a site's limit that the worst of poses (n, n_q) leaves, or None."""
-    values = limit.value(places_of(problem.mechanism, limit.index, poses))
-    nearest = np.clip(values, limit.low, limit.high)
-    k = int(np.argmax(np.abs(values - nearest)))
-    off = abs(float(values[k] - nearest[k]))
-    if off <= SITE_SLACK * problem.mechanism.extent_m:
-        return None
-    value = f"{float(values[k]):.6g} m {when}"
-    return f"infeasible: {site_title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
 
 
 def _beyond_ctrl(problem: Problem) -> str | None:
@@ -282,20 +204,4 @@ def _beyond_ctrl(problem: Problem) -> str | None:
                     f"infeasible: {actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
                     f" for any effort within its limits, beyond its ctrlrange of {low:g} to {high:g}"
                 )
-    return None
-
-
-def _singular(problem: Problem) -> str | None:
-    """Return the sentence on a start or goal that is nearer to a singular pose than the problem admits, or None."""
-    margin, motion = problem.limits.singular_margin, problem.motion
-    for name in ("start", "goal"):
-        s = getattr(motion, name)
-        if s is None or not margin or (name == "goal" and motion.goal_is_free):
-            continue
-        ratio = float(singularity_ratios(problem, close_at(problem.mechanism, s)[None])[0])
-        if ratio < margin:
-            return (
-                f"infeasible: the {name} is at {ratio:.4g} of the distance from a singular pose that the home pose has,"
-                f" {margin - ratio:.3g} short of limits.singular_margin = {margin:g}"
-            )
     return None

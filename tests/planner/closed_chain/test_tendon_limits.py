@@ -82,7 +82,7 @@ def test_a_goal_beyond_a_tendons_range_is_said_before_any_solving():
     plan = planned(ARM.format(tendon=SUM.format(low=-0.2, high=1.8)))
     assert plan.status == "infeasible"
     assert plan.history == ()
-    assert "the length of tendon sum is -0.349066 at the goal, 0.1491 beyond its range of -0.2 to 1.8" in plan.message
+    assert "the length of tendon sum is -0.349066 at the goal, 0.1491 beyond its limit of -0.2" in plan.message
 
 
 def test_a_tendon_that_is_too_short_on_the_only_way_is_named():

@@ -66,5 +66,5 @@ def test_a_plan_keeps_the_range_at_every_instant_and_proves_it():
 def test_a_goal_beyond_the_range_is_infeasible_and_says_so():
     plan = linkplan.plan(reach(5.0))
     assert plan.status == "infeasible"
-    assert "ball joint rod is turned by" in plan.message
-    assert "beyond its range of 5 deg" in plan.message
+    assert "the angle of ball joint rod is" in plan.message
+    assert "beyond its limit of 5" in plan.message

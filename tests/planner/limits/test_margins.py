@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.path_limit import margin_of
+from linkplan.planner.limits.path_limit import Measured, margin_of
 from linkplan.planner.limits.samples import sample_points
 
 POINTS = sample_points(3)
@@ -24,7 +24,7 @@ SAMPLES = SimpleNamespace(points=POINTS, time=np.concatenate([POINTS, 1.0 + POIN
 def test_the_extreme_of_a_parabola_is_the_value_nearest_to_its_limit(sign, bounds, upper, left, overruns):
     """sign (20 (t - 0.37)^2 + 3) in the first second, sign (20 (t - 1.37)^2 - 2) in the next."""
     curve = np.concatenate([20 * (POINTS - 0.37) ** 2 + 3.0, 20 * (POINTS - 0.37) ** 2 - 2.0])
-    margin = margin_of(None, "q", sign * curve, bounds, "N", SAMPLES)
+    margin = margin_of(None, Measured("q", sign * curve, bounds, "N"), SAMPLES)
     assert margin.upper is upper
     assert margin.limit == bounds[upper]
     assert margin.value == pytest.approx(-2.0 * sign, rel=1e-9)
@@ -36,10 +36,10 @@ def test_the_extreme_of_a_parabola_is_the_value_nearest_to_its_limit(sign, bound
 
 def test_an_interval_with_a_kink_has_the_least_of_its_samples():
     values, bent = np.concatenate([20 * (POINTS - 0.37) ** 2 - 2.0, POINTS + 5.0]), np.arange(2 * len(POINTS)) == 3
-    margin = margin_of(None, "q", values, (0.0, np.inf), "N", SAMPLES, bent=bent)
+    margin = margin_of(None, Measured("q", values, (0.0, np.inf), "N", bent=bent), SAMPLES)
     assert margin.left == values.min()
 
 
 def test_an_overrun_is_a_share_of_the_size_that_is_given():
-    margin = margin_of(None, "q", np.tile(POINTS, 2), (-np.inf, 0.5), "N", SAMPLES, size=0.25)
+    margin = margin_of(None, Measured("q", np.tile(POINTS, 2), (-np.inf, 0.5), "N", size=0.25), SAMPLES)
     assert margin.overrun == pytest.approx((2.0, 2.0), rel=1e-9)

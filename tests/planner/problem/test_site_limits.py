@@ -142,7 +142,9 @@ def test_what_every_motion_of_one_freedom_passes_is_named_without_solving():
     )
     assert plan.status == "infeasible"
     assert not plan.history
-    assert_names(plan.message, "x of site foot is 0.3 m between start and goal", "0.02 m beyond its limit of 0.28")
+    assert_names(
+        plan.message, "x of site foot is 0.3 m where J1 = ", "between start and goal", "0.02 m beyond its limit of 0.28"
+    )
 
 
 def test_a_waypoint_outside_is_named_without_solving():

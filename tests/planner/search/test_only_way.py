@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.presolve import _range_on_the_only_way, only_way
+from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond
 from tests.support.plans import problem_of
 
 # Shares of the allowance, a millionth, on both sides of it.
@@ -19,6 +20,11 @@ def limited(**changes) -> Problem:
     return replace(problem, limits=replace(problem.limits, **changes))
 
 
+def beyond(problem: Problem) -> str | None:
+    limits = [limit for limit in limits_of(problem) if limit.of_position]
+    return sentence_beyond(problem, limits, only_way(problem), None, ONLY_WAY_SLACK)
+
+
 @pytest.mark.parametrize(("short", "refused"), [(WITHIN, False), (BEYOND, True)])
 def test_a_dependent_joint_beyond_its_range_is_refused(short, refused):
     mechanism = limited().mechanism
@@ -26,7 +32,7 @@ def test_a_dependent_joint_beyond_its_range_is_refused(short, refused):
     most = only_way(limited())[:, joint].max()
     ranges = np.array(limited().limits.position)
     ranges[joint] = [-np.inf, most - short]
-    said = _range_on_the_only_way(limited(position=ranges))
+    said = beyond(limited(position=ranges))
     assert (said is not None) == refused
     if said is not None:
         assert f"joint {mechanism.joints[joint].name} stands at" in said
@@ -36,7 +42,7 @@ def test_a_dependent_joint_beyond_its_range_is_refused(short, refused):
 def test_a_pose_short_of_the_singular_margin_is_refused(more, refused):
     least = singularity_ratios(limited(), only_way(limited())).min()
     assert 0.0 < least < 1.0
-    said = _range_on_the_only_way(limited(singular_margin=least * (1 + more)))
+    said = beyond(limited(singular_margin=least * (1 + more)))
     assert (said is not None) == refused
     if said is not None:
-        assert "short of limits.singular_margin" in said
+        assert "short of its limit" in said
