@@ -5,6 +5,9 @@ from collections.abc import Iterable, Sequence
 import mujoco
 import numpy as np
 
+from linkplan.models.errors import ModelError
+from linkplan.models.names import listed
+
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Slides of an undriven base that moves in a plane.
@@ -117,7 +120,20 @@ def floating_sentence(model: mujoco.MjModel) -> str | None:
     return f"{floating_words(model)}: nothing drives {whose} {freedoms} degrees of freedom; {remedy}"
 
 
+def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
+    """Refuse a scene with many loose bodies: each has six coordinates that nothing drives.
+
+    Raises:
+        ModelError: with the remedy.
+    """
+    _, loose = floating_bodies(model)
+    if len(loose) > 20:  # a hand's or a table's objects; two hundred have 1,200 coordinates, which take minutes
+        raise ModelError(
+            f"model '{name}': {_names(model, loose)} are loose: nothing drives these {len(loose)} bodies, and a mechanism"
+            " has at most 20 of them; mechanism.fix_base = true (--fix-base) fixes them where they stand"
+        )
+
+
 def _names(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
-    """Return the names of bodies, of many the first three and how many there are beside them."""
-    names = [model.body(b).name or f"body {b}" for b in bodies]
-    return ", ".join(names) if len(names) < 5 else f"{', '.join(names[:3])} and {len(names) - 3} more"
+    """Return the names of bodies, of many the first and how many there are beside them."""
+    return listed([model.body(b).name or f"body {b}" for b in bodies], 4)

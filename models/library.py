@@ -84,19 +84,22 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     _name_all(spec.bodies, "body")
     if not selection:
         return name, spec, notes
-    spec.compile()  # numbers the joints
-    _name_all(spec.joints, "joint")
-    return name, spec, (*notes, *select(spec, spec.compile(), selection))
+    model = spec.compile()  # numbers the joints
+    if _name_all(spec.joints, "joint"):
+        model = spec.compile()
+    return name, spec, (*notes, *select(spec, model, selection))
 
 
-def _name_all(elements: Sequence, kind: str) -> None:
-    """Give every element without a name one: its kind and its number."""
+def _name_all(elements: Sequence, kind: str) -> bool:
+    """Give every element without a name one, its kind and its number; return True if there are such elements."""
     taken = {element.name for element in elements}
+    unnamed = "" in taken
     for place, element in enumerate(elements):
         if not element.name:
             first = element.id if element.id >= 0 else place
             element.name = next(name for n in itertools.count(first) if (name := f"{kind}{n}") not in taken)
             taken.add(element.name)
+    return unnamed
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:

@@ -24,6 +24,7 @@ from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import LockedError, ModelError, UnassembledError
+from linkplan.models.floating import refuse_many_loose
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.one_thread import one_thread_at_a_time
@@ -259,6 +260,7 @@ def load_mechanism(
     set_softness(model, solref)
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
+    refuse_many_loose(name, model)
     reference_qpos = home_qpos(model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
     transition = transition_speed(friction_transition)

@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 
 from linkplan.models.errors import ModelError
+from linkplan.models.names import listed
 from linkplan.models.reading import shown
 from linkplan.models.users import delete_geoms
 
@@ -32,7 +33,6 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     if not (meshes or textures) or not _fails_for_a_file(spec):
         return notes
     names = list(dict.fromkeys(Path(one.file).name for one in (*meshes, *textures)))
-    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
     for mesh in meshes:
         geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
         for geom in geoms:
@@ -44,7 +44,7 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
         material.textures = ["" if name in gone else name for name in material.textures]
     for texture in textures:
         spec.delete(texture)
-    said = f"files that are not there are left out with what they draw: {', '.join(names[:6])}{more}"
+    said = f"files that are not there are left out with what they draw: {listed(names, 6)}"
     return (*notes, said)
 
 

@@ -1,11 +1,16 @@
-"""Choice among legal names, with a suggestion for a misspelled name."""
+"""Names as text, and the choice among legal ones, with a suggestion for a misspelled name."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from linkplan.models.errors import ModelError
 
 # Other units in a key, and the unit that files use.
 _UNITS = {"rad": "deg", "mm": "m", "cm": "m", "ms": "s", "us": "s", "g": "kg", "kw": "w", "khz": "hz", "kn": "n"}
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Return names as text; of more than `most`, the first and the number of the others: "a, b and 3 more"."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def nearest(asked: str, legal: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from linkplan.models.errors import ModelError
 from linkplan.models.floating import FREE, SLIDE, floating_bodies, floating_of, joints_of, subtree, tied_bodies
 from linkplan.models.kinematics import data_at, fix_in_parent, in_body
-from linkplan.models.names import nearest
+from linkplan.models.names import listed, nearest
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
 from linkplan.models.users import delete_users, leave_the_ground
@@ -216,7 +216,7 @@ def _lock(
     acting = delete_users(spec, gone, away, at_zero)
     for name in gone:
         spec.delete(spec.joint(name))
-    notes = ["locked: " + "; ".join(f"{', '.join(names)} {where}" for where, names in said.items())]
+    notes = ["locked: " + "; ".join(f"{listed(names, 12)} {where}" for where, names in said.items())]
     return [*notes, f"dropped with the locked joints: {', '.join(acting)}"] if acting else notes
 
 

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from linkplan.models.catalogue import is_text
+from linkplan.models.names import listed
 
 _READ_IN_MUJOCO = ("compiler", "option", "size")
 _READ = ("link", "joint", "material", "mujoco", "transmission", "loop_joint")
@@ -27,17 +28,17 @@ def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
     ]
     if speeds:
         notes.append(
-            f"MuJoCo's converter leaves out the URDF's speed limits (joint {_some(speeds)}, rad/s or m/s):"
+            f"MuJoCo's converter leaves out the URDF's speed limits (joint {listed(speeds, 6)}, rad/s or m/s):"
             " limits.speed_deg_s and limits.speed_m_s keep them"
         )
     soft = [str(joint.get("name")) for joint in root.iter("joint") if joint.find("safety_controller") is not None]
     others = [child.tag for child in root if child.tag not in _READ] + ["safety_controller"] * bool(soft)
     inside = [child.tag for block in root.findall("mujoco") for child in block if child.tag not in _READ_IN_MUJOCO]
     if others:
-        notes.append(f"MuJoCo's converter leaves out the URDF's elements {_some(list(dict.fromkeys(others)))}")
+        notes.append(f"MuJoCo's converter leaves out the URDF's elements {listed(list(dict.fromkeys(others)), 6)}")
     if inside:
         notes.append(
-            f"MuJoCo ignores {_some(list(dict.fromkeys(inside)))} in the URDF's <mujoco> element, where it only reads"
+            f"MuJoCo ignores {listed(list(dict.fromkeys(inside)), 6)} in the URDF's <mujoco> element, where it only reads"
             f" {', '.join(_READ_IN_MUJOCO)}"
         )
     if driven:
@@ -78,8 +79,3 @@ def _root(source: str) -> ET.Element | None:
         return ET.fromstring(path.read_bytes()) if path.suffix.lower() in (".urdf", ".xml") and path.is_file() else None
     except (ET.ParseError, OSError, ValueError, LookupError):  # MuJoCo's own reader is less strict
         return None
-
-
-def _some(names: list[str], most: int = 6) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{more}"

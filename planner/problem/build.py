@@ -127,13 +127,26 @@ def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str)
         actuator_index(mechanism, name, where)
 
 
-def _mechanism(section: dict, folder: Path | None) -> Mechanism:
+def model_from_tables(tables: Mapping[str, dict], folder: Path | None = None) -> tuple[str, Selection]:
+    """Return the model of a file's [mechanism] table, a built-in name or a path, and what is selected of it."""
+    _, selection = _model_asked(section := plain(tables).get("mechanism", {}), folder)
+    return section["model"], selection
+
+
+def _model_asked(section: dict, folder: Path | None) -> tuple[MechanismSection, Selection]:
+    """Return a [mechanism] table and what it selects of the model, whose file is set in the table as an absolute path."""
     # Errors in the model's place and pose are problem errors; all others are model errors.
     read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
     asked = read(MechanismSection, section, "mechanism", error=ModelError)
     place = path_beside(asked.model, folder)
     if asked.model not in MODELS and os.path.isfile(place):
         section["model"] = str(place.resolve())
+    given = {field.name: value for field in fields(Selection) if (value := getattr(asked, field.name))}
+    return asked, Selection(**given)
+
+
+def _mechanism(section: dict, folder: Path | None) -> Mechanism:
+    asked, selection = _model_asked(section, folder)
     mechanism = load_mechanism(
         section["model"],
         payload=section.get("payload"),
@@ -141,7 +154,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         independent=asked.independent,
         solref=asked.solref,
         closure_tolerance_m=asked.closure_tolerance_m,
-        selection=Selection(**{field.name: value for field in fields(Selection) if (value := getattr(asked, field.name))}),
+        selection=selection,
         friction_transition=None if asked.friction_transition_deg_s is None else np.radians(asked.friction_transition_deg_s),
     )
     joint_values(asked, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import listed
 from linkplan.models.poses.contacts import ContactPair, contact_pairs, exclusion
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 
@@ -27,12 +28,11 @@ def contact_sentence(pairs: Sequence[ContactPair], n: int) -> str | None:
     if not pairs:
         return None
     deepest = sorted(pairs, key=lambda pair: -pair.depth_m)
-    named = ", ".join(f"{pair.first} and {pair.second}" for pair in deepest[:3])
-    more = f" and {len(pairs) - 3} more pairs" if len(pairs) > 3 else ""
+    named = listed([f"{pair.first} and {pair.second}" for pair in deepest], 3)
     exclusions = " ".join(dict.fromkeys(exclusion(pair.bodies) for pair in deepest[:3]))
     count = int(touched(pairs, n).sum())
     return (
-        f"contacts of {named}{more} push in MuJoCo at {count} of {n} pose{'s' if n != 1 else ''}, up to"
+        f"contacts of {named} push in MuJoCo at {count} of {n} pose{'s' if n != 1 else ''}, up to"
         f" {1e3 * deepest[0].depth_m:.2g} mm deep; the prediction omits them, they open the kinematic loops, and no response"
         f" is measured there; {exclusions} in the model's <contact> lets links pass side by side"
     )

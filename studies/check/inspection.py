@@ -10,6 +10,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Joint, Mechanism
+from linkplan.models.names import listed
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.ball_angles import ball_angles, shut_balls
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
@@ -286,9 +287,8 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
             found.append(position)
     said = []
     for other, positions in by_joint.items():
-        first = ", ".join(f"{joint.said(x, 5)}" for x in positions[:4])
-        more = f" and {len(positions) - 4} more" if len(positions) > 4 else ""
-        said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {first}{more} {joint.unit}")
+        places = listed([joint.said(x, 5) for x in positions], 4)
+        said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {places} {joint.unit}")
     again = ", and again every turn" if np.isfinite(turn) else ""
     return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 import mujoco
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import listed
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.inspection_blocks import reach_table
@@ -21,18 +22,18 @@ def summary_blocks(found: Inspection) -> list[Block]:
     """Return the summary, which leaves lines for what to do next."""
     mechanism = found.mechanism
     freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
-    independent = _some([joint.name for joint in mechanism.independent_joints], MOST_COORDINATES)
+    independent = listed([joint.name for joint in mechanism.independent_joints], MOST_COORDINATES)
     first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {mechanism.n_q} joints)")
     problems = grouped(mechanism, found.problems)
     verdict: list[Block] = [
         Text(text=f"PROBLEM: {text}", tone="bad") for text in _first(problems, MOST_PROBLEMS, "problems")
     ]
     notes = [Text(text=text, tone="note") for text in _first(grouped(mechanism, found.notes), MOST_NOTES, "notes")]
-    drives = _some([f"{a.name} ({a.lower:g} to {a.upper:g} {a.unit})" for a in mechanism.actuators], MOST_COORDINATES)
+    drives = listed([f"{a.name} ({a.lower:g} to {a.upper:g} {a.unit})" for a in mechanism.actuators], MOST_COORDINATES)
     rank = f"{mechanism.n_closure_rows} rows of rank {len(mechanism.closure_rows)}"
     facts = Facts(
         rows=[
-            ("loops", f"{_some(mechanism.closure_names, MOST_COORDINATES)}: {rank}" if mechanism.closure_names else "none"),
+            ("loops", f"{listed(mechanism.closure_names, MOST_COORDINATES)}: {rank}" if mechanism.closure_names else "none"),
             ("driven by", drives or "nothing"),
         ]
     )
@@ -78,11 +79,6 @@ def _first(sentences: Sequence[str], most: int, what: str) -> list[str]:
     if len(sentences) <= most:
         return list(sentences)
     return [*sentences[: most - 1], f"{len(sentences) - most + 1} more kinds of {what}"]
-
-
-def _some(names: Sequence[str], most: int) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{more}"
 
 
 def _reaches(found: Inspection) -> list[Block]:

@@ -20,7 +20,7 @@ from linkplan.controllers.trackers.pd import pd, scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, Tracker
 from linkplan.models.errors import GainError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
+from linkplan.models.names import choose, listed
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.plan import Plan
@@ -289,11 +289,10 @@ def contact_note(plan: Plan, rollout: Rollout) -> str | None:
     met = plan.certificate.contacts if plan.certificate is not None else ()
     if not (rollout.contacts and met):
         return None
-    pairs = ", ".join(geom_names(meeting).removeprefix("geoms ") for meeting in met[:3])
-    more = f" and {len(met) - 3} more pairs" if len(met) > 3 else ""
+    pairs = listed([geom_names(meeting).removeprefix("geoms ") for meeting in met], 3)
     exclusions = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in met[:3]))
     return (
-        f"contacts of {pairs}{more} push in MuJoCo, at up to {rollout.contacts} points together; plans have no contact"
+        f"contacts of {pairs} push in MuJoCo, at up to {rollout.contacts} points together; plans have no contact"
         f" forces, and these forces open the kinematic loops; {exclusions} in the model's <contact> lets links pass side by"
         " side"
     )

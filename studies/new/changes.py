@@ -17,7 +17,9 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError
 from linkplan.models.floating import floating_joints, floating_words
+from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import listed
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.continuation import in_loops
@@ -26,7 +28,7 @@ from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
-from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.check.softness import STIFF_KEY
 from linkplan.studies.new.hanging import hanging_columns
@@ -48,7 +50,12 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
     Raises:
         ModelError: if the model cannot be used.
     """
-    mechanism, notes = _assembled(table), []
+    source, selection = model_from_tables({"mechanism": dict(table)})
+    _, model, _ = compile_model(source, selection=selection)
+    notes = []
+    if (fixed := _base_fixed(model)) is not None:
+        table, notes = {**table, **fixed[0]}, [fixed[1]]
+    mechanism = _assembled(table)
     for change in _CHANGES:
         if (found := change(mechanism, table)) is not None:
             keys, note = found
@@ -71,15 +78,14 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
     return mechanism, tuple(notes)
 
 
-def _base_fixed(mechanism: Mechanism, _: Mapping[str, object]) -> Change | None:
-    floats = sorted(floating_joints(mechanism.model))
-    if not 0 < len(floats) < mechanism.model.njnt:
+def _base_fixed(model: mujoco.MjModel) -> Change | None:
+    floats = sorted(floating_joints(model))
+    if not 0 < len(floats) < model.njnt:
         return None
-    what, joints = floating_words(mechanism.model), [joint_label(mechanism.model, j) for j in floats]
-    shown = joints if len(joints) < 5 else [*joints[:3], f"{len(joints) - 3} more"]
+    what, joints = floating_words(model), [joint_label(model, j) for j in floats]
     return {"fix_base": True}, (
         f"{what}, and nothing holds what floats or is loose: it is fixed where it stands at home"
-        f" (mechanism.fix_base = true; joints {', '.join(shown)})"
+        f" (mechanism.fix_base = true; joints {listed(joints, 4)})"
     )
 
 
@@ -140,7 +146,6 @@ def _friction_widened(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
 
 # In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
 _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
-    _base_fixed,
     _stops_locked,
     _couplings_locked,
     _ball_rods_locked,
@@ -312,11 +317,9 @@ def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> 
 
 
 def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, object]:
-    """Return the home before a change, for [mechanism] tables without one, without joints that the table locks or fixes."""
+    """Return the home before a change, for [mechanism] tables without one, without joints that the table locks."""
     locked = table.get("lock")
-    fixed = {joint_label(before.model, j) for j in floating_joints(before.model)} if table.get("fix_base") else set()
-    names = {joint.name for joint in before.joints if not fixed.isdisjoint((joint.name, joint.chart))}
-    names |= set(locked) if isinstance(locked, Mapping) else set()
+    names = set(locked) if isinstance(locked, Mapping) else set()
     homes = {key: before.source[key] for key in ("home_deg", "home_m") if key in before.source and key not in table}
     left = {
         key: {n: x for n, x in home.items() if n not in names} for key, home in homes.items() if isinstance(home, Mapping)

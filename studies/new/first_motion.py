@@ -15,6 +15,7 @@ from linkplan.models.deadline import Deadline
 from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
 from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import listed
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.ball_angles import shut_balls
 from linkplan.models.poses.equilibrium import sprung_freedoms
@@ -78,12 +79,11 @@ class FirstMotion:
     def description(self) -> str:
         """The problem in a few words."""
         motion = self.tables["motion"]
-        moves = moves_of(motion)
-        some = moves if len(moves) <= 3 else [*moves[:3], f"{len(moves) - 3} more"]
         duration = motion["duration_s"]
         within = f" in {duration:g} s" if duration != "free" else ""
         least = "effort" if self.tables["objective"]["minimize"] == "effort" else "change of effort"
-        return f"{self.mechanism.name}: {', '.join(some) or 'no motion'}{within}, from rest to rest with least {least}"
+        moves = listed(moves_of(motion), 3) or "no motion"
+        return f"{self.mechanism.name}: {moves}{within}, from rest to rest with least {least}"
 
     @property
     def changed(self) -> list[str]:

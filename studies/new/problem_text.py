@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.library import BUILT_IN as MODELS
+from linkplan.models.catalogue import MODELS
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
