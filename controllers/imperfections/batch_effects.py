@@ -7,7 +7,7 @@ copied after every step and evaluated for many steps together, because an evalua
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -55,10 +55,6 @@ class Pushing:
     end: np.ndarray
     force: np.ndarray
     effort: np.ndarray
-
-    def kept(self, rows: np.ndarray) -> "Pushing":
-        """Return the pushes on some of these simulations, by a mask (n,)."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in ("start", "end", "force", "effort")})
 
     def over(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean forces (n, nbody, 6) and efforts (n, nv) over a simulator step."""
