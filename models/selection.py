@@ -16,6 +16,7 @@ from linkplan.models.floating import FREE, SLIDE, floating_bodies, floating_of, 
 from linkplan.models.kinematics import data_at, fix_in_parent, in_body
 from linkplan.models.names import nearest
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
+from linkplan.models.ties import tied_points
 from linkplan.models.urdf_loops import add_motors
 from linkplan.models.users import delete_users, leave_the_ground
 
@@ -236,11 +237,11 @@ def _tie_to_sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         if kind == int(mujoco.mjtEq.mjEQ_WELD):
             closure.data = model.eq_data[index]
             continue
-        ends = (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
-        name = closure.name or "-".join(model.body(end).name for end in ends)
-        for which, end in enumerate(ends):
+        ends = tied_points(model, index)
+        name = closure.name or "-".join(model.body(end).name for end, _ in ends)
+        for number, (end, point) in enumerate(ends, 1):
             body = spec.body(model.body(end).name) if end else spec.worldbody
-            body.add_site(name=f"{name} anchor {which + 1}", pos=model.eq_data[index, 3 * which : 3 * which + 3])
+            body.add_site(name=f"{name} anchor {number}", pos=point)
         closure.objtype = mujoco.mjtObj.mjOBJ_SITE
         closure.name, closure.name1, closure.name2 = name, f"{name} anchor 1", f"{name} anchor 2"
 
