@@ -15,6 +15,7 @@ import numpy as np
 
 from linkplan.models.catalogue import is_text
 from linkplan.models.errors import ModelError
+from linkplan.models.names import choose
 from linkplan.models.urdf_beside import Beside, CutHinge, LoopClosures, beside, loop_closures
 
 _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
@@ -123,19 +124,12 @@ def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
     return [f"meshes that are not there are left out: {', '.join(dict.fromkeys(missing))}; {remedy}"] if missing else []
 
 
-def _body(spec: mujoco.MjSpec, name: str) -> "mujoco._specs.MjsBody":
-    body = spec.body(name)
-    if body is None:
-        names = ", ".join(one.name for one in spec.bodies if one.name)
-        raise ModelError(f"a closure names '{name}', which is no link of the URDF; links are {names}")
-    return body
-
-
 def _close(spec: mujoco.MjSpec, name: str, ends: Sequence[tuple[str, np.ndarray]], kind: "mujoco.mjtEq") -> None:
     """Tie points (3,) of two links together: a connect, or a weld of the frames there."""
     sites = []
     for number, (link, place) in enumerate(ends, 1):
-        site = _body(spec, link).add_site(name=f"{name} {number}", pos=place)
+        body = spec.body(choose(f"link in closure {name}", link, [one.name for one in spec.bodies if one.name]))
+        site = body.add_site(name=f"{name} {number}", pos=place)
         sites.append(site.name)
     equality = spec.add_equality(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, name1=sites[0], name2=sites[1])
     if kind == _WELD:
@@ -197,10 +191,7 @@ def _rotation(rpy: np.ndarray) -> np.ndarray:
 
 
 def _joint(spec: mujoco.MjSpec, name: str) -> "mujoco._specs.MjsJoint":
-    joint = spec.joint(name)
-    if joint is None:
-        raise ModelError(f"no joint is named '{name}'; joints are {', '.join(one.name for one in spec.joints)}")
-    return joint
+    return spec.joint(choose("joint", name, [one.name for one in spec.joints]))
 
 
 def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:

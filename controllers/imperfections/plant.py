@@ -19,6 +19,7 @@ from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.closure.newton import solve
 from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import choose
 from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
@@ -276,10 +277,7 @@ def body_index(model: mujoco.MjModel, name: str) -> int:
     Raises:
         LinkplanError: if no body has this name, or if there is no payload.
     """
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if index > 0:
-        return index
-    if name == BODY_NAME:
+    names = [model.body(i).name for i in range(1, model.nbody)]
+    if name == BODY_NAME and name not in names:
         raise LinkplanError("the payload's centre of mass cannot be moved: the mechanism has no payload")
-    names = ", ".join(model.body(i).name for i in range(1, model.nbody))
-    raise LinkplanError(f"body '{name}' is not in the model; bodies are {names}")
+    return 1 + names.index(choose("body", name, names, LinkplanError))
