@@ -9,7 +9,6 @@ Overconstrained loops have no rows that are independent at every pose: there E J
 """
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -41,8 +40,7 @@ class ReducedDynamics:
     closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
     closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, determinants of J_z's blocks
     velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
-    singularity: ca.Function  # q -> det J_z, zero at a singular pose
-    block_singularity: ca.Function  # q -> determinants of J_z's blocks; a block contains coupled loops
+    block_singularity: ca.Function  # q -> determinants of J_z's blocks, zero at a singular pose; a block has coupled loops
     orientation: ca.Function  # q_0, q -> products of block_singularity at q_0 and q: negative if a fold lies between
     projected: bool  # true if some loops are closed by normal equations, whose determinants have no sign
     mass_matrix: ca.Function  # q -> M (n_q, n_q), armature included
@@ -128,7 +126,7 @@ def reduce_tree(
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
     loops = _partition(tree, closures, rows, independent, dependent, projected)
     phi, gamma_map = loops.phi, loops.velocity_map
-    det, dets, orientation = _determinants(loops, q, projected)
+    dets, orientation = _determinants(loops, q, projected)
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
     if loops.rows:
@@ -165,7 +163,6 @@ def reduce_tree(
             "closure_step", [q], loops.independent_phi, -loops.solve(loops.independent_phi), gamma_map, dets
         ),
         velocity_map=function("velocity_map", [q], gamma_map),
-        singularity=function("singularity", [q], det),
         block_singularity=function("block_singularity", [q], dets),
         orientation=orientation,
         projected=bool(projected),
@@ -261,17 +258,14 @@ def _partition(
     )
 
 
-def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoops]) -> tuple[ca.SX, ca.SX, ca.Function]:
-    """Return det J_z, the determinants of its blocks, and the function `orientation` of `ReducedDynamics`.
+def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoops]) -> tuple[ca.SX, ca.Function]:
+    """Return the determinants of J_z's blocks, and the function `orientation` of `ReducedDynamics`.
 
     The block of a projected loop has the determinant sqrt(det J_z^T J_z), and the orientation det(J_z(q_0)^T J_z(q)).
     """
     before = ca.SX.sym("q_0", q.numel())
     dets = block_determinants(loops.J_z)
-    oriented = dets * ca.substitute(dets, q, before)
-    if not projected:
-        return determinant(loops.J_z, dets), dets, ca.Function("orientation", [before, q], [ca.densify(oriented)])
-    own, signed = ca.vertsplit(dets), ca.vertsplit(oriented)
+    own, signed = ca.vertsplit(dets), ca.vertsplit(dets * ca.substitute(dets, q, before))
     J_z = loops.jacobian[:, loops.dependent]
     for block, rows in enumerate(block_rows(loops.J_z)):
         of = {loops.rows[row] for row in rows}
@@ -280,8 +274,7 @@ def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoop
                 own[block] = ca.sqrt(ca.fmax(own[block], 1e-40))  # the derivative stays finite at zero
                 here = J_z[list(loop.rows), list(loop.columns)]
                 signed[block] = determinant(ca.mtimes(ca.substitute(here, q, before).T, here))
-    orientation = ca.Function("orientation", [before, q], [ca.densify(ca.vertcat(*signed))])
-    return math.prod(own, start=ca.SX(1)), ca.vertcat(*own), orientation
+    return ca.vertcat(*own), ca.Function("orientation", [before, q], [ca.densify(ca.vertcat(*signed))])
 
 
 def _force_map(tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops]) -> ca.SX:
