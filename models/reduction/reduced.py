@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.equations import Closure, rows_by_pin
-from linkplan.models.closure.redundancy import ProjectedLoops, combination, jacobians_at_random
+from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.closure.redundancy import ProjectedLoops, combination, constant_combination, jacobians_at_random
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.ball_ranges import ball_turns
 from linkplan.models.tree.dynamics import Tree
@@ -307,11 +308,9 @@ def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[list[int]])
         kept = [row for row in of if row in chosen]
         if not kept or len(kept) == len(of):
             continue
-        maps = [J[of] @ np.linalg.pinv(J[kept]) for J in samples]
-        residual = max(np.abs(J[of] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
-        if residual > 1e-9 or max(np.abs(C - maps[0]).max() for C in maps) > 1e-9:
+        C = constant_combination(samples, of, kept, ROUNDING_SHARE)
+        if C is None:
             continue
-        C = maps[0]
         block = np.zeros((len(of), n_rows))
         block[:, kept] = np.linalg.pinv(C).T  # C (C^T C)^-1, also where chosen rows depend on one another
         spread[of] = np.where(np.abs(block) > 1e-12, block, 0.0)
