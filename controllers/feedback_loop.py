@@ -1,7 +1,8 @@
 """The feedback loop: a law is evaluated at every control instant for machines that run side by side. Written for speed.
 
 A `Stepper` advances the machines: MuJoCo (mujoco_plant.py) or the reduced dynamics (rigid_plant.py). Results of a machine
-do not depend on the other machines. A machine that diverges, or whose tracker fails, is frozen.
+do not depend on the other machines. A machine that diverges, or whose tracker fails, is frozen: its log ends, and it stands at
+its start, where the law can be evaluated.
 """
 
 import time
@@ -22,27 +23,27 @@ LARGEST_STATE = 1e10
 class Stepper(Protocol):
     """Machines that are advanced by control periods: the only mutable state of a simulation.
 
-    `rows` are the running machines, a slice if all n run. `independent` are the columns of a pose that the law measures.
+    `running` (n,) marks the machines that are not frozen. `independent` are the columns of a pose that the law measures.
     """
 
     n: int
     n_q: int
     n_s: int
     n_u: int
-    rows: np.ndarray | slice
+    running: np.ndarray
     independent: np.ndarray | slice
     lost: str  # the reason given for a machine with an invalid state
 
     def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
-        """Write the poses (r, n_q) and velocities (r, n_s) of the running machines."""
+        """Write the machines' poses (n, n_q) and velocities (n, n_s)."""
         ...
 
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
-        """Advance the machines by a period under commands (r, n_u), and write mean efforts and actuators' speeds."""
+        """Advance the machines by a period under commands (n, n_u), and write mean efforts and actuators' speeds."""
         ...
 
-    def keep(self, running: np.ndarray) -> None:
-        """Keep the running machines of a mask (r,) and freeze the others."""
+    def freeze(self, lost: np.ndarray) -> None:
+        """Put the machines of a mask (n,) back to their starts, where they stay."""
         ...
 
 
@@ -66,21 +67,17 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
 
     Args:
         stepper: the machines, which are advanced.
-        law: evaluated for the running machines, at instants from 0.
+        law: evaluated at instants from 0.
         instants: their number.
-        sensors: of the running machines; None for exact measurements.
+        sensors: of the machines; None for exact measurements.
     """
     log = LoopLog(instants, stepper.n, stepper.n_q, stepper.n_s, stepper.n_u)
+    log.done[~stepper.running] = 0
     memory = law.start(stepper.n)
-    memory = memory if isinstance(stepper.rows, slice) else memory[stepper.rows]
     independent, n_u, bound, clock = stepper.independent, stepper.n_u, LARGEST_STATE**2, time.perf_counter
     logs = (log.pose, log.velocity, log.commanded, log.applied, log.speed)
-    for k, (row, *logged) in enumerate(zip(log.instants.reshape(instants, -1), *logs, strict=True)):
+    for k, (row, q, v, command, applied, speed) in enumerate(zip(log.instants.reshape(instants, -1), *logs, strict=True)):
         check()
-        # Results are written directly into the log. If some machines are frozen, they are written to copies first.
-        rows = stepper.rows
-        here = logged if isinstance(rows, slice) else [one[rows] for one in logged]
-        q, v, command, applied, speed = here
         stepper.read(q, v)
         s, rate = q[:, independent], v
         if sensors is not None:
@@ -90,47 +87,33 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
         log.asked_s[k] = clock() - begin
         command[...] = efforts
         # If the sum of squares is finite and small, all states and commands are valid.
-        if here is not logged or not row.dot(row) < bound:
-            valid_state = (np.abs(q) < LARGEST_STATE).all(axis=1) & (np.abs(v) < LARGEST_STATE).all(axis=1)
-            running = valid_state & np.isfinite(command).all(axis=1)
-            if not running.all():
-                _log_failures(log, k, np.arange(stepper.n)[rows], running, valid_state, failed, stepper.lost)
-                stepper.keep(running)
-                rows = stepper.rows
-                here = q, v, command, applied, speed = [one[running] for one in here]
-                log.instants[k] = np.nan
-                memory = memory[running]
-                sensors = None if sensors is None else sensors.kept(running)
-                if not len(q):
-                    break
+        if not row.dot(row) < bound:
+            _freeze_failures(log, stepper, k, failed)
+            if not stepper.running.any():
+                break
         stepper.hold(command, applied, speed)
-        if here is not logged:
-            for whole, part in zip(logged, here, strict=True):
-                whole[rows] = part
+    for machine in np.flatnonzero(log.done < instants):
+        for whole in (log.instants, log.applied, log.speed):
+            whole[log.done[machine] :, machine] = np.nan
     return log
 
 
-def _log_failures(
-    log: LoopLog,
-    k: int,
-    machines: np.ndarray,
-    running: np.ndarray,
-    valid_state: np.ndarray,
-    failed: dict[int, BaseException],
-    lost: str,
-) -> None:
-    """Log why the machines (r,) outside the mask `running` (r,) are frozen at instant k."""
-    for i in np.flatnonzero(~running):
-        machine, error = machines[i], failed.get(int(i))
+def _freeze_failures(log: LoopLog, stepper: Stepper, k: int, failed: dict[int, BaseException]) -> None:
+    """Freeze the machines with an invalid state or command at instant k, and log why."""
+    valid_state = (np.abs(log.pose[k]) < LARGEST_STATE).all(axis=1) & (np.abs(log.velocity[k]) < LARGEST_STATE).all(axis=1)
+    lost = stepper.running & ~(valid_state & np.isfinite(log.commanded[k]).all(axis=1))
+    for machine in np.flatnonzero(lost).tolist():
+        error = failed.get(machine)
         reason = _failure_text(error) if error else "the tracker gave an effort that is no number"
-        log.failure[machine], log.error[machine] = (reason, error) if valid_state[i] else (lost, None)
+        log.failure[machine], log.error[machine] = (reason, error) if valid_state[machine] else (stepper.lost, None)
         log.done[machine] = k
+    stepper.freeze(lost)
+    log.commanded[k, ~stepper.running] = 0.0
 
 
 def states_of(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
-    """Return the poses (r, n_q) and velocities (r, n_s) of the running machines."""
-    n = len(np.arange(stepper.n)[stepper.rows])
-    pose, velocity = np.empty((n, stepper.n_q)), np.empty((n, stepper.n_s))
+    """Return the machines' poses (n, n_q) and velocities (n, n_s)."""
+    pose, velocity = np.empty((stepper.n, stepper.n_q)), np.empty((stepper.n, stepper.n_s))
     stepper.read(pose, velocity)
     return pose, velocity
 

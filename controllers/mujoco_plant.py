@@ -138,7 +138,8 @@ class MujocoStepper:
     ) -> None:
         models = [one.model for one in plants]
         model = models[0] if base is None else base.model
-        self.n, self.n_u, self.rows = len(plants), mechanism.n_u, slice(None)
+        self.n, self.n_u = len(plants), mechanism.n_u
+        self.running = np.ones(self.n, dtype=bool)
         self.n_q, self.n_s, self.independent = mechanism.n_q, mechanism.dof, _columns(mechanism.independent)
         self.model, self.timestep_s = model, np.array([one.opt.timestep for one in models])
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
@@ -156,10 +157,17 @@ class MujocoStepper:
         self._watch = ClosureWatch(self._batch, models) if watched else None
         self._map_actuators(mechanism.actuators)
         self._ids: np.ndarray | None = None  # of the running machines; None for all
-        self._near = np.array([one.pose for one in plants])
+        # One by one: the rounding of ball joints' rotations must not depend on the other machines.
+        self._first_qpos = np.array([mechanism.qpos_of(one.pose) for one in plants])
+        self._first_qvel = np.array([mechanism.qvel_of(one.pose, one.rates) for one in plants])
+        self._first = np.array([one.pose for one in plants])
+        self._near, self._qpos[:], self._qvel[:] = self._first.copy(), self._first_qpos, self._first_qvel
         changing = pushes is not None or self._servos is not None
         self._stretches = [(j, 1) for j in range(substeps)] if changing else stretches(drives, substeps)
-        self._start(plants)
+        self._stage = 0
+        if self._servos is not None:
+            self._stage = _STATE_KNOWN
+            self._batch.forward(stage=_STATE_KNOWN)
         self.k = 0
 
     def _map_actuators(self, driven: Sequence[Actuator]) -> None:
@@ -171,15 +179,6 @@ class MujocoStepper:
         self._bias = np.where(is_servo, 0.0, [actuator.biases[0] for actuator in driven])
         self._direct = bool(np.all(self._scale == 1.0) and np.all(self._bias == 0.0)) and self._servos is None
 
-    def _start(self, plants: Sequence[Plant]) -> None:
-        """Set the machines' initial poses and rates."""
-        self._qpos[:] = [self._mechanism.qpos_of(one.pose) for one in plants]
-        self._qvel[:] = [self._mechanism.qvel_of(one.pose, one.rates) for one in plants]
-        self._stage = 0
-        if self._servos is not None:
-            self._stage = _STATE_KNOWN
-            self._batch.forward(stage=_STATE_KNOWN)
-
     def under_way(self, commands: np.ndarray) -> None:
         """Set the commands (p, n, n_u) of the p periods before the start."""
         for command in commands:
@@ -187,26 +186,25 @@ class MujocoStepper:
             self.k += 1
 
     def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
-        """Write the poses and velocities of the running machines."""
-        mechanism, rows = self._mechanism, self.rows
+        """Write the machines' poses and velocities."""
+        mechanism = self._mechanism
         if mechanism.coordinates.trivial:
-            pose[...], velocity[...] = self._qpos[rows], self._qvel[rows][:, self.independent]
+            pose[...], velocity[...] = self._qpos, self._qvel[:, self.independent]
             return
-        # One by one: the rounding of ball joints' rotations must not depend on the other machines.
-        for i, (qpos, qvel) in enumerate(zip(self._qpos[rows], self._qvel[rows], strict=True)):
+        for i, (qpos, qvel) in enumerate(zip(self._qpos, self._qvel, strict=True)):
             pose[i] = mechanism.q_of(qpos, self._near[i])
             velocity[i] = mechanism.rates_of(pose[i], qvel)[self.independent]
-        self._near = pose.copy()
+        self._near[:] = pose
 
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
         """Advance the machines by a period under commands; `speed` receives the actuators' speeds at its start."""
-        drives, k, rows, servos = self._drives, self.k, self.rows, self._servos
+        drives, k, servos = self._drives, self.k, self._servos
         take(drives, k, command)
         beyond: np.ndarray | float = 0.0
         for j, count in self._stretches:
             effort = ctrl = act(drives, k, j)
             if servos is not None:
-                length, rate = self._lengths[rows][:, self._outputs], self._speeds[rows][:, self._outputs]
+                length, rate = self._lengths[:, self._outputs], self._speeds[:, self._outputs]
                 at_the_end = rate + self._gains[min(k, len(self._gains) - 1)]
                 ctrl, effort = servos.controls(effort, length, at_the_end)
                 effort = np.minimum(np.maximum(effort, drives.clamp[..., 0]), drives.clamp[..., 1])
@@ -214,28 +212,29 @@ class MujocoStepper:
                     speed[...] = rate
             elif not self._direct:
                 ctrl = (effort - self._bias) * self._scale
-            _put(self._ctrl, rows, self._channels, ctrl)
+            self._ctrl[:, self._channels] = ctrl
             if self._pushes is not None:
-                self._forces[rows], self._efforts[rows] = self._pushes.over(k * self._substeps + j)
+                self._forces[:], self._efforts[:] = self._pushes.over(k * self._substeps + j)
             self._batch.step(self._ids, count, self._stage)
             if j:
                 beyond = beyond + count * (effort - applied)
                 continue
             applied[...] = effort
             if servos is None:
-                speed[...] = self._speeds[rows][:, self._outputs]
+                speed[...] = self._speeds[:, self._outputs]
         if len(self._stretches) > 1:  # a constant effort stays exact
             applied += beyond / self._substeps
         self.k += 1
         if self._watch is not None:
             self._watch.note()
 
-    def keep(self, running: np.ndarray) -> None:
-        """Keep the running machines of a mask (r,) and freeze the others."""
-        self.rows = self._ids = np.arange(self.n)[self.rows][running]
-        self._near = self._near[running]
-        self._drives = self._drives.kept(running)
-        self._pushes = None if self._pushes is None else self._pushes.kept(running)
+    def freeze(self, lost: np.ndarray) -> None:
+        """Put the machines of a mask (n,) back to their starts, where they stay."""
+        self.running = self.running & ~lost
+        self._ids = None if self.running.all() else np.flatnonzero(self.running)
+        self._qpos[lost], self._qvel[lost], self._near[lost] = (
+            first[lost] for first in (self._first_qpos, self._first_qvel, self._first)
+        )
 
     def gap_and_contacts(self) -> tuple[np.ndarray, np.ndarray]:
         """Return each machine's largest gap [m] of tied points and largest number of contacts so far, (n,) each."""
@@ -264,11 +263,3 @@ def _columns(index: np.ndarray) -> np.ndarray | slice:
     """Return consecutive indices as a slice, which avoids copies, and others unchanged."""
     first = int(index[0])
     return slice(first, first + len(index)) if np.array_equal(index, first + np.arange(len(index))) else index
-
-
-def _put(array: np.ndarray, rows: np.ndarray | slice, columns: np.ndarray | slice, values: np.ndarray) -> None:
-    """Write values (r, c) into an array's rows and columns."""
-    if isinstance(rows, slice) or isinstance(columns, slice):
-        array[rows, columns] = values
-    else:
-        array[np.ix_(rows, columns)] = values

@@ -41,13 +41,13 @@ class RigidPlant:
 class RigidStepper:
     """Rigid machines that are advanced by control periods; see `Stepper`."""
 
-    rows: np.ndarray | slice
     independent: np.ndarray | slice
     lost = LOST
 
     def __init__(self, plant: RigidPlant, reference: SampledReference, machines: Sequence[Imperfections]) -> None:
         mechanism, clocks = plant.mechanism, [one.clock for one in machines]
-        self.n, self.n_u, self.rows = len(machines), mechanism.n_u, slice(None)
+        self.n, self.n_u = len(machines), mechanism.n_u
+        self.running = np.ones(self.n, dtype=bool)
         self.independent, self.n_q, self.n_s = mechanism.independent, mechanism.n_q, mechanism.dof
         self._periods = reference.period_s * np.array([clock.period_factor for clock in clocks])
         delays = [plant.delay_periods + clock.delay_periods for clock in clocks]
@@ -64,15 +64,12 @@ class RigidStepper:
         self._k = 0
 
     def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
-        """Write the poses and velocities of the running machines."""
-        state = self._state[self.rows]
-        pose[...], velocity[...] = state[:, : self.n_q], state[:, self.n_q :]
+        """Write the machines' poses and velocities."""
+        pose[...], velocity[...] = self._state[:, : self.n_q], self._state[:, self.n_q :]
 
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
         """Advance the machines by a period; the actuators' speeds are not computed."""
-        commands = np.zeros((self.n, self.n_u))
-        commands[self.rows] = command
-        take(self._drives, self._k, commands)
+        take(self._drives, self._k, command)
         before, acting = arrived(self._drives, self._k - 1), arrived(self._drives, self._k)
         share, gap, state = self._drives.fraction, np.zeros(self.n), self._state
         for effort, duration in ((before, share * self._periods), (acting, (1.0 - share) * self._periods)):
@@ -81,18 +78,16 @@ class RigidStepper:
                 state, gap = after.T, np.maximum(gap, opened.ravel())
         # A larger gap means that the mechanism was driven beyond the poses where its loop closes.
         lost = ~((gap <= MAX_LOOP_GAP_M) & np.isfinite(state).all(axis=1))
-        # A frozen machine stays at its start, where the batched dynamics can be evaluated.
-        self._state = self._start.copy()
-        self._state[self.rows] = np.where(lost[:, None], np.nan, state)[self.rows]
+        self._state = np.where(lost[:, None], np.nan, state)
+        self._state[~self.running] = self._start[~self.running]
         self._k += 1
-        applied[...] = (share[:, None] * before + (1.0 - share)[:, None] * acting)[self.rows]
+        applied[...] = share[:, None] * before + (1.0 - share)[:, None] * acting
         speed[...] = np.nan
 
-    def keep(self, running: np.ndarray) -> None:
-        """Keep the running machines of a mask (r,) and freeze the others."""
-        self.rows = np.arange(self.n)[self.rows][running]
-        frozen = np.setdiff1d(np.arange(self.n), self.rows)
-        self._state[frozen] = self._start[frozen]
+    def freeze(self, lost: np.ndarray) -> None:
+        """Put the machines of a mask (n,) back to their starts, where they stay."""
+        self.running = self.running & ~lost
+        self._state[lost] = self._start[lost]
 
     def gap_and_contacts(self) -> tuple[np.ndarray, np.ndarray]:
         """Return zero gaps and contacts (n,)."""

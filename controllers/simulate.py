@@ -81,8 +81,7 @@ def simulate(
     sensors = sensing([one.sensors for one in machines], q[:, stepper.independent], v, reference.period_s)
     built = np.array([reason is None for reason in failure])
     if not built.all():
-        stepper.keep(built)
-        sensors = sensors.kept(built)
+        stepper.freeze(~built)
     log = run_loop(stepper, steps_of(law), reference.n, None if sensors.perfect else sensors)
     gap_m, contacts = stepper.gap_and_contacts()
     clocks = [one.clock for one in machines]
@@ -98,7 +97,7 @@ def simulate(
         power=added(np.abs(log.applied * log.speed)),
         gap_m=gap_m,
         contacts=contacts,
-        done=np.where(built, log.done, 0),
+        done=log.done,
         failure=tuple(one or other for one, other in zip(failure, log.failure, strict=True)),
         error=tuple(log.error),
         asked_s=log.asked_s,

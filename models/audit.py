@@ -34,8 +34,8 @@ class UnsupportedElement:
 def audit(model: mujoco.MjModel) -> tuple[UnsupportedElement, ...]:
     """Return every element of a model that the reduced dynamics leave out, except for contacts, which depend on the pose."""
     false = [*_joints(model), *_tendons(model), *_surroundings(model), *shared_clamps(model)]
-    found = [UnsupportedElement(text=text, falsifies=True) for text in false]
-    return (*found, *_actuators(model), *_equalities(model))
+    found = [*((text, True) for text in false), *_actuators(model), *((text, False) for text in _equalities(model))]
+    return tuple(UnsupportedElement(text=text, falsifies=falsifies) for text, falsifies in found)
 
 
 def _joints(model: mujoco.MjModel):
@@ -117,45 +117,33 @@ def _asleep(model: mujoco.MjModel):
 
 
 def _actuators(model: mujoco.MjModel):
+    """Yield the text on an actuator, and True if it falsifies plans."""
     for index in range(model.nactuator):
         reason = unusable_reason(model, index)
         if reason is None:
             continue
         idle = is_idle_at_zero(model, index)
         kind = mujoco.mjtTrn(int(model.actuator_trntype[index])).name.removeprefix("mjTRN_").lower()
-        yield UnsupportedElement(
-            text=f"actuator {label(model, index)} on {attachment(model, index).target} ({kind} transmission): {reason};"
-            f" plans leave it {'idle at zero control' if idle else 'out, though it acts at zero control too'}",
-            falsifies=not idle,
-        )
+        left = "idle at zero control" if idle else "out, though it acts at zero control too"
+        where = f"actuator {label(model, index)} on {attachment(model, index).target} ({kind} transmission)"
+        yield f"{where}: {reason}; plans leave it {left}", not idle
     for actuator in read_actuators(model):
         if has_passive_terms(model, actuator.index) and not passive_terms_modelled(model, actuator.index):
-            yield UnsupportedElement(
-                text=f"damping or armature of actuator {actuator.name} on {actuator.target}: plans contain its effort but"
-                " not these forces",
-                falsifies=True,
-            )
+            where = f"damping or armature of actuator {actuator.name} on {actuator.target}"
+            yield f"{where}: plans contain its effort but not these forces", True
         if not actuator.is_servo:
             continue
         limits = "" if np.isfinite([actuator.lower, actuator.upper]).all() else ", which no forcerange limits"
         within = ""
         if np.isfinite([actuator.control_lower, actuator.control_upper]).any():
             within = f", clamped to its ctrlrange {actuator.control_lower:g} to {actuator.control_upper:g}"
-        yield UnsupportedElement(
-            text=f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and its ctrl is computed from"
-            f" that effort, its gain and its bias{within}",
-            falsifies=False,
-        )
+        computed = f"its ctrl is computed from that effort, its gain and its bias{within}"
+        yield f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and {computed}", False
 
 
 def _equalities(model: mujoco.MjModel):
     for index in range(model.neq):
         if disabled(model, mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
-            yield UnsupportedElement(
-                text=f"equality constraint {equality_name(model, index)} is switched off by a flag of the model's option",
-                falsifies=False,
-            )
+            yield f"equality constraint {equality_name(model, index)} is switched off by a flag of the model's option"
         elif not model.eq_active0[index]:
-            yield UnsupportedElement(
-                text=f"equality constraint {equality_name(model, index)} is inactive and stays so", falsifies=False
-            )
+            yield f"equality constraint {equality_name(model, index)} is inactive and stays so"

@@ -7,6 +7,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.names import listed
+from linkplan.models.ties import tied_points
 
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -37,11 +38,7 @@ def tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
         return {int(model.jnt_bodyid[end]) for end in ends}
     if kind == int(mujoco.mjtEq.mjEQ_TENDON):
         return set().union(*(_bodies_of_tendon(model, end) for end in ends))
-    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_BODY):
-        return set(ends)
-    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        return {int(model.site_bodyid[end]) for end in ends}
-    return set()
+    return {body for body, _ in tied_points(model, index)}
 
 
 def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:

@@ -14,6 +14,18 @@ def data_at(model: mujoco.MjModel, qpos: np.ndarray | None = None) -> mujoco.MjD
     return data
 
 
+def fields_at(model: mujoco.MjModel, qpos: np.ndarray, *fields: str) -> list[np.ndarray]:
+    """Return fields of MuJoCo's kinematics, such as "xanchor" (njnt, 3) [m], at qpos (n, nq), each (n, ...)."""
+    data = mujoco.MjData(model)
+    found = [np.empty((len(qpos), *getattr(data, field).shape)) for field in fields]
+    for k, pose in enumerate(qpos):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        for array, field in zip(found, fields, strict=True):
+            array[k] = getattr(data, field)
+    return found
+
+
 def in_world(data: mujoco.MjData, body: int, place: np.ndarray) -> np.ndarray:
     """Return the world position (3,) [m] of a point in a body's frame."""
     return data.xpos[body] + data.xmat[body].reshape(3, 3) @ place

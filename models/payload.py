@@ -8,7 +8,7 @@ import numpy as np
 
 from linkplan.models.catalogue import PAYLOADS
 from linkplan.models.errors import ModelError
-from linkplan.models.names import choose, nearest
+from linkplan.models.names import choose
 
 BODY_NAME = "linkplan_payload"
 
@@ -88,12 +88,7 @@ def payload_from(value: Payload | str | Mapping | None) -> Payload | None:
 def attach(spec: mujoco.MjSpec, payload: Payload) -> None:
     """Weld the payload to its body in `spec`."""
     names = [body.name for body in spec.bodies if body.name and body.name != "world"]
-    if payload.body not in names:
-        raise ModelError(
-            f"payload.body '{payload.body}' is not a body of the model{nearest(payload.body, names)};"
-            f" bodies are {', '.join(names) or 'all unnamed'}"
-        )
-    body = spec.body(payload.body).add_body(name=BODY_NAME)
+    body = spec.body(choose("payload.body", payload.body, names)).add_body(name=BODY_NAME)
     body.explicitinertial = True
     body.mass = payload.mass_kg
     body.ipos = payload.com_m

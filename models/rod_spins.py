@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
-from linkplan.models.names import nearest
+from linkplan.models.names import choose
 from linkplan.models.ties import carrying_axis, rod_line
 
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -40,13 +40,7 @@ def asked_spins(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
     """
     joints = {model.joint(j).name: j for j in range(model.njnt)}
     for name in names:
-        if name not in joints:
-            balls = [known for known, j in joints.items() if int(model.jnt_type[j]) == _BALL]
-            raise ModelError(
-                f"mechanism.lock_spin: no joint is named '{name}'{nearest(name, joints)}; ball joints are"
-                f" {', '.join(balls) or 'none'}"
-            )
-        if reason := spin_refusal(model, joints[name]):
+        if reason := spin_refusal(model, joints[choose("joint in mechanism.lock_spin", name, joints)]):
             raise ModelError(f"mechanism.lock_spin: joint '{name}' {reason}")
     return [joints[name] for name in names]
 

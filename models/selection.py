@@ -14,8 +14,9 @@ import numpy as np
 from linkplan.models.errors import ModelError
 from linkplan.models.floating import FREE, SLIDE, floating_bodies, floating_of, joints_of, subtree, tied_bodies
 from linkplan.models.kinematics import data_at, fix_in_parent, in_body
-from linkplan.models.names import listed, nearest
+from linkplan.models.names import choose, listed
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
+from linkplan.models.ties import tied_points
 from linkplan.models.urdf_loops import add_motors
 from linkplan.models.users import delete_users, leave_the_ground
 
@@ -112,10 +113,7 @@ def home_qpos(model: mujoco.MjModel, keyframe: str | None = None) -> np.ndarray:
     names = [model.key(k).name for k in range(model.nkey)]
     if keyframe in (None, HOME_KEYFRAME):
         return np.array(model.key_qpos[names.index(HOME_KEYFRAME)] if HOME_KEYFRAME in names else model.qpos0)
-    if keyframe not in names:
-        known = ", ".join(name for name in names if name) or "none"
-        raise ModelError(f"unknown keyframe '{keyframe}'{nearest(keyframe, names)}; the model's keyframes are {known}")
-    return np.array(model.key_qpos[names.index(keyframe)])
+    return np.array(model.key_qpos[names.index(choose("keyframe", keyframe, filter(None, names)))])
 
 
 def _body_of(model: mujoco.MjModel, name: str) -> int:
@@ -126,12 +124,7 @@ def _body_of(model: mujoco.MjModel, name: str) -> int:
     """
     bodies = {model.body(b).name: b for b in range(1, model.nbody)}
     joints = {model.joint(j).name: int(model.jnt_bodyid[j]) for j in range(model.njnt)}
-    if name in bodies or name in joints:
-        return bodies.get(name, joints.get(name, 0))
-    raise ModelError(
-        f"mechanism.keep: no body or joint is named '{name}'{nearest(name, [*bodies, *joints])}; bodies are"
-        f" {', '.join(bodies)}"
-    )
+    return (joints | bodies)[choose("body or joint in mechanism.keep", name, [*bodies, *joints])]
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
@@ -159,11 +152,7 @@ def _closed_chain(model: mujoco.MjModel, chosen: Sequence[int]) -> set[int]:
 def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, float | None]:
     joints = {model.joint(j).name: j for j in range(model.njnt)}
     for name in lock:
-        if name not in joints:
-            raise ModelError(
-                f"mechanism.lock: no joint is named '{name}'{nearest(name, joints)}; joints are {', '.join(joints)}"
-            )
-        if int(model.jnt_type[joints[name]]) not in (HINGE, SLIDE):
+        if int(model.jnt_type[joints[choose("joint in mechanism.lock", name, joints)]]) not in (HINGE, SLIDE):
             raise ModelError(
                 f"mechanism.lock: joint '{name}' is a {'ball' if int(model.jnt_type[joints[name]]) == BALL else 'free'}"
                 " joint, which has no single position; lock takes hinges and slides, lock_spin a rod's ball joint, and"
@@ -236,11 +225,11 @@ def _tie_to_sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         if kind == int(mujoco.mjtEq.mjEQ_WELD):
             closure.data = model.eq_data[index]
             continue
-        ends = (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
-        name = closure.name or "-".join(model.body(end).name for end in ends)
-        for which, end in enumerate(ends):
+        ends = tied_points(model, index)
+        name = closure.name or "-".join(model.body(end).name for end, _ in ends)
+        for number, (end, point) in enumerate(ends, 1):
             body = spec.body(model.body(end).name) if end else spec.worldbody
-            body.add_site(name=f"{name} anchor {which + 1}", pos=model.eq_data[index, 3 * which : 3 * which + 3])
+            body.add_site(name=f"{name} anchor {number}", pos=point)
         closure.objtype = mujoco.mjtObj.mjOBJ_SITE
         closure.name, closure.name1, closure.name2 = name, f"{name} anchor 1", f"{name} anchor 2"
 
@@ -266,11 +255,7 @@ def _exclude(spec: mujoco.MjSpec, pairs: Sequence[Sequence[str]]) -> list[str]:
     bodies = [body.name for body in spec.bodies]
     for first, second in pairs:
         for name in (first, second):
-            if name not in bodies:
-                raise ModelError(
-                    f"mechanism.exclude_contacts: no body is named '{name}'{nearest(name, bodies)}; bodies are"
-                    f" {', '.join(bodies)}"
-                )
+            choose("body in mechanism.exclude_contacts", name, bodies)
         spec.add_exclude(bodyname1=first, bodyname2=second)
     names = ", ".join(f"{first} and {second}" for first, second in pairs)
     return [f"contacts excluded (mechanism.exclude_contacts): {names}"] if pairs else []

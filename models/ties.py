@@ -14,7 +14,7 @@ CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
     """Return the two points that a connect or weld ties, each as a body and a position (3,) [m] in that body's frame.
 
-    The list is empty for an equality constraint of another kind.
+    The positions are views of the model's arrays. The list is empty for an equality constraint of another kind.
     """
     kind = int(model.eq_type[index])
     if kind not in (CONNECT, WELD):

@@ -15,6 +15,8 @@ import numpy as np
 
 from linkplan.models.catalogue import is_text
 from linkplan.models.errors import ModelError
+from linkplan.models.kinematics import data_at, in_body
+from linkplan.models.names import choose
 from linkplan.models.urdf_beside import Beside, CutHinge, LoopClosures, beside, loop_closures
 
 _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
@@ -68,7 +70,7 @@ def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: S
     for loop in loops:
         _close_loop_joint(spec, loop)
     for hinge in hinges:
-        _close_hinge(spec, root, hinge)
+        _close_hinge(spec, hinge)
     sources = {
         "the URDF": ["-".join(pair) for pair in frames] + [str(loop.get("name")) for loop in loops],
         _BESIDE: ["-".join(pair) for pair in named.closed_loop],
@@ -123,19 +125,12 @@ def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
     return [f"meshes that are not there are left out: {', '.join(dict.fromkeys(missing))}; {remedy}"] if missing else []
 
 
-def _body(spec: mujoco.MjSpec, name: str) -> "mujoco._specs.MjsBody":
-    body = spec.body(name)
-    if body is None:
-        names = ", ".join(one.name for one in spec.bodies if one.name)
-        raise ModelError(f"a closure names '{name}', which is no link of the URDF; links are {names}")
-    return body
-
-
 def _close(spec: mujoco.MjSpec, name: str, ends: Sequence[tuple[str, np.ndarray]], kind: "mujoco.mjtEq") -> None:
     """Tie points (3,) of two links together: a connect, or a weld of the frames there."""
     sites = []
     for number, (link, place) in enumerate(ends, 1):
-        site = _body(spec, link).add_site(name=f"{name} {number}", pos=place)
+        body = spec.body(choose(f"link in closure {name}", link, [one.name for one in spec.bodies if one.name]))
+        site = body.add_site(name=f"{name} {number}", pos=place)
         sites.append(site.name)
     equality = spec.add_equality(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, name1=sites[0], name2=sites[1])
     if kind == _WELD:
@@ -163,29 +158,15 @@ def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
         _close(spec, f"{name} axis", further, _CONNECT)
 
 
-def _close_hinge(spec: mujoco.MjSpec, root: ET.Element, hinge: CutHinge) -> None:
+def _close_hinge(spec: mujoco.MjSpec, hinge: CutHinge) -> None:
     """Close a hinge that was cut by two connects on its axis, which let its links turn."""
-    along = np.array(hinge.axis) / np.linalg.norm(hinge.axis)
-    name = f"{hinge.link_a}-{hinge.link_b}"
+    model, links = spec.compile(), (hinge.link_a, hinge.link_b)
+    data, names = data_at(model), [body.name for body in spec.bodies]
+    bodies = [names.index(choose("link in loop_closures.yaml", link, names)) for link in links]
+    along, name = np.array(hinge.axis) / np.linalg.norm(hinge.axis), "-".join(links)
     for label, point in ((name, np.array(hinge.point)), (f"{name} axis", hinge.point + _HINGE_WIDTH_M * along)):
-        ends = []
-        for link in (hinge.link_a, hinge.link_b):
-            place, turn = _pose_at_zero(root, link)
-            ends.append((link, turn.T @ (point - place)))
-        _close(spec, label, ends, _CONNECT)
-
-
-def _pose_at_zero(root: ET.Element, link: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return a link's place (3,) [m] and axes (3, 3) in the root link's frame, with all joints at zero."""
-    joint = next(
-        (one for one in root.iter("joint") if (child := one.find("child")) is not None and child.get("link") == link), None
-    )
-    if joint is None:
-        return np.zeros(3), np.eye(3)
-    origin, parent = joint.find("origin"), joint.find("parent")
-    xyz, rpy = ("0 0 0" if origin is None else origin.get(key, "0 0 0") for key in ("xyz", "rpy"))
-    place, turn = _pose_at_zero(root, "" if parent is None else parent.get("link", ""))
-    return place + turn @ np.array(xyz.split(), dtype=float), turn @ _rotation(np.array(rpy.split(), dtype=float))
+        ends = [in_body(data, body, point) for body in bodies]
+        _close(spec, label, list(zip(links, ends, strict=True)), _CONNECT)
 
 
 def _rotation(rpy: np.ndarray) -> np.ndarray:
@@ -197,10 +178,7 @@ def _rotation(rpy: np.ndarray) -> np.ndarray:
 
 
 def _joint(spec: mujoco.MjSpec, name: str) -> "mujoco._specs.MjsJoint":
-    joint = spec.joint(name)
-    if joint is None:
-        raise ModelError(f"no joint is named '{name}'; joints are {', '.join(one.name for one in spec.joints)}")
-    return joint
+    return spec.joint(choose("joint", name, [one.name for one in spec.joints]))
 
 
 def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:

@@ -7,7 +7,7 @@ copied after every step and evaluated for many steps together, because an evalua
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -18,6 +18,7 @@ from linkplan.controllers.imperfections.plant import Plant, body_index
 from linkplan.controllers.trackers.tracker import added
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.ties import tied_points
 
 # All model fields that an imperfection changes, and the fields that MuJoCo derives from them.
 FIELDS = (
@@ -28,8 +29,6 @@ FIELDS = (
     "actuator_acc0", "actuator_length0", "actuator_ctrlrange", "actuator_forcerange", "jnt_actfrcrange",
     "cam_pos0", "cam_poscom0", "light_pos0", "light_poscom0",
 )  # fmt: skip
-_CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
-_FIRST, _SECOND = slice(0, 3), slice(3, 6)
 
 
 def spread(batch: Batch, base: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
@@ -55,10 +54,6 @@ class Pushing:
     end: np.ndarray
     force: np.ndarray
     effort: np.ndarray
-
-    def kept(self, rows: np.ndarray) -> "Pushing":
-        """Return the pushes on some of these simulations, by a mask (n,)."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in ("start", "end", "force", "effort")})
 
     def over(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean forces (n, nbody, 6) and efforts (n, nv) over a simulator step."""
@@ -107,11 +102,13 @@ class ClosureWatch:
 
     def __init__(self, batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
         model, n = models[0], len(models)
-        ties = [i for i in range(model.neq) if model.eq_active0[i] and int(model.eq_type[i]) in (_CONNECT, _WELD)]
+        ties = [i for i in np.flatnonzero(model.eq_active0).tolist() if tied_points(model, i)]
         self._model = model
         self._at_sites = [i for i in ties if model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE)]
         self._at_bodies = [i for i in ties if i not in self._at_sites]
-        self._anchors = np.array([[one.eq_data[i, :6] for one in models] for i in self._at_bodies])  # (ties, n, 6)
+        self._anchors = [
+            [np.array([tied_points(one, i)[end][1] for one in models]) for end in (0, 1)] for i in self._at_bodies
+        ]
         names = ["ncon", *(["site_xpos"] if self._at_sites else []), *(["xpos", "xmat"] if self._at_bodies else [])]
         self._live = {name: batch.bind(name) for name in names}
         size = sum(array.nbytes for array in self._live.values())
@@ -143,13 +140,11 @@ class ClosureWatch:
         for i in self._at_sites:
             sites = copies["site_xpos"]
             self._widen(sites[:, :, model.eq_obj1id[i]] - sites[:, :, model.eq_obj2id[i]])
-        for i, anchor in zip(self._at_bodies, self._anchors, strict=True):
-            # For a weld, MuJoCo stores the point in the second body's frame first.
-            data = (_SECOND, _FIRST) if int(model.eq_type[i]) == _WELD else (_FIRST, _SECOND)
+        for i, anchors in zip(self._at_bodies, self._anchors, strict=True):
             ends = []
-            for body, columns in zip((model.eq_obj1id[i], model.eq_obj2id[i]), data, strict=True):
+            for body, anchor in zip((model.eq_obj1id[i], model.eq_obj2id[i]), anchors, strict=True):
                 turn = copies["xmat"][:, :, body].reshape(noted, -1, 3, 3)
-                ends.append(copies["xpos"][:, :, body] + added(turn * anchor[:, None, columns]))
+                ends.append(copies["xpos"][:, :, body] + added(turn * anchor[:, None]))
             self._widen(ends[0] - ends[1])
 
     def _widen(self, gap: np.ndarray) -> None:

@@ -5,7 +5,7 @@ keeps its impulse. Every row is computed independently of the others, to the las
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,11 +46,6 @@ class Driving:
     def clamp(self) -> np.ndarray:
         """The effort limits (n, n_u, 2) [N.m or N]: the current limits times each machine's torque constant factor."""
         return np.maximum(1.0, self.factor)[:, :, None] * np.stack([self.low, self.high], axis=1)
-
-    def kept(self, rows: np.ndarray) -> "Driving":
-        """Return the drives of some of these simulations, by a mask (n,)."""
-        names = ("resolution", "factor", "whole", "late", "fraction", "left", "mean", "most", "queue", "output")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def driving(

@@ -19,11 +19,13 @@ from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.closure.newton import solve
 from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import choose
 from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.stiffness import make_dry
+from linkplan.models.ties import tied_points
 
 # Largest accepted residual [m or rad], far below the gap of a soft loop.
 _MAX_RESIDUAL = 1e-9
@@ -264,18 +266,8 @@ def _points_of(model: mujoco.MjModel, body: int) -> list[np.ndarray]:
     places += [model.body_pos[i] for i in np.flatnonzero(model.body_parentid == body)]
     places += [model.site_pos[i] for i in np.flatnonzero(model.site_bodyid == body)]
     places += [model.geom_pos[i] for i in np.flatnonzero(model.geom_bodyid == body)]
-    for i in range(model.neq):
-        if model.eq_objtype[i] != int(mujoco.mjtObj.mjOBJ_BODY):
-            continue  # between sites, which have moved already
-        if model.eq_type[i] == int(mujoco.mjtEq.mjEQ_CONNECT):
-            ends = {int(model.eq_obj1id[i]): slice(0, 3), int(model.eq_obj2id[i]): slice(3, 6)}
-        elif model.eq_type[i] == int(mujoco.mjtEq.mjEQ_WELD):
-            # A weld stores its point in the second body's frame, then the second body's position in the first one's frame.
-            ends = {int(model.eq_obj2id[i]): slice(0, 3), int(model.eq_obj1id[i]): slice(3, 6)}
-        else:
-            continue
-        if body in ends:
-            places.append(model.eq_data[i][ends[body]])
+    for i in np.flatnonzero(model.eq_objtype == int(mujoco.mjtObj.mjOBJ_BODY)).tolist():  # sites have moved already
+        places += [point for end, point in tied_points(model, i) if end == body]
     return places
 
 
@@ -285,10 +277,7 @@ def body_index(model: mujoco.MjModel, name: str) -> int:
     Raises:
         LinkplanError: if no body has this name, or if there is no payload.
     """
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if index > 0:
-        return index
-    if name == BODY_NAME:
+    names = [model.body(i).name for i in range(1, model.nbody)]
+    if name == BODY_NAME and name not in names:
         raise LinkplanError("the payload's centre of mass cannot be moved: the mechanism has no payload")
-    names = ", ".join(model.body(i).name for i in range(1, model.nbody))
-    raise LinkplanError(f"body '{name}' is not in the model; bodies are {names}")
+    return 1 + names.index(choose("body", name, names, LinkplanError))

@@ -4,7 +4,7 @@ Every row is computed independently, so that a simulation's measurements do not 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,12 +34,6 @@ class Sensing:
     drawn: np.ndarray
     before: np.ndarray
     estimate: np.ndarray
-
-    def kept(self, rows: np.ndarray) -> "Sensing":
-        """Return the sensors of some of these simulations, by a mask (n,)."""
-        names = ("resolution", "offset", "noise", "filtered", "pole", "drawn", "before", "estimate")
-        generators = tuple(g for g, keep in zip(self.generators, rows, strict=True) if keep)
-        return replace(self, generators=generators, **{name: getattr(self, name)[rows] for name in names})
 
 
 def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarray, period_s: float) -> Sensing:

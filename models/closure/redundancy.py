@@ -48,6 +48,17 @@ def jacobians_at_random(loop: ca.Function) -> list[np.ndarray]:
     return [np.array(loop.call([q])[-1]) for q in poses]
 
 
+def constant_combination(
+    samples: Sequence[np.ndarray], rows: Sequence[int], kept: Sequence[int], tolerance: float
+) -> np.ndarray | None:
+    """Return the constant C with J_rows = C J_kept in all sampled Jacobians (n_rows, n_q), or None if there is none."""
+    maps = [J[rows] @ np.linalg.pinv(J[kept]) for J in samples]
+    size = max(1.0, *(np.abs(J[rows]).max() for J in samples))
+    residual = max(np.abs(J[rows] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
+    same = residual <= tolerance * size and max(np.abs(C - maps[0]).max() for C in maps) <= tolerance
+    return maps[0] if same else None
+
+
 def projected_loops(
     loop: KinematicLoop,
     rows: Sequence[int],
@@ -75,10 +86,7 @@ def projected_loops(
         kept = [row for row in of if row in rows]
         if len(kept) == len(of) or not kept:
             continue
-        maps = [J[of] @ np.linalg.pinv(J[kept]) for J in samples]
-        size = max(np.abs(J[of]).max() for J in samples)
-        residual = max(np.abs(J[of] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
-        if residual <= tolerance * max(1.0, size) and max(np.abs(C - maps[0]).max() for C in maps) <= tolerance:
+        if constant_combination(samples, of, kept, tolerance) is not None:
             continue
         J_z = at_home[np.ix_(of, [dependent[k] for k in columns])]
         lengths = tuple(float(x) for x in np.linalg.norm(J_z, axis=0))

@@ -12,7 +12,7 @@ from random import Random
 import mujoco
 import numpy as np
 
-from linkplan.models.closure.equations import CONNECT, Closure, earlier_pin
+from linkplan.models.closure.equations import Closure, earlier_pin
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.errors import UnassembledError
 from linkplan.models.kinematics import data_at
@@ -108,10 +108,5 @@ def refuse_large_gaps(loop: KinematicLoop, still: np.ndarray, limit_m: float) ->
 def apply_shifts(model: mujoco.MjModel, found: Sequence[Shift]) -> None:
     """Move the anchors of a compiled model."""
     for shift in found:
-        site = int(model.eq_objtype[shift.index]) == int(mujoco.mjtObj.mjOBJ_SITE)
-        if site:
-            model.site_pos[(model.eq_obj1id, model.eq_obj2id)[shift.end][shift.index]] += shift.by
-        elif int(model.eq_type[shift.index]) == int(CONNECT):
-            model.eq_data[shift.index, 3 * shift.end : 3 * shift.end + 3] += shift.by
-        else:  # a weld keeps its point in the second body's frame, then that body's place in the first one's frame
-            model.eq_data[shift.index, 3 * (1 - shift.end) : 3 * (1 - shift.end) + 3] += shift.by
+        _, point = tied_points(model, shift.index)[shift.end]
+        point += shift.by

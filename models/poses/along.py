@@ -36,30 +36,6 @@ def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
 
 
-def sampled_where_moving(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
-    """Return the values of `sampled` by a shorter function of the inputs that vary between samples.
-
-    If one coordinate of many moves, most of a long function is arithmetic with constants, which is done only once here.
-    """
-    moving = [np.any(a != a[0], axis=0) for a in arguments]
-    x = ca.SX.sym("x", int(sum(columns.sum() for columns in moving)))
-    given, begin = [ca.SX(ca.DM(a[0])) for a in arguments], 0
-    for whole, columns in zip(given, moving, strict=True):
-        for column in np.flatnonzero(columns).tolist():
-            whole[column] = x[begin]
-            begin += 1
-    short = ca.Function(function.name(), [x], [ca.densify(function.call(given)[0])])
-    places = np.hstack([a[:, columns] for a, columns in zip(arguments, moving, strict=True)])
-    found = np.empty((len(places), short.numel_out(0)))
-    place, result = np.empty(x.numel()), np.empty(short.numel_out(0))
-    evaluate = on_arrays(short, [place], [result])
-    for k, row in enumerate(places):
-        place[:] = row
-        evaluate()
-        found[k] = result
-    return found.reshape(len(places), short.size2_out(0), short.size1_out(0)).transpose(0, 2, 1)
-
-
 def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None = None) -> list[np.ndarray]:
     """Return a function's first outputs (all by default), each (rows, columns); inputs and outputs are dense."""
     given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]

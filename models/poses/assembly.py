@@ -97,11 +97,6 @@ def _strides(mechanism: Mechanism, path: np.ndarray, step_size: np.ndarray) -> t
     return between, at
 
 
-def _stays_on_branch(mechanism: Mechanism, poses: np.ndarray) -> bool:
-    """Return True if overconstrained loops are closed at poses (n, n_q) and no block of J_z folds between two poses."""
-    return not np.any(mechanism.gaps_m(poses[:1]) > mechanism.closed_m) and _on_branch(mechanism, poses) == len(poses) - 1
-
-
 def _on_branch(mechanism: Mechanism, poses: np.ndarray) -> int:
     """Return the number of poses (n, n_q) after the first that close overconstrained loops without a fold on the way."""
     if len(poses) < 2:
@@ -164,7 +159,7 @@ def advance(
         change = np.max(np.abs(gamma_trial - gamma), initial=0.0) / (1 + np.max(np.abs(gamma), initial=0.0))
         smooth = np.isfinite(moved) and moved < MAX_CORRECTION_SHARE and not change > MAX_GAMMA_CHANGE
         regular = smooth and np.all(dets_trial * determinants > 0)
-        if regular and (not mechanism.projected or _stays_on_branch(mechanism, np.array([q, trial]))):
+        if regular and (not mechanism.projected or _on_branch(mechanism, np.array([q, trial]))):
             q, gamma, determinants = trial, gamma_trial, dets_trial
             share = min(1.0, 2 * share)
             continue

@@ -83,28 +83,20 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
     model, rounding = mechanism.model, FILE_ROUNDING_SHARE * mechanism.extent_m
     if not may_collide(model):
         return ()
-    data, at, pairs, depths = mujoco.MjData(model), [], [], []
+    data, found = mujoco.MjData(model), {}
     for k, qpos in enumerate(mechanism.qpos_of(poses)):
-        _collide(model, data, qpos)
-        depth = data.contact.includemargin - data.contact.dist
-        deep = (depth > rounding) & (data.contact.geom.min(axis=1, initial=0) >= 0)  # not a flex, which `audit` reports
-        at.append(np.full(np.count_nonzero(deep), k))
-        pairs.append(np.sort(data.contact.geom[deep], axis=1))
-        depths.append(depth[deep])
-    pose, depth = np.concatenate(at), np.concatenate(depths)
-    found, of = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
-    order = np.argsort(of, kind="stable")  # the points of each pair, their poses in rising order
-    ends = np.searchsorted(of[order], np.arange(len(found) + 1))
-    points = [order[begin:end] for begin, end in pairwise(ends)]
+        for pair, distance, _ in _detected(model, data, qpos):
+            if -distance > rounding:
+                found.setdefault(pair, []).append((k, -distance))
     return tuple(
         ContactPair(
-            first=geom_name(model, a),
-            second=geom_name(model, b),
-            bodies=_bodies(model, (a, b)),
-            poses=tuple(np.unique(pose[own]).tolist()),
-            depth_m=float(depth[own].max()),
+            first=geom_name(model, pair[0]),
+            second=geom_name(model, pair[1]),
+            bodies=_bodies(model, pair),
+            poses=tuple(dict.fromkeys(k for k, _ in points)),
+            depth_m=max(depth for _, depth in points),
         )
-        for (a, b), own in zip(found.tolist(), points, strict=True)
+        for pair, points in sorted(found.items())
     )
 
 
@@ -238,20 +230,15 @@ def _pose_sampler(
 
 def _detected(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> Iterator[tuple[Pair, float, np.ndarray]]:
     """Yield each point of contact at a pose: the pair of geoms, their distance [m], its place (3,)."""
-    _collide(model, data, qpos)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
     contact = data.contact
     pairs, distances = np.sort(contact.geom, axis=1).tolist(), (contact.dist - contact.includemargin).tolist()
     for (first, second), distance, place in zip(pairs, distances, contact.pos, strict=True):
         if first >= 0:  # not a flex, which `audit` reports
             yield (first, second), distance, place
-
-
-def _collide(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> None:
-    """Find the contacts at a pose."""
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
 
 
 def _bounding_radii(mechanism: Mechanism) -> np.ndarray:

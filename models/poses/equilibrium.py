@@ -137,16 +137,7 @@ def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
 
 
 def _stiffness(mechanism: Mechanism) -> np.ndarray:
-    """Return the springs' stiffness matrix (n_s, n_s) at home, by central differences."""
-    home, still = mechanism.home, np.zeros(mechanism.n_q)
-    velocity_map = np.array(mechanism.dynamics.velocity_map(home))
-    step = 1e-6
-    springs = [
-        (
-            np.array(mechanism.dynamics.passive(home + step * column, still)).ravel()
-            - np.array(mechanism.dynamics.passive(home - step * column, still)).ravel()
-        )
-        / (2 * step)
-        for column in velocity_map.T
-    ]
-    return -velocity_map.T @ np.array(springs).T
+    """Return the springs' stiffness matrix (n_s, n_s) at home."""
+    still, gamma = np.zeros(mechanism.n_q), np.array(mechanism.dynamics.velocity_map(mechanism.home))
+    by_q = np.array(mechanism.dynamics.passive.jacobian()(mechanism.home, still, still)[0])
+    return -gamma.T @ by_q @ gamma

@@ -81,8 +81,8 @@ def has_single_motion(mechanism: Mechanism, q: np.ndarray) -> bool:
 
     A rate x in the kernel of J can be continued to second order if J x' + (dJ x) x = 0 has a solution x', that is if
     u^T (dJ x) x vanishes for all u with u^T J = 0 (Wohlhart, Degrees of shakiness, 1999). There is a single motion with
-    the mechanism's degrees of freedom if these quadratic forms vanish exactly on a linear space of that dimension. A kernel
-    of two dimensions is tested direction by direction. Larger ones are tested by `common_zeros`, which may be undecided.
+    the mechanism's degrees of freedom if these quadratic forms vanish exactly on a linear space of that dimension, which
+    `common_zeros` finds. In a kernel of two dimensions it decides; in larger ones it may be undecided.
     """
     unit = unit_steps(mechanism.joints, mechanism.extent_m)
     rank = closure_rank(mechanism, q)
@@ -97,16 +97,9 @@ def has_single_motion(mechanism: Mechanism, q: np.ndarray) -> bool:
         step = _DIFFERENCE_STEP * unit * x
         return (scaled(q + step) - scaled(q - step)) / (2 * _DIFFERENCE_STEP)
 
-    if len(kernel) != 2:
-        forms = np.array([left_kernel @ derivative(x) @ kernel.T for x in kernel]).transpose(1, 0, 2)  # u, x, y
-        motions = common_zeros(0.5 * (forms + forms.transpose(0, 2, 1)))
-        return motions is not None and motions.shape[1] == mechanism.dof
-    angles = np.arange(360) * np.pi / 360
-    directions = np.column_stack([np.cos(angles), np.sin(angles)]) @ kernel
-    residual = np.array([np.abs(left_kernel @ derivative(x) @ x).max(initial=0.0) for x in directions])
-    small = residual < 0.02 * residual.max()  # within a degree of a root
-    starts = small & ~np.roll(small, 1)  # the first direction follows the last
-    return residual.max() > _RANK_LOST and int(starts.sum()) == 1
+    forms = np.array([left_kernel @ derivative(x) @ kernel.T for x in kernel]).transpose(1, 0, 2)  # u, x, y
+    motions = common_zeros(0.5 * (forms + forms.transpose(0, 2, 1)))
+    return motions is not None and motions.shape[1] == mechanism.dof
 
 
 def common_zeros(forms: np.ndarray) -> np.ndarray | None:

@@ -1,18 +1,14 @@
 """A stick drawing of a mechanism: each body as the polygon of its pins."""
 
-import functools
 from dataclasses import dataclass
 
-import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import data_at
+from linkplan.models.kinematics import data_at, fields_at
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
 from linkplan.models.ties import tied_points
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
-from linkplan.models.tree.dynamics import build_tree
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -45,20 +41,20 @@ def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarr
     A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
     in a moving body is drawn from that body's own pin. A body with a single pin is drawn to its centre of mass.
     """
-    function, columns = _pins(mechanism)
-    places = sampled(function, poses).transpose(0, 2, 1)
-    return {body: places[:, of] for body, of in columns.items()}
+    places, turns = fields_at(mechanism.model, mechanism.qpos_of(poses), "xpos", "xmat")
+    turns = turns.reshape(len(poses), -1, 3, 3)
+    return {
+        body: np.stack([places[:, on] + turns[:, on] @ point for on, point in pins], axis=1)
+        for body, pins in sorted(_pins(mechanism.model).items())
+    }
 
 
-@functools.lru_cache(maxsize=8)
-def _pins(mechanism: Mechanism) -> tuple[ca.Function, dict[int, slice]]:
-    """Return the function from q to all pins (3, n_pins), and each body's columns of it."""
-    model = mechanism.model
-    tree = build_tree(model, mechanism.qpos_of(mechanism.reference))
-    pins: dict[int, list[ca.SX]] = {}
+def _pins(model: mujoco.MjModel) -> dict[int, list[tuple[int, np.ndarray]]]:
+    """Return each body's pins: a body and a position (3,) [m] in its frame."""
+    pins: dict[int, list[tuple[int, np.ndarray]]] = {}
     for body in range(1, model.nbody):
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            anchor = tree.point(body, model.jnt_pos[joint])
+            anchor = (body, model.jnt_pos[joint])
             pins.setdefault(body, []).append(anchor)
             if model.jnt_type[joint] == FREE:
                 continue
@@ -67,22 +63,18 @@ def _pins(mechanism: Mechanism) -> tuple[ca.Function, dict[int, slice]]:
                 pins.setdefault(_solid(model, parent), []).append(anchor)
             elif _solid(model, parent) == 0:
                 # A slide's own anchor moves with it. The ground's pin is the anchor at the joint's reference.
-                pins.setdefault(0, []).append(tree.point(parent, np.array(model.body_pos[body])))
+                pins.setdefault(0, []).append((parent, model.body_pos[body]))
             else:
                 pins[body].insert(0, pins[_solid(model, parent)][0])
     for index in range(model.neq):
         if not model.eq_active0[index]:
             continue
         for body, point in tied_points(model, index):
-            pins.setdefault(_solid(model, body), []).append(tree.point(body, point))
+            pins.setdefault(_solid(model, body), []).append((body, point))
     for body, points in pins.items():
         if len(points) == 1 and body != 0:
-            points.append(tree.point(body, np.array(model.body_ipos[body])))
-    columns, begin = {}, 0
-    for body in sorted(pins):
-        columns[body] = slice(begin, begin := begin + len(pins[body]))
-    places = [point for body in columns for point in pins[body]]
-    return ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*places))]), columns
+            points.append((body, model.body_ipos[body]))
+    return pins
 
 
 def _solid(model: mujoco.MjModel, body: int) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import data_at
+from linkplan.models.kinematics import data_at, fields_at
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.hulls import directions, simplified
 from linkplan.models.poses.skeleton import pins_in_space
@@ -162,21 +162,8 @@ def _in_root(model: mujoco.MjModel, body: int, points: np.ndarray) -> np.ndarray
 
 def body_frames(mechanism: Mechanism, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions (n, n_body, 3) [m] and rotations (n, n_body, 3, 3) of MuJoCo's bodies at poses (n, n_q)."""
-    places, turns = along_poses(mechanism, poses, "xpos", "xmat")
+    places, turns = fields_at(mechanism.model, mechanism.qpos_of(poses), "xpos", "xmat")
     return places, turns.reshape(len(poses), -1, 3, 3)
-
-
-def along_poses(mechanism: Mechanism, poses: np.ndarray, *fields: str) -> list[np.ndarray]:
-    """Return fields of MuJoCo's kinematics, such as "xanchor" (n_joint, 3) [m], at poses (n, n_q), each (n, ...)."""
-    model = mechanism.model
-    data = mujoco.MjData(model)
-    found = [np.empty((len(poses), *getattr(data, field).shape)) for field in fields]
-    for k, qpos in enumerate(mechanism.qpos_of(poses)):
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
-        for array, field in zip(found, fields, strict=True):
-            array[k] = getattr(data, field)
-    return found
 
 
 def _shape_of(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float] | None:

@@ -69,13 +69,13 @@ def block_rows(A: ca.SX) -> list[list[int]]:
     return [rows[block] for block in blocks]
 
 
-def determinant(A: ca.SX, determinants: ca.SX | None = None) -> ca.SX:
-    """Return det A with its sign, from its `block_determinants` if they are known."""
+def determinant(A: ca.SX) -> ca.SX:
+    """Return det A with its sign."""
     if A.shape[0] == 0:
         return ca.SX(1)
     rows, columns, _ = _blocks(ca.sparsify(A))
     product = ca.SX(_parity(rows) * _parity(columns))
-    for det in ca.vertsplit(block_determinants(A) if determinants is None else determinants):
+    for det in ca.vertsplit(block_determinants(A)):
         product *= det
     return product
 

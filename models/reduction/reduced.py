@@ -9,7 +9,6 @@ Overconstrained loops have no rows that are independent at every pose: there E J
 """
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -17,7 +16,8 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.equations import Closure, rows_by_pin
-from linkplan.models.closure.redundancy import ProjectedLoops, combination, jacobians_at_random
+from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.closure.redundancy import ProjectedLoops, combination, constant_combination, jacobians_at_random
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.ball_ranges import ball_turns
 from linkplan.models.tree.dynamics import Tree
@@ -41,8 +41,7 @@ class ReducedDynamics:
     closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
     closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, determinants of J_z's blocks
     velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
-    singularity: ca.Function  # q -> det J_z, zero at a singular pose
-    block_singularity: ca.Function  # q -> determinants of J_z's blocks; a block contains coupled loops
+    block_singularity: ca.Function  # q -> determinants of J_z's blocks, zero at a singular pose; a block has coupled loops
     orientation: ca.Function  # q_0, q -> products of block_singularity at q_0 and q: negative if a fold lies between
     projected: bool  # true if some loops are closed by normal equations, whose determinants have no sign
     mass_matrix: ca.Function  # q -> M (n_q, n_q), armature included
@@ -128,7 +127,7 @@ def reduce_tree(
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
     loops = _partition(tree, closures, rows, independent, dependent, projected)
     phi, gamma_map = loops.phi, loops.velocity_map
-    det, dets, orientation = _determinants(loops, q, projected)
+    dets, orientation = _determinants(loops, q, projected)
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
     if loops.rows:
@@ -165,7 +164,6 @@ def reduce_tree(
             "closure_step", [q], loops.independent_phi, -loops.solve(loops.independent_phi), gamma_map, dets
         ),
         velocity_map=function("velocity_map", [q], gamma_map),
-        singularity=function("singularity", [q], det),
         block_singularity=function("block_singularity", [q], dets),
         orientation=orientation,
         projected=bool(projected),
@@ -261,17 +259,14 @@ def _partition(
     )
 
 
-def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoops]) -> tuple[ca.SX, ca.SX, ca.Function]:
-    """Return det J_z, the determinants of its blocks, and the function `orientation` of `ReducedDynamics`.
+def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoops]) -> tuple[ca.SX, ca.Function]:
+    """Return the determinants of J_z's blocks, and the function `orientation` of `ReducedDynamics`.
 
     The block of a projected loop has the determinant sqrt(det J_z^T J_z), and the orientation det(J_z(q_0)^T J_z(q)).
     """
     before = ca.SX.sym("q_0", q.numel())
     dets = block_determinants(loops.J_z)
-    oriented = dets * ca.substitute(dets, q, before)
-    if not projected:
-        return determinant(loops.J_z, dets), dets, ca.Function("orientation", [before, q], [ca.densify(oriented)])
-    own, signed = ca.vertsplit(dets), ca.vertsplit(oriented)
+    own, signed = ca.vertsplit(dets), ca.vertsplit(dets * ca.substitute(dets, q, before))
     J_z = loops.jacobian[:, loops.dependent]
     for block, rows in enumerate(block_rows(loops.J_z)):
         of = {loops.rows[row] for row in rows}
@@ -280,8 +275,7 @@ def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoop
                 own[block] = ca.sqrt(ca.fmax(own[block], 1e-40))  # the derivative stays finite at zero
                 here = J_z[list(loop.rows), list(loop.columns)]
                 signed[block] = determinant(ca.mtimes(ca.substitute(here, q, before).T, here))
-    orientation = ca.Function("orientation", [before, q], [ca.densify(ca.vertcat(*signed))])
-    return math.prod(own, start=ca.SX(1)), ca.vertcat(*own), orientation
+    return ca.vertcat(*own), ca.Function("orientation", [before, q], [ca.densify(ca.vertcat(*signed))])
 
 
 def _force_map(tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops]) -> ca.SX:
@@ -314,11 +308,9 @@ def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[list[int]])
         kept = [row for row in of if row in chosen]
         if not kept or len(kept) == len(of):
             continue
-        maps = [J[of] @ np.linalg.pinv(J[kept]) for J in samples]
-        residual = max(np.abs(J[of] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
-        if residual > 1e-9 or max(np.abs(C - maps[0]).max() for C in maps) > 1e-9:
+        C = constant_combination(samples, of, kept, ROUNDING_SHARE)
+        if C is None:
             continue
-        C = maps[0]
         block = np.zeros((len(of), n_rows))
         block[:, kept] = np.linalg.pinv(C).T  # C (C^T C)^-1, also where chosen rows depend on one another
         spread[of] = np.where(np.abs(block) > 1e-12, block, 0.0)

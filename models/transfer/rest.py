@@ -108,8 +108,8 @@ def serial_errors(
     """
     mechanism = outputs.mechanism
     q = follow(mechanism, outputs.independent(motion.position))
-    needed = _moving_effort(outputs, q, motion)
-    tree = _moving_effort(serial.outputs, _tree_poses(serial, motion.position), motion)
+    needed = _effort(outputs, q, motion)
+    tree = _effort(serial.outputs, _tree_poses(serial, motion.position), motion)
     reflected = serial.armature * motion.acceleration + serial.damping * motion.velocity
     reflected += _joint_friction(serial, motion.velocity)
     rest = rest_effort(outputs, serial, values, grid, motion)
@@ -131,16 +131,11 @@ def _tree_poses(serial: SerialModel, points: np.ndarray) -> np.ndarray:
     return q
 
 
-def _effort(outputs: OutputMap, q: np.ndarray) -> np.ndarray:
-    """Return the effort (n, n_o) that holds the outputs at rest."""
-    still = np.zeros((len(q), outputs.mechanism.dof))
-    return sampled(outputs.mechanism.dynamics.inverse_dynamics, q, still, still)[:, list(outputs.columns), 0]
-
-
-def _moving_effort(outputs: OutputMap, q: np.ndarray, motion: OutputMotion) -> np.ndarray:
-    """Return the effort (n, n_o) that a motion of the outputs needs, other coordinates at rest."""
-    v, a = (np.zeros((len(q), outputs.mechanism.dof)) for _ in range(2))
-    v[:, list(outputs.columns)], a[:, list(outputs.columns)] = motion.velocity, motion.acceleration
+def _effort(outputs: OutputMap, q: np.ndarray, motion: OutputMotion | None = None) -> np.ndarray:
+    """Return the effort (n, n_o) that a motion of the outputs needs, by default rest; other coordinates are at rest."""
+    v, a = np.zeros((2, len(q), outputs.mechanism.dof))
+    if motion is not None:
+        v[:, list(outputs.columns)], a[:, list(outputs.columns)] = motion.velocity, motion.acceleration
     return sampled(outputs.mechanism.dynamics.inverse_dynamics, q, v, a)[:, list(outputs.columns), 0]
 
 

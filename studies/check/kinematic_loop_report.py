@@ -19,7 +19,7 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import least_effort, sampled, sampled_where_moving
+from linkplan.models.poses.along import least_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
@@ -95,11 +95,11 @@ def measure(
     dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
     still = np.zeros((len(poses), mechanism.dof))
     ratio = sampled(dynamics.effort_map, poses)
-    inertia = sampled_where_moving(dynamics.reduced_inertia, poses) if inertia is None else inertia
-    weight = sampled_where_moving(_at_rest(dynamics), poses)[:, :, 0]
+    inertia = sampled(dynamics.reduced_inertia, poses) if inertia is None else inertia
+    weight = sampled(_at_rest(dynamics), poses)[:, :, 0]
     holding = least_effort(weight, ratio)
     unheld = weight - np.einsum("ksu,ku->ks", ratio, holding)
-    force = sampled_where_moving(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
+    force = sampled(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
     sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
     return KinematicLoopPath(
         mechanism=mechanism,
@@ -111,7 +111,7 @@ def measure(
         rates=sampled(dynamics.velocity_map, poses),
         reduced_inertia=inertia,
         reflected_inertia=_reflected(ratio, inertia),
-        gravity_effort=sampled_where_moving(dynamics.gravity_effort, poses)[:, :, 0],
+        gravity_effort=sampled(dynamics.gravity_effort, poses)[:, :, 0],
         holding_effort=holding,
         unheld_effort=unheld,
         available_effort=_available(ratio, limit),
@@ -146,7 +146,7 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
         poses = thinned(swept(mechanism, can), mechanism)
-        inertia = sampled_where_moving(mechanism.dynamics.reduced_inertia, poses)
+        inertia = sampled(mechanism.dynamics.reduced_inertia, poses)
         title = f"the reach of {name}{others}"
         found.append(Sweep(mechanism=mechanism, title=title, coordinate=column, poses=poses, reduced_inertia=inertia))
     return tuple(found)

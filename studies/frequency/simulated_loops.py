@@ -20,7 +20,7 @@ from linkplan.models.poses.along import joint_rates
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class StateFeedback:
-    """The law u_k = u_ff + K (x_ref - x_k), x = (s, v). The memory (n, 1) of a simulation is its index.
+    """The law u_k = u_ff + K (x_ref - x_k), x = (s, v), without a memory.
 
     `drive` u_ff + K x_ref (t, n, n_u) [N.m or N] and `gain` K (t, n, n_u, 2 n_s).
     """
@@ -30,18 +30,15 @@ class StateFeedback:
     name: str = "state feedback"
 
     def start(self, n: int) -> np.ndarray:
-        """Return the indices (n, 1) of simulations."""
-        return np.arange(n)[:, None]
+        """Return the empty memory (n, 0)."""
+        return np.empty((n, 0))
 
     def step(
         self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return efforts (r, n_u) of simulations at states (r, n_s)."""
-        drive, gain = self.drive[k], self.gain[k]
-        if len(memory) < len(drive):
-            drive, gain = drive[memory[:, 0]], gain[memory[:, 0]]
+        """Return efforts (n, n_u) of simulations at states (n, n_s)."""
         x = np.concatenate([position_rad, velocity_rad_s], axis=1)
-        return drive - np.matmul(gain, x[:, :, None])[:, :, 0], memory
+        return self.drive[k] - np.matmul(self.gain[k], x[:, :, None])[:, :, 0], memory
 
 
 class SimulatedLoops:
@@ -86,9 +83,8 @@ class SimulatedLoops:
         """Return the present x = (s, v) (n, 2 n_s); NaN for simulations that have ended."""
         stepper = self._stepper
         q, v = states_of(stepper)
-        x = np.full((stepper.n, 2 * v.shape[1]), np.nan)
-        x[stepper.rows] = np.concatenate([q[:, stepper.independent], v], axis=1)
-        return x
+        x = np.concatenate([q[:, stepper.independent], v], axis=1)
+        return np.where(stepper.running[:, None], x, np.nan)
 
     def conditions(self) -> dict:
         """Return the simulation settings that results depend on."""
@@ -110,9 +106,7 @@ class SimulatedLoops:
             The measured states (t, r, 2 n_s) and the commands (t, r, n_u) before delay and limits; NaN after divergence.
         """
         stepper, ids = self._stepper, np.asarray(ids)
-        here = np.arange(stepper.n)[stepper.rows]
-        if len(here) > len(ids) or not np.all(np.isin(here, ids)):
-            stepper.keep(np.isin(here, ids))
+        stepper.freeze(stepper.running & ~np.isin(np.arange(stepper.n), ids))
         t = len(reference)
         gains = np.broadcast_to(self.gain if gain is None else gain[:, None], (t, *self.gain.shape))
         drive = np.zeros((t, *self.gain.shape[:2]))

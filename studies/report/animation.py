@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.kinematics import fields_at
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.skeleton import view
-from linkplan.models.poses.solids import along_poses
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.output.directions import direction_name
 from linkplan.studies.output.document import Animation, Ghost
@@ -95,7 +95,7 @@ def animation(
 def _labels(drawing: Drawing, poses: np.ndarray, places: Mapping[str, np.ndarray]) -> list[tuple[str, list]]:
     """Return the names of joints, cut pins and named sites with their positions; one name at one place appears once."""
     mechanism = drawing.mechanism
-    anchors = along_poses(mechanism, poses, "xanchor")[0] @ drawing.frame.T
+    anchors = fields_at(mechanism.model, mechanism.qpos_of(poses), "xanchor")[0] @ drawing.frame.T
     named = [(joint_label(mechanism.model, k), anchors[:, k]) for k in range(mechanism.model.njnt)]
     found: dict[tuple, tuple[str, list]] = {}
     for name, at in (*named, *cut_pin_labels(drawing, poses), *places.items()):

@@ -169,7 +169,7 @@ def test_lengths_that_do_not_close_are_refused_in_one_line():
 
 def test_a_body_that_is_not_there_is_named_beside_those_that_are():
     mechanism, reference = reach()
-    with pytest.raises(LinkplanError, match="'elbow' is not in the model; bodies are thigh, crank"):
+    with pytest.raises(LinkplanError, match="unknown body 'elbow'; legal: thigh, crank"):
         plant(mechanism, reference, LOOP, Imperfections(machine=Machine(length_factor={"elbow": 1.01})), 1)
 
 

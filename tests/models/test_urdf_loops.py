@@ -176,8 +176,8 @@ def test_a_link_without_mass_gets_a_little_and_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("yaml", "words"),
     [
-        (YAML.replace("end_B", "end_C"), ["end_C", "no link", "rocker"]),
-        (YAML.replace("'motor'", "'moter'"), ["moter", "joints are motor"]),
+        (YAML.replace("end_B", "end_C"), ["link in closure end_A-end_C", "did you mean 'end_B'", "rocker"]),
+        (YAML.replace("'motor'", "'moter'"), ["joint 'moter'", "legal: motor"]),
         ("closed_loop: [", ["not YAML"]),
         (YAML + "joint_name: ['A']\njoint_type: ['SCREW']\n", ["SCREW", "SPHERICAL"]),
         (YAML.replace("['3d']", "['3d', '6d']"), ["closed_loop", "type"]),
@@ -215,7 +215,7 @@ def test_a_urdf_without_motors_gets_those_that_the_problem_names(tmp_path, capsy
     said = capsys.readouterr().out
     assert "no actuator" not in said
     assert f"--drive {asked} -o problem.toml" in said
-    with pytest.raises(LinkplanError, match="no joint is named 'moter'; joints are motor, A, C"):
+    with pytest.raises(LinkplanError, match=r"unknown joint 'moter' \(did you mean 'motor'\?\); legal: motor, A, C"):
         linkplan.load_mechanism(path, drive=["moter"])
 
 

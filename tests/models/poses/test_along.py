@@ -1,16 +1,13 @@
-"""Quantities along a path of which few coordinates move, and loops that other coordinates leave alone."""
+"""Loops that coordinates outside of them leave alone."""
 
 import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.along import sampled, sampled_where_moving
 from linkplan.models.poses.assembly import advance, follow
 from linkplan.models.poses.continuation import in_loops
 from linkplan.models.poses.reach import reach, toggles
 
-# Rounding: sums are the same, in another order.
-ROUNDING = 1e-14
 # A parallelogram whose rocker carries an arm: no loop turns with the arm.
 ARM_ON_A_LOOP = """<mujoco><default><geom type="capsule" size=".01"/><joint axis="0 1 0"/></default><worldbody>
   <body name="crank"><joint name="crank"/><geom fromto="0 0 0 0 0 .1"/>
@@ -34,28 +31,6 @@ def swept(arm):
     s = np.tile(arm.home[arm.independent], (40, 1))
     s[:, 1] += np.linspace(0.0, 0.9, 40)
     return follow(arm, s)
-
-
-@pytest.mark.parametrize("name", ["reduced_inertia", "gravity_effort", "velocity_map", "block_singularity", "energy"])
-def test_sampled_where_moving_is_sampled(name, arm, swept):
-    function = getattr(arm.dynamics, name)
-    arguments = [swept, *[np.full((40, function.size1_in(k)), 0.3) for k in range(1, function.n_in())]]
-    np.testing.assert_allclose(sampled_where_moving(function, *arguments), sampled(function, *arguments), atol=ROUNDING)
-
-
-def test_sampled_where_moving_takes_arguments_that_move_beside_the_poses(arm, swept):
-    v = np.linspace([0.1, -0.2], [0.7, -0.2], 40)
-    u = np.tile([1.0, 2.0], (40, 1))
-    function = arm.dynamics.acceleration
-    expected = sampled(function, swept, v, u)
-    assert np.ptp(expected) > 1.0
-    np.testing.assert_allclose(sampled_where_moving(function, swept, v, u), expected, rtol=1e-12)
-
-
-def test_sampled_where_nothing_moves_is_the_same_at_every_sample(arm):
-    poses = np.tile(arm.home, (3, 1))
-    found = sampled_where_moving(arm.dynamics.reduced_inertia, poses)
-    np.testing.assert_allclose(found, sampled(arm.dynamics.reduced_inertia, poses), atol=ROUNDING)
 
 
 def test_the_coordinates_of_loops_are_known(arm):

@@ -163,14 +163,14 @@ def test_coupler_and_crank_lie_on_one_line_at_the_toggle():
 @at_every_configuration
 def test_the_determinant_of_the_dependent_joints_is_the_area_that_coupler_and_rocker_span(row):
     area = BAR.coupler * BAR.rocker * BAR.transmission(np.radians(row["q_O_deg"]))
-    determinant = float(knee().dynamics.singularity(pose(knee(), row["q_O_deg"])))
+    determinant = float(knee().dynamics.block_singularity(pose(knee(), row["q_O_deg"])))
     assert relative_error(abs(determinant), area) < KNEE
 
 
 def test_the_determinant_vanishes_with_the_root_of_the_distance_to_the_singular_pose():
     distance_deg = np.array([1e-2, 1e-3, 1e-4])
     poses = [pose(knee(), REFERENCE["singular_q_O_deg"] - d) for d in distance_deg]
-    determinant = np.array([abs(float(knee().dynamics.singularity(q))) for q in poses])
+    determinant = np.array([abs(float(knee().dynamics.block_singularity(q))) for q in poses])
     order = np.diff(np.log(determinant)) / np.diff(np.log(distance_deg))
     assert np.abs(order - 0.5).max() < ROOT_ORDER
 
