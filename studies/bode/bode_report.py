@@ -1,6 +1,7 @@
 """The output of `linkplan bode`: a JSON record, and figures of responses, Nyquist curves and margins along a line."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,9 +57,9 @@ def _pose_record(point: OperatingPoint) -> dict:
 def _loop_record(entry: BodePoint) -> dict:
     loop = {
         "broken_at": broken_at(entry.point.mechanism, entry.channel),
-        **entry.margins.record(),
+        **asdict(entry.margins),
         "settles_in_mujoco": entry.settles_in_mujoco,
-        "continuous": entry.continuous_margins.record(),
+        "continuous": asdict(entry.continuous_margins),
     }
     if entry.measured:
         loop["measured"] = {}
@@ -73,7 +74,7 @@ def _scan_record(study: BodeStudy, scan: Scan) -> dict:
     key = f"position_{joint.unit}" if line.name == joint.name else "time_s"
     return {
         key: line.shown(scan.positions[scan.worst]),
-        **scan.margins[scan.worst].record(),
+        **asdict(scan.margins[scan.worst]),
         "least": {
             name: {"value": found[0], key: line.shown(scan.positions[found[1]])}
             for name in ("gain_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
