@@ -6,16 +6,20 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+from msgspec import Struct
+
+from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.batch import check_batch
 from linkplan.planner.files.folders import check_target, write_json
+from linkplan.planner.files.json_record import read_record
 from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.keys.sections import BatchFile
 from linkplan.planner.plan_folder import versions
 from linkplan.planner.refinement.history import silent
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked
 from linkplan.studies.tasks.engine import Engine, Say, here
-from linkplan.studies.tasks.progress import Progress
-from linkplan.studies.tasks.streaming import streamed
+from linkplan.studies.tasks.streaming import Progress, streamed
 from linkplan.studies.tasks.unfinished import done, finish, part, unfinished, working
 
 RECORD = "batch.json"
@@ -119,3 +123,30 @@ def _outcome(folder: Path, batch: BatchFile, place: Path | None, keep_records: b
             if keep_records:
                 cases[answer.name] = answer.record
     return Outcome(rows=rows, failures=failures, record={"cases": cases})
+
+
+class CaseRecord(Struct, frozen=True):
+    """A case: its settings and its result."""
+
+    settings: list[str]
+    status: str
+    message: str
+    objective: float | None = None
+    objective_kind: str = ""
+    duration_s: float | None = None
+    notes: list[str] = []
+
+
+class BatchRecord(Struct, frozen=True):
+    """The cases of a batch by name."""
+
+    cases: dict[str, CaseRecord]
+
+
+def read_batch_record(path: Path) -> dict:
+    """Return the part of a batch's record that a report shows, in JSON types.
+
+    Raises:
+        PlanFileError: if the file is damaged, or is not a batch's record.
+    """
+    return msgspec.to_builtins(read_record(path, BatchRecord, MAX_FILE_BYTES))

@@ -1,7 +1,7 @@
 """The study behind `linkplan bode --along`: the frozen feedback loop along a plan, and Floquet multipliers if periodic."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -98,7 +98,7 @@ def along_record(found: AlongMotion) -> dict:
         "plan": found.plan.problem.name,
         "tracker": found.law,
         "frozen": [
-            {"time_s": float(reference.time_s[k]), "joint": joints[channel].name, **bounds.record()}
+            {"time_s": float(reference.time_s[k]), "joint": joints[channel].name, **asdict(bounds)}
             for k, bounds, channel in zip(found.instants, found.margins, found.channels, strict=True)
         ],
         "largest_frozen_pole": float(found.radius.max()),

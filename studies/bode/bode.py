@@ -1,6 +1,6 @@
 """The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -266,7 +266,19 @@ def bode_study(
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
-        found += _channel_points(channel, loops, ideal, bounds, trials, measured)
+        for i, loop in enumerate(loops):
+            responses = measured.get(i, {})
+            point = BodePoint(
+                sampled=loop,
+                continuous=ideal[i],
+                channel=channel,
+                margins=bounds[i],
+                continuous_margins=margins(ideal[i], channel),
+                settles_in_mujoco=bool(trials[i]),
+                measured=responses,
+                predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in responses.items()},
+            )
+            found.append(point)
     return BodeStudy(
         mechanism=mechanism,
         law=law,
@@ -292,33 +304,6 @@ def _predicted(mechanism, positions: np.ndarray, settings: Tracking, effort_limi
         loops.append(feedback_loop(point, gain, timing, SIMULATED))
         ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
     return loops, ideal
-
-
-def _channel_points(
-    channel: int,
-    loops: Sequence[FeedbackLoop],
-    ideal: Sequence[FeedbackLoop],
-    bounds: Sequence[Margins],
-    trials: np.ndarray,
-    measured: Mapping[int, dict[str, Response]],
-) -> list[BodePoint]:
-    """Return one joint's results at all poses, from its sampled and continuous loops and the responses by pose index."""
-    points = []
-    for i, (loop, continuous) in enumerate(zip(loops, ideal, strict=True)):
-        responses = measured.get(i, {})
-        points.append(
-            BodePoint(
-                sampled=loop,
-                continuous=continuous,
-                channel=channel,
-                margins=bounds[i],
-                continuous_margins=margins(continuous, channel),
-                settles_in_mujoco=bool(trials[i]),
-                measured=responses,
-                predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in responses.items()},
-            )
-        )
-    return points
 
 
 def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:

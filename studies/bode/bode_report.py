@@ -1,10 +1,18 @@
-"""The output of `linkplan bode`: a JSON record and a text table."""
+"""The output of `linkplan bode`: a JSON record, and figures of responses, Nyquist curves and margins along a line."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy
-from linkplan.studies.bode.bode_blocks import contacts_of, softness_of
+from linkplan.studies.bode.bode_blocks import contacts_of, margins_along, nyquist, responses, sensitivities, softness_of
 from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.excitation import EXCITATIONS
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, broken_at
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def bode_record(study: BodeStudy) -> dict:
@@ -49,9 +57,9 @@ def _pose_record(point: OperatingPoint) -> dict:
 def _loop_record(entry: BodePoint) -> dict:
     loop = {
         "broken_at": broken_at(entry.point.mechanism, entry.channel),
-        **entry.margins.record(),
+        **asdict(entry.margins),
         "settles_in_mujoco": entry.settles_in_mujoco,
-        "continuous": entry.continuous_margins.record(),
+        "continuous": asdict(entry.continuous_margins),
     }
     if entry.measured:
         loop["measured"] = {}
@@ -66,7 +74,7 @@ def _scan_record(study: BodeStudy, scan: Scan) -> dict:
     key = f"position_{joint.unit}" if line.name == joint.name else "time_s"
     return {
         key: line.shown(scan.positions[scan.worst]),
-        **scan.margins[scan.worst].record(),
+        **asdict(scan.margins[scan.worst]),
         "least": {
             name: {"value": found[0], key: line.shown(scan.positions[found[1]])}
             for name in ("gain_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
@@ -91,3 +99,32 @@ def _measurement_record(study: BodeStudy) -> dict | None:
 
 def _channel_name(study: BodeStudy, channel: int) -> str:
     return f"{study.law} {study.mechanism.independent_joints[channel].name}"
+
+
+def save_bode(study: BodeStudy, place: Path) -> None:
+    """Draw every figure of a study into a folder: bode.png, nyquist.png, sensitivity.png and margins.png."""
+    from linkplan.studies.output.figure import figure_of
+
+    joints, title = study.mechanism.independent_joints, f"{study.mechanism.name}, {study.law}: {study.loop_name}"
+    channels = study.mechanism.channels
+    suffixes = {channel: f"-{joints[channel].name}" if len(channels) > 1 else "" for channel in channels}
+    for channel, suffix in suffixes.items():
+        entries = [entry for entry in study.points if entry.channel == channel]
+        bode_figure(study, entries, place / f"bode{suffix}.png")
+        figure_of([nyquist(study, entries)], place / f"nyquist{suffix}.png", title=title, panel_in=(6.4, 7.0))
+        figure_of(sensitivities(entries, ""), place / f"sensitivity{suffix}.png", title=title, columns=3)
+    for scan in study.scans:
+        panels = margins_along(study, scan, "")
+        figure_of(panels, place / f"margins{suffixes[scan.channel]}.png", title=title, panel_in=(8.0, 3.5))
+
+
+def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | None = None) -> "Figure":
+    """Return the figure of open and closed loop at every pose, saved at `path` if given."""
+    from linkplan.studies.output.figure import figure_of, side_by_side
+
+    how = "line: predicted, sampled; dotted: continuous"
+    how += f"; dots: MuJoCo, {study.method}" if any(entry.measured for entry in entries) else ""
+    title = f"{study.mechanism.name}, {study.law}: {study.message}; {how}"
+    return figure_of(
+        side_by_side(*responses(study, entries, "").values()), path, title=title, columns=2, panel_in=(6.0, 2.9)
+    )

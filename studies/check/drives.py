@@ -59,11 +59,9 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     if np.any(model.jnt_stiffness) or weight > 0.01 * np.abs(ends).max():
         return None
     unit, damped = effort_unit(joint), float(model.dof_damping[index]) > 0
+    moves = "turns" if joint.kind == "hinge" else "pushes"
     pushes = " and ".join(
-        f"{a.name}, on {a.target}, only turns it one way, by {_ends(found)} {unit} at home"
-        if joint.kind == "hinge"
-        else f"{a.name}, on {a.target}, only pushes it one way, by {_ends(found)} {unit} at home"
-        for a, found in acting
+        f"{a.name}, on {a.target}, only {moves} it one way, by {_ends(found)} {unit} at home" for a, found in acting
     )
     return (
         f"joint {joint.name} moves freely: no actuator is on it{'' if damped else ', nothing damps it'}, no spring or weight"

@@ -65,7 +65,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
             blocks += drawn
 
     def draw(place: Path) -> None:
-        from linkplan.studies.bode.draw_bode import save_bode
+        from linkplan.studies.bode.bode_report import save_bode
         from linkplan.studies.output.figure import figure_of, panels_of
 
         save_bode(study, place)

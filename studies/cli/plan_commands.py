@@ -96,7 +96,7 @@ def run_prove(arguments: argparse.Namespace) -> int:
     from linkplan.models.errors import ProblemError
     from linkplan.planner.plan_folder import read_to_prove
     from linkplan.studies.output.document import Text
-    from linkplan.studies.output.proof_blocks import proof_blocks
+    from linkplan.studies.output.plan_blocks import proof_blocks
 
     say, folder = progress(arguments), Path(arguments.plan)
     if folder.is_dir():

@@ -1,7 +1,7 @@
 """The study behind `linkplan compare` and `track`: trackers on one plan, with the modelled and a changed mechanism."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -351,7 +351,7 @@ def comparison_record(comparison: Comparison) -> dict:
         "gains": {"kp": plan.problem.tracking.kp, "kd": plan.problem.tracking.kd},
         **side(comparison.nominal),
         "notes": comparison_notes(comparison),
-        "run_time": {name: needs.to_dict() for name, needs in comparison.run_time.items()},
+        "run_time": {name: asdict(needs) for name, needs in comparison.run_time.items()},
     }
     if comparison.mismatch is not None:
         record["mismatch"] = {"name": comparison.mismatch.name, **side(comparison.mismatched)}

@@ -34,10 +34,6 @@ class RunTime:
     median_us: float
     percentile90_us: float
 
-    def to_dict(self) -> dict:
-        """Return the figures by name."""
-        return {name: getattr(self, name) for name in RunTime.__slots__}
-
 
 def run_time(tracker: AnyTracker, mechanism: Mechanism, rollout: Rollout) -> RunTime:
     """Return a tracker's cost, with the times of a run."""

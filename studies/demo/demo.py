@@ -15,8 +15,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_report import bode_record
-from linkplan.studies.bode.draw_bode import save_bode
+from linkplan.studies.bode.bode_report import bode_record, save_bode
 from linkplan.studies.bode.loop_blocks import map_blocks
 from linkplan.studies.bode.map_study import map_record, map_study
 from linkplan.studies.check.inspection import inspection_record

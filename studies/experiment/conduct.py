@@ -1,4 +1,4 @@
-"""The execution of an experiment: an engine runs its blocks, and each block's results are written when they arrive."""
+"""The execution of an experiment: an engine runs its blocks, and each block's results are a part of the result file."""
 
 import contextlib
 import functools
@@ -8,20 +8,24 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from linkplan.models.errors import LinkplanError, PlanFileError
 from linkplan.models.reading import MAX_FILE_BYTES, read_file
+from linkplan.planner.files.columns import Kind, read_table, schema_of
+from linkplan.planner.files.folders import write_whole
+from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.experiment.block import block_count, run_block, samples_of
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of
 from linkplan.studies.experiment.laws import unbatched_notes
-from linkplan.studies.experiment.parts import keep_plan, write_part
+from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.tasks.engine import Engine, Say
-from linkplan.studies.tasks.progress import Progress
-from linkplan.studies.tasks.streaming import streamed
-from linkplan.studies.tasks.unfinished import PLAN, done
+from linkplan.studies.tasks.streaming import Progress, streamed
+from linkplan.studies.tasks.unfinished import PLAN, done, part
 
 
 def conduct(
@@ -102,3 +106,85 @@ def _work(
         )
     refuse_other_sources(sources)
     return run_block(replace(_opened(folder, settings, written), own=own), block, threads or share, batch)
+
+
+def keep_plan(folder: Path, plan: Plan) -> None:
+    """Write the plan into a folder of parts, completely or not at all."""
+    if not (folder / PLAN).is_dir():
+        write_whole(folder / PLAN, lambda place: write_plan(plan, place))
+
+
+def column_kinds(experiment: Experiment) -> dict[str, Kind]:
+    """Return the kinds of an experiment's result columns by name, in order."""
+    kinds: dict[str, Kind] = {"sample": "count", "tracker": "word", "success": "flag", "failure": "word"}
+    for name in (*metrics_of(experiment.plan.problem.mechanism), *experiment.varied_values()):
+        kinds[name] = "number"
+    return kinds
+
+
+def write_part(folder: Path, block: int, columns: Mapping[str, list], experiment: Experiment) -> None:
+    """Write a block's results as a part, completely or not at all."""
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    table = pa.table(dict(columns), schema=schema_of(column_kinds(experiment)))
+    replace_file(part(folder, block, "parquet"), lambda place: parquet.write_table(table, place))
+
+
+def write_results(folder: Path, path: Path, experiment: Experiment) -> None:
+    """Check all parts and write them in order into one file.
+
+    Raises:
+        PlanFileError: if a part is damaged or belongs to another experiment.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    schema = schema_of(column_kinds(experiment))
+    with parquet.ParquetWriter(path, schema) as writer:
+        for block in range(block_count(experiment)):
+            columns = read_results(part(folder, block, "parquet"), experiment, samples_of(block, experiment))
+            writer.write_table(pa.table(columns, schema=schema))
+
+
+def read_results(path: Path, experiment: Experiment, samples: range | None = None) -> dict[str, np.ndarray]:
+    """Return the columns of a results file by name, as arrays (of objects for text).
+
+    Args:
+        path: the file.
+        experiment: the experiment of the results.
+        samples: the samples in the file; default: all.
+
+    Raises:
+        PlanFileError: if the file is damaged, or its rows do not match the experiment's samples and trackers.
+    """
+    samples, trackers = range(experiment.n) if samples is None else samples, experiment.settings.trackers
+    results = read_table(path, column_kinds(experiment), len(samples) * len(trackers))
+    wrong = _wrong_value(results, experiment, np.repeat(samples, len(trackers)))
+    if wrong is not None:
+        raise PlanFileError(f"'{path}' holds no results of this experiment: {wrong}")
+    return results
+
+
+def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samples: np.ndarray) -> str | None:
+    """Return a description of the first invalid value in the results of samples (n,), or None."""
+    n, names = len(samples) // len(experiment.settings.trackers), np.array(experiment.settings.trackers, dtype=object)
+    ran = np.array([failure is None for failure in results["failure"]], dtype=bool)
+    checks: list[tuple[str, np.ndarray, str]] = [
+        ("sample", results["sample"] == samples, "the experiment's samples in their order"),
+        ("tracker", results["tracker"] == np.tile(names, n), f"{', '.join(names)} in turn"),
+        ("success", ran | ~results["success"], "false where a run failed"),
+    ]
+    for name in metrics_of(experiment.plan.problem.mechanism):
+        values = results[name]
+        is_needed = "_error_" in name  # a completed run has all errors, but may lack other metrics
+        legal = (values >= 0) | (name == "energy_j") | (np.isnan(values) & ~(ran & is_needed))
+        checks.append((name, legal, "a number of at least 0" if is_needed else "0, more, or none"))
+    for name, values in experiment.varied_values().items():
+        alike = np.isclose(results[name], values[samples], rtol=1e-9, atol=0.0)  # scipy's versions differ by rounding
+        checks.append((name, alike, "what the experiment's seed gives that machine"))
+    for name, legal, what in checks:
+        if not np.all(legal):
+            row = int(np.argmin(legal))
+            return f"column {name} is {what}; row {row} has {results[name][row]!s:.60}"
+    return None

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -197,11 +197,6 @@ def defaults_note(plan: Plan) -> str | None:
     return f"without [imperfections], those of a carefully built machine are used: {names}"
 
 
-def settings_record(settings: Settings) -> dict:
-    """Return settings by name."""
-    return {name: getattr(settings, name) for name in Settings.__slots__}
-
-
 def asked_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
     """Return all inputs of an experiment's results: the problem's tables, a saved plan's digest, settings and versions.
 
@@ -211,7 +206,7 @@ def asked_record(source: Mapping, digest: str | None, settings: Settings, tracke
         "format": 1,
         "problem": source,
         "plan": digest,
-        "settings": settings_record(settings),
+        "settings": asdict(settings),
         "versions": versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
     }
     if trackers:

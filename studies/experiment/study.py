@@ -17,7 +17,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import write_plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
 from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.experiment.conduct import conduct
+from linkplan.studies.experiment.conduct import conduct, read_results, write_results
 from linkplan.studies.experiment.design import LATIN_HYPERCUBE, replicate_of
 from linkplan.studies.experiment.experiment import (
     AskedRecord,
@@ -31,7 +31,6 @@ from linkplan.studies.experiment.experiment import (
     imperfections_asked,
 )
 from linkplan.studies.experiment.metrics import metrics_of
-from linkplan.studies.experiment.parts import read_results, write_results
 from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of, sensitivity_record
 from linkplan.studies.experiment.summary import Summary, chatter_notes, summarise, summary_record
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME

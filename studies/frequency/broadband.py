@@ -17,8 +17,8 @@ from linkplan.studies.frequency.excitation import (
     refuse_long,
     signal_amplitude,
 )
-from linkplan.studies.frequency.excited_loops import ExcitedLoops
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, refuse_above_nyquist
+from linkplan.studies.frequency.simulated_loops import ExcitedLoops
 
 # A repetition holds this many cycles of the lowest frequency. The lines are odd multiples of the repetition rate.
 _CYCLES_PER_REPETITION = 3

@@ -118,33 +118,31 @@ def large_signals(
     setup = Setup(longest_s=3.0)  # a saturated loop may never settle
     same = [loop] * len(sizes)
     taken = sinestream.run(same, frequency, effort_limit, setup, (quantity,), 0, say, amplitudes=limited)
-    rows = [
-        (amplitude, responses[quantity], *actuated[quantity])
-        for amplitude, responses, actuated in zip(sizes, taken.responses, taken.actuated, strict=True)
-    ]
-    shape = len(frequency), len(rows)
-    table = {name: np.full(shape, np.nan, dtype=complex) for name in ("measured", "predicted", "describing")}
-    values = {name: np.full(shape, np.nan) for name in ("amplitude", "command", "expected", "saturated", "coherence")}
-    for j, (amplitude, response, command, applied) in enumerate(rows):
-        values["amplitude"][:, j], values["command"][:, j] = amplitude, np.abs(command)
-        values["saturated"][:, j], values["coherence"][:, j] = response.saturated, response.coherence
-        values["expected"][:, j] = N(np.abs(command))
-        table["measured"][:, j], table["describing"][:, j] = response.gain, applied / command
-        for i, f in enumerate(frequency):
-            table["predicted"][i, j] = balance(loop, quantity, f, amplitude[i], N)[0]
-        if farthest is not None:
-            beyond = amplitude > farthest
-            for array in (*table.values(), *(values[k] for k in values if k != "amplitude")):
-                array[beyond, j] = np.nan
+    responses = [one[quantity] for one in taken.responses]
+    commands, applied = np.array([one[quantity] for one in taken.actuated]).transpose(1, 2, 0)
+    found = {
+        "amplitude": sizes.T,
+        "measured": np.array([response.gain for response in responses]).T,
+        "predicted": np.array(
+            [[balance(loop, quantity, f, a, N)[0] for a in row] for f, row in zip(frequency, sizes.T, strict=True)]
+        ),
+        "command": np.abs(commands),
+        "describing": applied / commands,
+        "describing_predicted": np.column_stack([N(size) for size in np.abs(commands).T]),
+        "saturated": np.array([response.saturated for response in responses]).T,
+        "coherence": np.array([response.coherence for response in responses]).T,
+    }
+    if farthest is not None:
+        found |= {
+            name: np.where(farthest < sizes.T, np.nan, values) for name, values in found.items() if name != "amplitude"
+        }
     return LargeSignals(
         loop=loop,
         quantity=quantity,
         room=room,
         frequency_hz=frequency,
         multiples=np.array(multiples, dtype=float),
-        describing_predicted=values.pop("expected"),
-        **values,
-        **table,
+        **found,
     )
 
 

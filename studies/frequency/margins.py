@@ -7,7 +7,7 @@ simultaneous changes of gain and phase (Seiler, Packard & Gahinet, An Introducti
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,10 +53,6 @@ class Margins:
     spectral_radius: float | None = None  # of the sampled closed loop; below one is stable
     settling_s: float | None = None  # to 2 % of an error, of the sampled closed loop's slowest pole
     damping_ratio: float | None = None  # least, of its poles below half the Nyquist frequency
-
-    def record(self) -> dict:
-        """Return the figures by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def frequency_grid(period_s: float) -> np.ndarray:

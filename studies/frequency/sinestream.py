@@ -17,8 +17,8 @@ from linkplan.studies.frequency.excitation import (
     signal_amplitude,
     whole_samples,
 )
-from linkplan.studies.frequency.excited_loops import ExcitedLoops
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
+from linkplan.studies.frequency.simulated_loops import ExcitedLoops
 
 # The harmonics up to this order count as distortion.
 _DISTORTION_ORDER = 5

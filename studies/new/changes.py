@@ -9,6 +9,7 @@ that overlap by construction, as an exporter leaves them on their pins, pass thr
 the weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
 """
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import mujoco
@@ -89,24 +90,6 @@ def _base_fixed(model: mujoco.MjModel) -> Change | None:
     )
 
 
-def _stops_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
-    return _locking(
-        table,
-        _pressed(mechanism) if _moves(mechanism) else {},
-        "weight and springs press joints onto their stops: they are locked there ({locks}); a motion on which they would"
-        " leave their stops is another mechanism's",
-    )
-
-
-def _couplings_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
-    return _locking(
-        table,
-        _coupled_with_play(mechanism) if _moves(mechanism) else {},
-        "only the narrow range of a tendon holds undriven joints, and a limit's force is not planned for: they are locked"
-        " with what drives them ({locks}); with an equality of the tendon they would move",
-    )
-
-
 def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
     rods = _rods_on_balls(mechanism) if _moves(mechanism) else []
     if not rods:
@@ -115,14 +98,6 @@ def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     return {"lock_spin": [*(given if isinstance(given, list) else []), *rods]}, (
         "rods between ball joints spin about their own lines, which nothing drives and which moves nothing else: a"
         f" universal joint takes the place of a ball joint of each (mechanism.lock_spin: {', '.join(rods)})"
-    )
-
-
-def _spins_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
-    return _locking(
-        table,
-        _spins(mechanism) if _moves(mechanism) else {},
-        "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked ({locks})",
     )
 
 
@@ -144,28 +119,20 @@ def _friction_widened(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     )
 
 
-# In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
-_CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
-    _stops_locked,
-    _couplings_locked,
-    _ball_rods_locked,
-    _spins_locked,
-    _overlaps_excluded,
-    _friction_widened,
-)
-
-
-def _moves(mechanism: Mechanism) -> bool:
-    return mechanism.dof > 0 and mechanism.n_u > 0
-
-
-def _locking(table: Mapping[str, object], locks: Mapping[str, float], sentence: str) -> Change | None:
-    """Return the locks of joints [deg or m] beside those that a table has, and the sentence with them; None without any."""
+def _locked(
+    find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
+) -> Change | None:
+    """Return the locks of joints [deg or m] that `find` finds beside those that a table has; None without any."""
+    locks = find(mechanism) if _moves(mechanism) else {}
     if not locks:
         return None
     given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
     whole = {**(given if isinstance(given, Mapping) else {}), **locks}
-    return {"lock": whole}, sentence.replace("{locks}", f"mechanism.lock: {said}")
+    return {"lock": whole}, why.replace("{locks}", f"mechanism.lock: {said}")
+
+
+def _moves(mechanism: Mechanism) -> bool:
+    return mechanism.dof > 0 and mechanism.n_u > 0
 
 
 def with_exclusions(table: Mapping[str, object], pairs: Sequence[list[str]]) -> dict[str, object]:
@@ -362,3 +329,28 @@ def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     kind = model.eq_type[owner]
     weld, connect = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT
     return (kind == connect) | ((kind == weld) & (number < 3))
+
+
+# In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
+_CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
+    functools.partial(
+        _locked,
+        _pressed,
+        "weight and springs press joints onto their stops: they are locked there ({locks}); a motion on which they would"
+        " leave their stops is another mechanism's",
+    ),
+    functools.partial(
+        _locked,
+        _coupled_with_play,
+        "only the narrow range of a tendon holds undriven joints, and a limit's force is not planned for: they are locked"
+        " with what drives them ({locks}); with an equality of the tendon they would move",
+    ),
+    _ball_rods_locked,
+    functools.partial(
+        _locked,
+        _spins,
+        "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked ({locks})",
+    ),
+    _overlaps_excluded,
+    _friction_widened,
+)

@@ -1,12 +1,14 @@
 """A plan as a document: its verdict, its figures, the solves before it, its certificate."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.studies.output.digits import figure, known_digits, objective_unit
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.proof_blocks import proof_blocks
 
 
 def plan_blocks(plan: Plan) -> list[Block]:
@@ -107,3 +109,43 @@ def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
     powers = zip(mechanism.actuators, certificate.peak_power, strict=True)
     return [*rows, *([f"largest power of {actuator.name}", power, "W"] for actuator, power in powers)]
+
+
+_TITLES = {
+    "refuted": "Refuted: the motion certainly breaks these",
+    "undecided": "Undecided: the smallest boxes did not decide these",
+    "proved": "Proved at every instant, for the model and the polynomials of the plan",
+}
+
+
+def proof_blocks(proof: Proof | None) -> list[Block]:
+    """Return a proof's verdict and its findings by answer; nothing without a proof."""
+    if proof is None:
+        return []
+    blocks: list[Block] = [Text(text=f"proof: {proof.sentence()}", tone="good" if proof.complete else "plain")]
+    blocks += [_table(title, proof.of(answer)) for answer, title in _TITLES.items() if proof.of(answer)]
+    sampled = [[finding.name, finding.reason] for finding in proof.of("sampled")]
+    return [*blocks, *([table_of("Sampled, not proved", ["claim", "reason"], sampled)] if sampled else [])]
+
+
+def _table(title: str, findings: Sequence[Finding]) -> Table:
+    heads = ["claim", "worst value", "at most or at least", "margin", "unit", "boxes", "time [s]"]
+    rows = [
+        [
+            f.name,
+            _digits(f.bound),
+            _digits(f.mark),
+            None if f.margin is None else f"{f.margin:.3g}",
+            f.unit,
+            f.boxes,
+            f.time_s,
+        ]
+        for f in findings
+    ]
+    if any(finding.reason for finding in findings):
+        heads, rows = [*heads, "reason"], [[*row, f.reason] for row, f in zip(rows, findings, strict=True)]
+    return table_of(title, heads, rows)
+
+
+def _digits(value: float | None) -> str | None:
+    return None if value is None else f"{value:.9g}"

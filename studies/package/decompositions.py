@@ -15,8 +15,7 @@ from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
-from linkplan.studies.output.html import html_of
-from linkplan.studies.output.text import text_of
+from linkplan.studies.output.text import html_of, text_of
 from linkplan.subjects import listed, plan_to_track, with_imperfections
 
 if TYPE_CHECKING:

@@ -25,8 +25,7 @@ from linkplan.studies.experiment.experiment_blocks import outcome_blocks, sensit
 from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
-from linkplan.studies.output.html import html_of
-from linkplan.studies.output.text import text_of
+from linkplan.studies.output.text import html_of, text_of
 from linkplan.studies.tasks.cluster import cluster as at_address
 from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 from linkplan.subjects import listed, plan_to_track, with_imperfections

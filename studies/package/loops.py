@@ -267,7 +267,7 @@ class BodeResult:
         Raises:
             LinkplanError: if the joint is not independent.
         """
-        from linkplan.studies.bode.draw_bode import bode_figure
+        from linkplan.studies.bode.bode_report import bode_figure
 
         names = [one.name for one in self.study.mechanism.independent_joints]
         name = choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError)
@@ -276,7 +276,7 @@ class BodeResult:
 
     def _repr_html_(self) -> str:
         from linkplan.studies.bode.bode_blocks import summary
-        from linkplan.studies.output.html import html_of
+        from linkplan.studies.output.text import html_of
 
         return html_of(summary(self.study))
 

@@ -13,8 +13,7 @@ from linkplan.planner.problem.values import plain, whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.batch.study import Outcome, run_batch
 from linkplan.studies.output.batch_table import batch_blocks
-from linkplan.studies.output.html import html_of
-from linkplan.studies.output.text import text_of
+from linkplan.studies.output.text import html_of, text_of
 from linkplan.studies.tasks.cluster import cluster as at_address
 from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 

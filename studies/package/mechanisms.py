@@ -159,7 +159,7 @@ class CheckResult:
         return drawn(path, lambda place: inspection_figure(found, place))
 
     def _repr_html_(self) -> str:
-        from linkplan.studies.output.html import html_of
+        from linkplan.studies.output.text import html_of
 
         return html_of(self.found.blocks())
 

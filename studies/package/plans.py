@@ -217,8 +217,8 @@ class Plan(planned.Plan):
         return plan_folder.record(self)
 
     def _repr_html_(self) -> str:
-        from linkplan.studies.output.html import html_of
         from linkplan.studies.output.plan_blocks import plan_blocks
+        from linkplan.studies.output.text import html_of
 
         return html_of(plan_blocks(self))
 
@@ -310,7 +310,7 @@ class OdePlan(ode_planned.OdePlan):
 
     def _repr_html_(self) -> str:
         from linkplan.studies.output.document import Facts
-        from linkplan.studies.output.html import html_of
+        from linkplan.studies.output.text import html_of
 
         return html_of([Facts(rows=[(key, f"{value}") for key, value in self.to_dict().items()])])
 

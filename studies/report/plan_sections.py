@@ -13,8 +13,7 @@ from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, 
 from linkplan.studies.output.draw_plan import force_plots, time_plots
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.motion import motion_of
-from linkplan.studies.output.plan_blocks import facts, solves
-from linkplan.studies.output.proof_blocks import proof_blocks
+from linkplan.studies.output.plan_blocks import facts, proof_blocks, solves
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
 from linkplan.studies.report.lead import lead_facts, verdict_sentence

@@ -14,8 +14,8 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan, unchecked
 from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.proof.finding import OWN_MOTION
-from linkplan.studies.batch.saved import read_batch_record
 from linkplan.studies.batch.study import RECORD as BATCH
+from linkplan.studies.batch.study import read_batch_record
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.experiment.study import saved_outcome
 from linkplan.studies.output.document import Block, Facts, Report, Section, Table, Text

@@ -1,7 +1,8 @@
-"""Tasks on an engine: every result once, as soon as it is available, even if workers are lost."""
+"""Tasks on an engine: every result once, as soon as it is available, even if workers are lost; and their progress."""
 
 import concurrent.futures
 import os
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TypeVar
 
@@ -66,3 +67,26 @@ def _once(pool: Pool, work: Callable[[int, int], Result], tasks: Sequence[int]) 
             if isinstance(result, Refused):
                 raise LinkplanError(result.text)
             yield asked.pop(future), result
+
+
+class Progress:
+    """Counts the finished of `total` things and reports them with the remaining time. Mutable: it counts."""
+
+    def __init__(self, total: int, done: int, things: str, say: Say) -> None:
+        self._total, self._done, self._things, self._say = total, done, things, say
+        self._begin, self._ran = time.monotonic(), 0
+        if 0 < done < total:
+            say(f"{done} of {total} {things} are done already")
+
+    def more(self, n: int) -> None:
+        """Count n more."""
+        self._ran, self._done = self._ran + n, self._done + n
+        left = self._total - self._done
+        each = (time.monotonic() - self._begin) / self._ran
+        self._say(f"{self._done} of {self._total} {self._things}{f', about {_span(each * left)} left' if left else ''}")
+
+
+def _span(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 90 * 60 else f"{seconds / 3600:.1f} h"

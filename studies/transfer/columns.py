@@ -9,12 +9,10 @@ from linkplan.models.transfer.polytope import (
     MOST_CORNER_MOTORS,
     effort_box,
     effort_corners,
-    joint_gains,
-    motor_gains,
     speed_alone,
     speed_box,
 )
-from linkplan.studies.transfer.study import Transfer
+from linkplan.studies.transfer.study import Transfer, carried_gains
 from linkplan.studies.transfer.units import units_of
 
 # What an array of the NPZ file is, by name; joints are in the order of the table's axes, motors in the file's order.
@@ -62,12 +60,7 @@ def arrays_of(transfer: Transfer) -> dict[str, np.ndarray]:
         found["speed_alone"] = speed_alone(ratio, speed)
         if ratio.shape[1] == ratio.shape[2]:
             found["speed_box"] = speed_box(ratio, speed)
-    for name, gains in transfer.gains.items():
-        side, _, letter = name.partition("_")
-        if side == "joint":
-            found[f"motor_{letter}"] = motor_gains(ratio, np.diag(gains))
-        else:
-            found[f"joint_{letter}"] = joint_gains(ratio, np.diag(gains))
+    found |= carried_gains(transfer, ratio)
     if transfer.serial is not None:
         found |= {name: value.reshape(len(points), *value.shape[len(table.grid.axes) :])
                   for name, value in transfer.serial.rest.items()}  # fmt: skip
@@ -115,48 +108,36 @@ def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
 
 
 def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the heads and columns (n,) of a quantity (n, ...)."""
+    """Yield the heads and columns (n,) of a quantity (n, ...); of a symmetric one the upper triangle only."""
     outputs = transfer.outputs
     joints, motors = ([(one.name, *units_of(one)) for one in of] for of in (outputs.joints, outputs.actuators))
     if name == "status":
         yield "status [1]", value
-        return
-    if name in ("effort_box", "effort_corners"):
+    elif name in ("effort_box", "effort_corners"):
         yield from _effort_columns(name, value, joints)
-        return
-    power = {"inertia": ".s2", "armature": ".s2", "damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}
-    power = power.get(name.removesuffix("_slope").removesuffix("_rest"), "")
-    positions, efforts = (
-        ("joint_position", "speed_alone", "speed_box"),
-        ("friction", "gravity", "effort_rest"),
-    )
-    plain = {"motor_position": (motors, 1, "")} | dict.fromkeys(efforts, (joints, 2, ""))
-    plain |= {of: (joints, 1, "/s" if of.startswith("speed") else "") for of in positions}
-    if name in plain:
-        of, unit, per = plain[name]
-        for k, one in enumerate(of):
-            yield f"{name}_{one[0]} [{one[unit]}{per}]", value[:, k]
-    elif name == "ratio":
-        for (j, motor), (k, joint) in _pairs(motors, joints):
-            yield f"G_{motor[0]}_{joint[0]} [{motor[1]}/{joint[1]}]", value[:, j, k]
-    elif name == "ratio_slope":
-        for (j, motor), (k, joint) in _pairs(motors, joints):
-            for i, by in enumerate(joints):
-                yield f"dG_{motor[0]}_{joint[0]}_d_{by[0]} [{motor[1]}/{joint[1]}/{by[1]}]", value[:, j, k, i]
-    elif name == "friction_rate":
-        closed, serial = outputs.mechanism, transfer.serial.model
-        rubbing = [(closed.joints[i].name, *units_of(closed.joints[i])) for i in serial.rubbing]
-        for (j, row), (k, column) in _pairs(rubbing, joints):
-            yield f"{name}_{row[0]}_{column[0]} [{row[1]}/{column[1]}]", value[:, j, k]
-    elif name == "inertia_rest_slope":
-        for (j, row), (k, column) in _pairs(joints, joints):
-            for i, by in enumerate(joints if k >= j else ()):
-                yield f"{name}_{row[0]}_{column[0]}_d_{by[0]} [{row[2]}{power}/{column[1]}/{by[1]}]", value[:, j, k, i]
     else:
-        of = motors if name.startswith("motor") else joints
-        for (j, row), (k, column) in _pairs(of, of):
-            if k >= j:  # symmetric
-                yield f"{name}_{row[0]}_{column[0]} [{row[2]}{power}/{column[1]}]", value[:, j, k]
+        rows = motors if name.startswith(("motor", "ratio")) else joints
+        columns = motors if name.startswith("motor") else joints
+        if name == "friction_rate":
+            closed = outputs.mechanism.joints
+            rows = [(closed[i].name, *units_of(closed[i])) for i in transfer.serial.model.rubbing]
+        stem, symmetric = _STEMS.get(name, name), name not in ("ratio", "ratio_slope", "friction_rate")
+        rate = _RATES.get(name.removesuffix("_slope").removesuffix("_rest"), "")
+        for index in np.ndindex(value.shape[1:]):
+            if len(index) > 1 and symmetric and index[1] < index[0]:
+                continue
+            first, *others = (axis[i] for axis, i in zip((rows, columns, joints), index, strict=False))
+            head = "_d_".join([f"{stem}_{'_'.join(one[0] for one in (first, *others[:1]))}", *(by[0] for by in others[1:])])
+            unit = "/".join([first[1 if name in _OF_POSITIONS else 2] + rate, *(other[1] for other in others)])
+            yield f"{head} [{unit}]", value[(slice(None), *index)]
+
+
+# The beginnings of heads that are not the quantity's name, what its unit has beside those of its joints and motors, and the
+# quantities whose unit begins with that of a position; the others begin with an effort.
+_STEMS = {"ratio": "G", "ratio_slope": "dG"}
+_RATES = {"inertia": ".s2", "armature": ".s2", "damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}
+_RATES |= {"speed_alone": "/s", "speed_box": "/s"}
+_OF_POSITIONS = ("joint_position", "motor_position", "speed_alone", "speed_box", "ratio", "ratio_slope", "friction_rate")
 
 
 def _effort_columns(name: str, value: np.ndarray, joints: list) -> Iterator[tuple[str, np.ndarray]]:
@@ -167,9 +148,3 @@ def _effort_columns(name: str, value: np.ndarray, joints: list) -> Iterator[tupl
         else:
             for corner in range(value.shape[1]):
                 yield f"effort_corner_{corner}_{joint[0]} [{joint[2]}]", value[:, corner, k]
-
-
-def _pairs(rows: list, columns: list) -> Iterator[tuple]:
-    for row in enumerate(rows):
-        for column in enumerate(columns):
-            yield row, column

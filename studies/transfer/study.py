@@ -8,6 +8,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.transfer.output_map import OutputMap, Transmission, output_map, transmission
+from linkplan.models.transfer.polytope import joint_gains, motor_gains
 from linkplan.models.transfer.table import REFINED, TransferTable, transfer_table
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
@@ -127,6 +128,16 @@ def transfer_study(
         serial=serial,
         serial_note=note,
     )
+
+
+def carried_gains(transfer: Transfer, ratio: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the gains carried across G (n, n_m, n_o) by name: "motor_kp" (n, n_m, n_m), "joint_kp" (n, n_o, n_o), ..."""
+    found = {}
+    for name, gains in transfer.gains.items():
+        side, _, letter = name.partition("_")
+        across, other = (motor_gains, "motor") if side == "joint" else (joint_gains, "joint")
+        found[f"{other}_{letter}"] = across(ratio, np.diag(gains))
+    return found
 
 
 def no_load_speeds(problem: Problem) -> np.ndarray:

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.transfer.polytope import effort_box, effort_corners, joint_gains, motor_gains
+from linkplan.models.transfer.polytope import effort_box, effort_corners
 from linkplan.models.transfer.table import REFINED
 from linkplan.studies.output.document import Axis, Block, Curve, Facts, Plane, Plot, Text, table_of
 from linkplan.studies.output.lines import Line, overlaid_width, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.transfer.serial_study import error_plots, serial_blocks, serial_record
 from linkplan.studies.transfer.serial_urdf import urdf_notes, urdf_record
-from linkplan.studies.transfer.study import Transfer
+from linkplan.studies.transfer.study import Transfer, carried_gains
 from linkplan.studies.transfer.units import units_of
 
 # The sentence on the direction of the map, which stands in every result.
@@ -102,23 +102,13 @@ def transfer_record(transfer: Transfer) -> dict:
             **{name: getattr(home, name)[0] for name in ("motor_position", "ratio", "inertia", "armature", "damping")},
             **{name: getattr(home, name)[0] for name in ("friction", "gravity")},
             "effort_box": effort_box(home.ratio, transfer.effort_limit)[0],
-            **carried_gains(transfer),
+            **{name: gains[0] for name, gains in carried_gains(transfer, home.ratio).items()},
         },
         "serial": None if transfer.serial is None else serial_record(transfer.serial, transfer.outputs.mechanism),
         "serial_note": transfer.serial_note,
         "serial_urdf": None if transfer.serial is None else urdf_record(transfer),
         "notes": notes(transfer),
     }
-
-
-def carried_gains(transfer: Transfer) -> dict[str, np.ndarray]:
-    """Return the gains carried across at home, by their names: "motor_kp" (n_m, n_m), "joint_kp" (n_o, n_o), ..."""
-    found = {}
-    for name, gains in transfer.gains.items():
-        side, _, letter = name.partition("_")
-        across, other = (motor_gains, "motor") if side == "joint" else (joint_gains, "joint")
-        found[f"{other}_{letter}"] = across(transfer.home.ratio, np.diag(gains))[0]
-    return found
 
 
 def _facts(transfer: Transfer) -> list[tuple[str, str]]:
@@ -129,7 +119,7 @@ def _facts(transfer: Transfer) -> list[tuple[str, str]]:
         size = " x ".join(str(len(axis)) for axis in table.inverse.axes)
         error = table.inverse.errors["joint_position"]
         rows.append(("table from motor to joint positions", f"{size} nodes, error {error:.2g} of the largest position"))
-    for name, gains in carried_gains(transfer).items():
+    for name, (gains,) in carried_gains(transfer, transfer.home.ratio).items():
         of = transfer.outputs.actuators if name.startswith("motor") else transfer.outputs.joints
         rate = ".s" if name.endswith("kd") else ""
         said = [f"{a.name}-{b.name} {gains[j, k]:.5g} {units_of(a)[1]}{rate}/{units_of(b)[0]}"

@@ -1,6 +1,7 @@
 """The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, and a text table."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 
@@ -81,8 +82,7 @@ def tune_record(tuning: Tuning) -> dict:
         },
         "gains": gains,
         "points": [
-            _place(loop, joints) | loop.margins.record() | {"stiffness_at_rest": loop.stiffness}
-            for loop in tuning.best.loops
+            _place(loop, joints) | asdict(loop.margins) | {"stiffness_at_rest": loop.stiffness} for loop in tuning.best.loops
         ],
     }
 

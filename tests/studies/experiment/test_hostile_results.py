@@ -11,9 +11,8 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.planning import silent
-from linkplan.studies.experiment.conduct import conduct
+from linkplan.studies.experiment.conduct import conduct, keep_plan
 from linkplan.studies.experiment.experiment import Settings, asked_record
-from linkplan.studies.experiment.parts import keep_plan
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
 from linkplan.studies.tasks import unfinished as parts
 from linkplan.studies.tasks.engine import here

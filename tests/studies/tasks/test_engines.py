@@ -18,9 +18,8 @@ from linkplan.studies.tasks import cluster as dask_cluster
 from linkplan.studies.tasks import streaming
 from linkplan.studies.tasks.cluster import cluster
 from linkplan.studies.tasks.engine import Pool, here, processes
-from linkplan.studies.tasks.progress import Progress
 from linkplan.studies.tasks.site import Refused, at_site
-from linkplan.studies.tasks.streaming import streamed
+from linkplan.studies.tasks.streaming import Progress, streamed
 
 
 def squared(task, threads):
