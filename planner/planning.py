@@ -87,7 +87,7 @@ _LONGER = Rung(
 
 RUNGS: tuple[Rung, ...] = (
     Rung(
-        name="the phase plane along limits on power and pin force, its arcs held",
+        name="the phase plane along limits on power and pin force",
         tried=starts.is_along_power,
         climb=starts.along_power,
         budget=HURRIED,

@@ -57,7 +57,11 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     If the solver fails from this start, the rest and a certified motion are joined to a motion of the given duration.
     """
     quick = shortest_motion(search)
-    if quick is None or quick.solved is None or quick.solved.program.mesh.n_phases > 1:
+    if quick is None:
+        return None
+    if quick.solved is None:  # integrated along limits on power
+        return _rest_and_motion(search, budget, quick)
+    if quick.solved.program.mesh.n_phases > 1:
         return None
     # With several driven freedoms (a five-bar's swing-up) such a solve may be lost, and takes a tenth of the time left.
     share = 0.1 if search.problem.mechanism.dof > 1 else budget.share_of_time
@@ -86,7 +90,7 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
     problem = search.within(budget)
     asked = problem.motion.duration_s
     assert asked is not None  # a free duration needs no rest
-    if len(search.known.motions) == 1:
+    if len(search.known.motions) == 1 and quick.solved is not None:
         longer = _a_little_longer(search, budget, quick)
         if longer is not None:
             search.known.add(longer.require_motion("wait after"))
