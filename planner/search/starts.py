@@ -69,12 +69,6 @@ def no_time(search: Search) -> bool:
     return known is None or not known.passed or longest(search.problem) < known.trajectory.duration_s
 
 
-def far_too_little_time(search: Search) -> bool:
-    """True if the given time is too short by more than the error of any local optimum of the phase plane."""
-    # A duration below that of the phase plane's motion by this factor is too short: the grid costs swings some percent.
-    return no_time(search) and 1.3 * longest(search.problem) < search.quickest.duration_s
-
-
 def enough_time(search: Search) -> bool:
     """True if the phase plane has a motion within the given time."""
     return search.quickest is not None and longest(search.problem) >= GRID_ERROR_FACTOR * search.quickest.duration_s
