@@ -5,7 +5,6 @@ bounded by their guess are solved again with longer ones, unbounded ones are rep
 """
 
 import itertools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
-from linkplan.planner.search.rungs import Steps, followed
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
@@ -101,36 +99,21 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
 
 def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
     """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
-
-    def solve(at: _BoundedByGuess, longer: float) -> _BoundedByGuess | None:
-        if at.unbounded is None:
-            return None
+    unbounded, longer = unbounded_duration(problem, found.solution), found.motion.duration_s
+    for _ in range(2):
+        if unbounded is None:
+            break
+        longer *= 30.0
         duration = min(longer, problem.motion.max_duration_s or np.inf)
-        start = stretched(motion_of(at.found.motion), duration)
-        shares = at.found.solution.x[at.found.solution.transcribed.program.layout.durations()]
-        what = "from a longer motion"
-        further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what)
+        start = stretched(motion_of(found.motion), duration)
+        shares = found.solution.x[found.solution.transcribed.program.layout.durations()]
+        further = solve_from(problem, start, found.mesh, duration * shares / shares.sum(), "from a longer motion")
         if further is None:
-            return None
+            break
         # An objective that one step lowers to a thousandth falls for ever: the duration is unbounded.
-        falls = further.solution.objective < 1e-3 * at.found.solution.objective and problem.motion.max_duration_s is None
-        return _BoundedByGuess(
-            found=further, unbounded=at.unbounded if falls else unbounded_duration(problem, further.solution)
-        )
-
-    begin = _BoundedByGuess(found=found, unbounded=unbounded_duration(problem, found.solution))
-    duration = found.motion.duration_s
-    steps = Steps(begin=duration, end=np.inf, factor=30.0, halvings=0, most=2)
-    at = followed(begin, steps, solve).stages[-1]
-    return at.found, at.unbounded
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _BoundedByGuess:
-    """A solution, and the sentence on its free duration where that grew to the end of what its guess allows."""
-
-    found: Iterate
-    unbounded: str | None
+        falls = further.solution.objective < 1e-3 * found.solution.objective and problem.motion.max_duration_s is None
+        found, unbounded = further, unbounded if falls else unbounded_duration(problem, further.solution)
+    return found, unbounded
 
 
 def unbounded_duration(problem: Problem, solution: Solution) -> str | None:
