@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement import decision
 from linkplan.planner.refinement.actions import (
     Halve,
     ImposeRanges,
     Loosen,
     RaiseDegree,
-    ReleaseArcs,
     Restore,
     Tighten,
 )
@@ -263,12 +261,6 @@ def test_the_error_of_the_objective_is_its_largest_change_on_the_meshes_on_which
     for objective, error in ((1.1, 0.1 / 1.1), (1.1 * (1 + 1e-7), 0.1 / 1.1), (1.1, 1e-7)):
         now = observed(now, iterate(objective=objective))
         assert now.objective_error == pytest.approx(error, rel=1e-5)
-
-
-@pytest.mark.parametrize(("releases", "released"), [(0, True), (2, True), (3, False)])
-def test_wrongly_held_arcs_are_released_three_times(releases, released, monkeypatch):
-    monkeypatch.setattr(decision, "arcs_against_their_limits", lambda _: [1])
-    assert isinstance(next_action(state(iterate(), releases=releases)), ReleaseArcs) == released
 
 
 @pytest.mark.parametrize(("change", "finer"), [(3e-5, False), (3e-4, True)])
