@@ -42,10 +42,6 @@ def _with_time_to_wait(start: Climb) -> Climb:
     return climb
 
 
-def _nothing_found(search: Search) -> bool:
-    return not search.plans and not starts.far_too_little_time(search)
-
-
 def _first_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the plan of the first starts: of as many as the problem asks for, or of the given guess and the smooth path."""
     several = search.problem.solver.starts > 1
@@ -87,7 +83,7 @@ _LONGER = Rung(
 
 RUNGS: tuple[Rung, ...] = (
     Rung(
-        name="the phase plane along limits on power and pin force, its arcs held",
+        name="the phase plane along limits on power and pin force",
         tried=starts.is_along_power,
         climb=starts.along_power,
         budget=HURRIED,
@@ -107,12 +103,6 @@ RUNGS: tuple[Rung, ...] = (
         climb=waiting.from_waiting,
         budget=PATIENT,
     ),
-    Rung(
-        name="continuation in the effort limits",
-        tried=lambda search: _nothing_found(search) and continuations.efforts_suffice(search),
-        climb=continuations.from_least_peak_effort,
-        budget=HURRIED,
-    ),
 )
 
 REPAIRS: tuple[Repair, ...] = (
@@ -126,11 +116,6 @@ REPAIRS: tuple[Repair, ...] = (
         tried=lambda _problem, plan: attempts.unsound(plan),
         mend=attempts.from_next_to_it,
         always=False,
-    ),
-    Repair(
-        name="efforts constant over intervals",
-        tried=attempts.constant_efforts_would_do,
-        mend=attempts.with_constant_efforts,
     ),
 )
 

@@ -9,13 +9,12 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
-from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
+from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, motion_of
-from linkplan.planner.closed_chain.transcribe import choose_scales, trajectory_of, transcribe
+from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
-from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.tightening import Tightening, evened, tightenings_of
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.trajectory import Trajectory
@@ -92,24 +91,11 @@ class MechanismCase:
 def case_of(problem: Problem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:
     """Return the case of a problem; with `kinks`, refinement seeks the kinks of continuous efforts.
 
-    Limits on power of several freedoms are imposed at every instant. With one freedom the phase plane gives the order of the
-    constrained arcs, and these are held; with `enclosed`, limits on power and pin force are imposed at every instant too.
+    Limits on power of several freedoms are imposed at every instant. With one freedom the phase plane's legs keep them; with
+    `enclosed`, limits on power and pin force are imposed at every instant there too.
     """
     powers = problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
     return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed or (powers and problem.mechanism.dof > 1))
-
-
-def held_arcs_of(problem: Problem, guess: Guess) -> FixedArcs:
-    """Return the arcs along limits on effort, power and pin force that a guess holds."""
-    system = formulate(problem, choose_scales(problem, guess)).build_system()
-    kinds = np.array(system.kinds[system.n_equations :])
-    assert guess.power_arcs is not None  # it holds arcs
-    assert guess.bang_efforts is not None
-    paths = np.zeros((len(guess.power_arcs), len(kinds)), dtype=int)
-    paths[:, kinds == "power"] = guess.power_arcs[:, np.isfinite(problem.limits.power).any(axis=1)]
-    if guess.force_arcs is not None:
-        paths[:, kinds == "closure_force"] = guess.force_arcs
-    return FixedArcs(efforts=guess.bang_efforts, paths=paths)
 
 
 def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarget:

@@ -42,10 +42,6 @@ class Guess:
     # (n_switches,) switch times between its phase boundaries
     switch_times_s: np.ndarray | None = None
     bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between switch times and phase boundaries
-    # (n_segments, n_u) 1 or -1 if an actuator is at its upper or lower limit on power; its bang effort is then NaN
-    power_arcs: np.ndarray | None = None
-    # (n_segments, n_limited_closures) 1 if a closure's force is at its limit; the bang effort is then NaN
-    force_arcs: np.ndarray | None = None
 
 
 def motion_of(trajectory: Trajectory) -> Guess:

@@ -21,7 +21,7 @@ from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 
 # Cells of the grid, and places on it at which a motion may rest and turn.
-_GRID_CELLS, TURNING_PLACES = 1600, 60
+_GRID_CELLS, _TURNING_PLACES = 1600, 60
 # The smallest speed in sums of times [rad/s or m/s].
 _MIN_SPEED = 1e-9
 # Shares of the effort limits tried for a motion that may take longer than the least time.
@@ -226,7 +226,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
     n, speeds = len(plane.s), part.speeds
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
     stop, begin = _resting_places(plane, part)
-    rests = {*np.linspace(0, n - 1, TURNING_PLACES).round().astype(int).tolist()}
+    rests = {*np.linspace(0, n - 1, _TURNING_PLACES).round().astype(int).tolist()}
     rests = sorted((rests if begin is None else rests | {plane.at(begin)}) - {goal})
     ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
     arriving = _arriving(plane, ends, deadline)

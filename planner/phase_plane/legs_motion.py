@@ -37,7 +37,7 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
     limits = problem.limits
     rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
     inside = replace(limits, effort=_inside(limits.effort), power=_inside(limits.power), closure_force=rated)
-    found = power_legs(replace(problem, limits=inside), start_pose, exactly=True)
+    found = power_legs(replace(problem, limits=inside), start_pose)
     if found is None:
         return None
     legs, boundaries = found

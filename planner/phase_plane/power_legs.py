@@ -7,7 +7,7 @@ switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985).
 
 Along a power limit the effort falls off from a bang at rest that may last a hundred-thousandth of the motion, which
 neither a grid over the way nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is
-held along it; the instants themselves are left to the solver.
+held along it.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.phase_plane.bang_bang_motions import Guess, Part, parts_of
+from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
 from linkplan.planner.problem.problem import Problem
 
 # What an actuator is held at: the limit of its effort (1 upper, -1 lower), of its power, or, from this number on, of the
@@ -30,9 +30,9 @@ AT_POWER, AT_FORCE = 2, 3
 _LIMIT_TOLERANCE = 1e-6
 # Poses along a part of the way.
 _POSES_PER_PART = 2001
-# Integrations: the method, its relative tolerance, and its absolute tolerance as a share of the way and of the largest
-# speed. The exact one serves where a bang arc ends at rest, which happens at a 30,000th of the largest speed.
-_ROUGH_INTEGRATION, _EXACT_INTEGRATION = ("Radau", 1e-7, 1e-7), ("LSODA", 1e-10, 1e-14)
+# The integration's relative tolerance, and its absolute one as a share of the way and of the largest speed: a bang arc from
+# rest may end at a 30,000th of that.
+_INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-10, 1e-14
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -186,36 +186,19 @@ def knows_pins(problem: Problem) -> bool:
     return not sliding_friction(mechanism, mechanism.home[None]).any()
 
 
-def power_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
-    """Return the quickest reach that never turns back but where it must, along limits on power and pin force, and its arcs.
+def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.ndarray] | None:
+    """Return the legs of the quickest reach that never turns back but where it must, along limits on power and pin force.
 
-    None without one, if no power or force is at its limit, or if the problem has other limits that the phase plane lacks.
-    Arguments as of `power_legs`.
-    """
-    found = power_legs(problem, start_pose)
-    if found is None:
-        return None
-    legs, boundaries = found
-    arcs = [arc for leg in legs for arc in leg.arcs()]
-    held = np.array([one for _, one in arcs])
-    if not np.any(np.abs(held) >= AT_POWER):
-        return None
-    return _guess(problem, start_pose, legs, arcs, boundaries)
-
-
-def power_legs(problem: Problem, start_pose: np.ndarray, *, exactly: bool = False) -> tuple[list[Leg], np.ndarray] | None:
-    """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None without one.
+    And when it passes start, waypoints and goal [s]; None without one, or if no power or force is at its limit.
 
     Args:
         problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
         start_pose: closed (n_q,), at the start.
-        exactly: whether they are to be a motion and not a start.
     """
     legs, boundaries = [], [0.0]
     try:
         for part in parts_of(problem.motion):
-            field, how = _field(problem, part, start_pose), _EXACT_INTEGRATION if exactly else _ROUGH_INTEGRATION
-            pair = _legs(field, part, boundaries[-1], problem.solver.deadline, *how)
+            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1], problem.solver.deadline)
             if pair is None:
                 return None
             legs += pair
@@ -226,7 +209,8 @@ def power_legs(problem: Problem, start_pose: np.ndarray, *, exactly: bool = Fals
             boundaries.append(back.later + back.end)
     except AssemblyError:  # the way is not open
         return None
-    return legs, np.array(boundaries)
+    at_limits = any(np.any(np.abs(held) >= AT_POWER) for leg in legs for _, held in leg.arcs())
+    return (legs, np.array(boundaries)) if at_limits else None
 
 
 def _field(problem: Problem, part: Part, start_pose: np.ndarray) -> LegField:
@@ -278,9 +262,7 @@ def _pins(problem: Problem, place: np.ndarray, forces: np.ndarray) -> PinForces:
     return PinForces(curves=scipy.interpolate.CubicSpline(place, np.concatenate(columns, axis=2)), rows=tuple(rows))
 
 
-def _legs(
-    field: LegField, part: Part, later: float, deadline: Deadline, method: Any, share: float, small: float
-) -> list[Leg] | None:
+def _legs(field: LegField, part: Part, later: float, deadline: Deadline) -> list[Leg] | None:
     """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
     import scipy
 
@@ -304,8 +286,8 @@ def _legs(
         stalled.direction = -1.0
         until = 1e6 * span / fastest  # a million times what full effort takes
         found = scipy.integrate.solve_ivp(
-            rates, (0.0, until if towards else -until), [begin, v], method=method, events=(there, stalled),
-            dense_output=True, rtol=share, atol=small * np.array([span, fastest]),
+            rates, (0.0, until if towards else -until), [begin, v], method="LSODA", events=(there, stalled),
+            dense_output=True, rtol=_INTEGRATION_RTOL, atol=_INTEGRATION_ATOL * np.array([span, fastest]),
         )  # fmt: skip
         ends = np.sort([0.0, found.t[-1]])
         return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
@@ -328,48 +310,3 @@ def _legs(
 
 def _cut(leg: Leg, begin: float, end: float, later: float) -> Leg:
     return Leg(field=leg.field, state=leg.state, steps=leg.steps, towards=leg.towards, begin=begin, end=end, later=later)
-
-
-def _guess(problem: Problem, start_pose: np.ndarray, legs: list[Leg], arcs: list, boundaries: np.ndarray) -> Guess:
-    """Return legs as a guess, with their arcs between switch times and phase boundaries."""
-    ends = np.array([leg.later + leg.end for leg in legs])
-    n_u, duration = len(problem.limits.effort), float(ends[-1])
-
-    def of(times: np.ndarray, what: Callable[[Leg, np.ndarray], np.ndarray], size: int) -> np.ndarray:
-        values, which = np.zeros((len(times), size)), np.minimum(np.searchsorted(ends, times), len(legs) - 1)
-        for k, leg in enumerate(legs):
-            mine = which == k
-            if mine.any():
-                values[mine] = what(leg, np.clip(times[mine] - leg.later, leg.begin, leg.end))
-        return values
-
-    def motion(leg: Leg, t: np.ndarray) -> np.ndarray:
-        s, v = leg.state(t)
-        _, effort, a = leg.field.at(s, v, towards=leg.towards)
-        return np.column_stack([s, v, a, effort])
-
-    def column(k: int, size: int = 1) -> Callable[[np.ndarray], np.ndarray]:
-        return lambda times: of(np.asarray(times), motion, 3 + n_u)[:, k : k + size]
-
-    known = boundaries[1:-1]
-    instants = np.array([end for end, _ in arcs[:-1]])
-    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > 1e-7 * duration  # not at a boundary
-    switch_times = instants[apart]
-    inner = np.sort(np.concatenate([[0.0], switch_times, known, [duration]]))
-    at = np.searchsorted([end for end, _ in arcs[:-1]], 0.5 * (inner[1:] + inner[:-1]))
-    held = np.array([one for _, one in arcs])[at]
-    limit = problem.limits.effort
-    bang = np.where(held == 1, limit[:, 1], np.where(held == -1, limit[:, 0], np.nan))
-    return Guess(
-        position=column(0),
-        velocity=column(1),
-        acceleration=column(2),
-        effort=column(3, n_u),
-        duration_s=duration,
-        start_pose=start_pose,
-        boundaries_s=boundaries if len(boundaries) > 2 else None,
-        switch_times_s=switch_times,
-        bang_efforts=bang,
-        power_arcs=np.where(np.abs(held) == AT_POWER, np.sign(held), 0),
-        force_arcs=(np.abs(held[:, :1]) == AT_FORCE + np.arange(len(problem.limits.limited_closures))).astype(int),
-    )

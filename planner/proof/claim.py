@@ -32,6 +32,20 @@ class Claim:
         return self.low - self.slack[0], self.high + self.slack[1]
 
 
+def claim_of(
+    name: str,
+    unit: str,
+    bounds: Sequence[float],
+    values: Callable[[State], list[Ball]],
+    slack: tuple[float, float] | None = None,
+    per_unit: float = 1.0,
+) -> Claim:
+    """Return the claim that values lie within [low, high], by default with the allowances for rounding."""
+    low, high = (float(x) for x in bounds)
+    given = rounding_of((low, high)) if slack is None else slack
+    return Claim(name=name, unit=unit, low=low, high=high, slack=given, values=values, per_unit=per_unit)
+
+
 def share_of(bounds: Sequence[float], share: float) -> tuple[float, float]:
     """Return the allowances of [low, high]: a share of each end, and for an end at zero of the other end."""
     low, high = share * end_sizes(np.reshape(bounds, (1, 2)))[0]

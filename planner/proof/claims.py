@@ -13,7 +13,7 @@ from linkplan.planner.limits.actuators import clamped_allowance
 from linkplan.planner.problem.extra import ExtraLimit, expressed
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.claim import Claim, of_kinetics, rounding_of, share_of
+from linkplan.planner.proof.claim import Claim, claim_of, of_kinetics, share_of
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Kinetics
 from linkplan.planner.proof.pose_claims import (
@@ -38,23 +38,11 @@ def _efforts(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     for j, (actuator, bounds) in enumerate(zip(problem.mechanism.actuators, problem.limits.effort, strict=True)):
         if not np.isfinite(bounds).any():
             continue
-        low, high = (float(x) for x in bounds)
-        yield Claim(
-            name=f"effort of {actuator.name} by inverse dynamics",
-            unit=actuator.unit,
-            low=low,
-            high=high,
-            slack=share_of(bounds, INVERSE_DYNAMICS_SHARE),
-            values=of_kinetics(lambda kinetics, j=j: kinetics.efforts()[j]),
-        )
-        yield Claim(
-            name=f"planned effort of {actuator.name}",
-            unit=actuator.unit,
-            low=low,
-            high=high,
-            slack=share_of(bounds, ROUNDING_SHARE),
-            values=lambda state, j=j: [state.u[j]],
-        )
+        needed = of_kinetics(lambda kinetics, j=j: kinetics.efforts()[j])
+        allowed = share_of(bounds, INVERSE_DYNAMICS_SHARE)
+        yield claim_of(f"effort of {actuator.name} by inverse dynamics", actuator.unit, bounds, needed, allowed)
+        allowed = share_of(bounds, ROUNDING_SHARE)
+        yield claim_of(f"planned effort of {actuator.name}", actuator.unit, bounds, lambda state, j=j: [state.u[j]], allowed)
 
 
 def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
@@ -65,14 +53,9 @@ def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
     acceleration = np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max(axis=0)
     allowed = max(DYNAMICS_SHARE * float(largest.max(initial=0.0)), 1e-12, 1e-6 * float((inertia @ acceleration).max()))
     for i, joint in enumerate(mechanism.independent_joints):
-        yield Claim(
-            name=f"effort on {joint.name} that the planned effort lacks",
-            unit="N.m" if joint.kind == "hinge" else "N",
-            low=0.0,
-            high=0.0,
-            slack=(allowed, allowed),
-            values=of_kinetics(lambda kinetics, i=i: kinetics.residual[i]),
-        )
+        name, unit = f"effort on {joint.name} that the planned effort lacks", "N.m" if joint.kind == "hinge" else "N"
+        lacking = of_kinetics(lambda kinetics, i=i: kinetics.residual[i])
+        yield claim_of(name, unit, (0.0, 0.0), lacking, (allowed, allowed))
 
 
 def _joints(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -86,28 +69,19 @@ def _joints(problem: Problem, _: Trajectory) -> Iterator[Claim]:
                 if what == "position"
                 else of_kinetics(lambda kinetics, i=index: kinetics.rates[i])
             )
-            yield Claim(
-                name=f"{what} of {joint.name}",
-                unit=f"{joint.unit}{per}",
-                low=float(bounds[0]),
-                high=float(bounds[1]),
-                slack=(RANGE_SLACK, RANGE_SLACK),
-                values=values,
-                per_unit=joint.shown(1.0),
-            )
+            slack = (RANGE_SLACK, RANGE_SLACK)
+            yield claim_of(f"{what} of {joint.name}", f"{joint.unit}{per}", bounds, values, slack, joint.shown(1.0))
 
 
 def _rates_of_effort(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     for j, actuator in enumerate(problem.mechanism.actuators):
         bounds = problem.limits.effort_rate[j]
         if np.isfinite(bounds).any():
-            yield Claim(
-                name=f"effort rate of {actuator.name}",
-                unit=f"{actuator.unit}/s",
-                low=float(bounds[0]),
-                high=float(bounds[1]),
-                slack=rounding_of(bounds),
-                values=lambda state, j=j: [state.rate * state.u[j].derivative()],
+            yield claim_of(
+                f"effort rate of {actuator.name}",
+                f"{actuator.unit}/s",
+                bounds,
+                lambda state, j=j: [state.rate * state.u[j].derivative()],
             )
 
 
@@ -116,28 +90,15 @@ def _drives(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     for j, (actuator, motor) in enumerate(zip(problem.mechanism.actuators, problem.motors, strict=True)):
         power = problem.limits.power[j]
         if np.isfinite(power).any():
-            yield Claim(
-                name=f"power of {actuator.name}",
-                unit="W",
-                low=float(power[0]),
-                high=float(power[1]),
-                slack=rounding_of(power),
-                values=of_kinetics(lambda kinetics, j=j: kinetics.state.u[j] * kinetics.actuator_speeds[j]),
-            )
+            spent = of_kinetics(lambda kinetics, j=j: kinetics.state.u[j] * kinetics.actuator_speeds[j])
+            yield claim_of(f"power of {actuator.name}", "W", power, spent)
         if motor is not None and motor.line is not None:
             stall, no_load = motor.line
 
             def line(kinetics: Kinetics, j: int = j, stall: float = stall, no_load: float = no_load) -> Ball:
                 return kinetics.state.u[j] / stall + kinetics.actuator_speeds[j] / no_load
 
-            yield Claim(
-                name=f"torque-speed line of {actuator.name}",
-                unit="1",
-                low=-1.0,
-                high=1.0,
-                slack=(ROUNDING_SHARE, ROUNDING_SHARE),
-                values=of_kinetics(line),
-            )
+            yield claim_of(f"torque-speed line of {actuator.name}", "1", (-1.0, 1.0), of_kinetics(line))
 
 
 def _servos(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
@@ -160,14 +121,7 @@ def _servos(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
             return ranged_control(actuator, (state.u[j] - bias) / gain, state.u[j], gain, lambda a, b: larger(arb(a), b))
 
         more = clamped_allowance(problem, trajectory, j)
-        yield Claim(
-            name=f"ctrl of {actuator.name}",
-            unit="",
-            low=float(bounds[0]),
-            high=float(bounds[1]),
-            slack=(more, more) if more else rounding_of(bounds),
-            values=of_kinetics(ctrl),
-        )
+        yield claim_of(f"ctrl of {actuator.name}", "", bounds, of_kinetics(ctrl), (more, more) if more else None)
 
 
 def _forces(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -178,14 +132,11 @@ def _forces(problem: Problem, _: Trajectory) -> Iterator[Claim]:
         def squared(kinetics: Kinetics, rows: slice = rows) -> Ball:
             return sum((x * x for x in kinetics.closure_forces[rows]), 0 * kinetics.state.q[0])
 
-        yield Claim(
-            name=f"squared closure force of {mechanism.closure_names[c]}",
-            unit="N2",
-            low=-np.inf,
-            high=rating**2,
-            slack=(0.0, 2 * ROUNDING_SHARE * max(1.0, rating) * rating),
-            values=of_kinetics(squared),
+        name, slack = (
+            f"squared closure force of {mechanism.closure_names[c]}",
+            2 * ROUNDING_SHARE * max(1.0, rating) * rating,
         )
+        yield claim_of(name, "N2", (-np.inf, rating**2), of_kinetics(squared), (0.0, slack))
 
 
 def _corners(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -195,14 +146,9 @@ def _corners(problem: Problem, _: Trajectory) -> Iterator[Claim]:
         for j, actuator in enumerate(mechanism.actuators):
             bounds = problem.robust.room * problem.limits.effort[j]
             if np.isfinite(bounds).any():
-                yield Claim(
-                    name=f"effort of {actuator.name} with {corner.description(joints)}",
-                    unit=actuator.unit,
-                    low=float(bounds[0]),
-                    high=float(bounds[1]),
-                    slack=share_of(bounds, INVERSE_DYNAMICS_SHARE),
-                    values=of_kinetics(lambda kinetics, j=j, corner=corner: kinetics.efforts(corner)[j]),
-                )
+                name = f"effort of {actuator.name} with {corner.description(joints)}"
+                needed = of_kinetics(lambda kinetics, j=j, corner=corner: kinetics.efforts(corner)[j])
+                yield claim_of(name, actuator.unit, bounds, needed, share_of(bounds, INVERSE_DYNAMICS_SHARE))
 
 
 def enclosed(problem: Problem, limit: ExtraLimit) -> Walk | None:
@@ -226,14 +172,7 @@ def _extras(problem: Problem, _: Trajectory) -> Iterator[Claim]:
             v, a = ([of[i] for i in of_s] for of in (kinetics.rates, kinetics.accelerations))
             return walk(kinetics.state.q, v, a, kinetics.state.u)[0][0, 0]
 
-        yield Claim(
-            name=f"extra limit '{limit.name}'",
-            unit=limit.unit,
-            low=limit.lower,
-            high=limit.upper,
-            slack=rounding_of((limit.lower, limit.upper)),
-            values=of_kinetics(value),
-        )
+        yield claim_of(f"extra limit '{limit.name}'", limit.unit, (limit.lower, limit.upper), of_kinetics(value))
 
 
 def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:

@@ -8,12 +8,11 @@ import casadi as ca
 import numpy as np
 from flint import arb
 
-from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
 from linkplan.planner.certificate.certificate import CLOSURE_M
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.planner.proof.claim import Claim, rounding_of
+from linkplan.planner.proof.claim import Claim, claim_of, rounding_of
 from linkplan.planner.proof.motion import State
 from linkplan.planner.proof.walk import Ball, Walk, walk_of
 from linkplan.planner.trajectory import Trajectory
@@ -35,14 +34,8 @@ def loop_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     ]
     if rows:
         walk = walk_of(ca.Function("redundant", [q], [ca.densify(ca.vertcat(*rows))]))
-        yield Claim(
-            name="the redundant equations of the loops hold",
-            unit="m",
-            low=0.0,
-            high=0.0,
-            slack=(mark, mark),
-            values=lambda state: list(walk(state.q)[0].values()),
-        )
+        name = "the redundant equations of the loops hold"
+        yield claim_of(name, "m", (0.0, 0.0), lambda state: list(walk(state.q)[0].values()), (mark, mark))
 
 
 def singularity_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -54,14 +47,7 @@ def singularity_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     at_home = np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel()
     walk = walk_of(ca.Function("blocks", [q], [mechanism.dynamics.block_singularity(q) / ca.DM(at_home)]))
     for block in range(len(at_home)):
-        yield Claim(
-            name=f"distance from a singular pose, block {block + 1}",
-            unit="1",
-            low=float(margin),
-            high=np.inf,
-            slack=(ROUNDING_SHARE, 0.0),
-            values=_entry(walk, block),
-        )
+        yield claim_of(f"distance from a singular pose, block {block + 1}", "1", (margin, np.inf), _entry(walk, block))
 
 
 def part_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -71,25 +57,13 @@ def part_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     if mechanism.tendons:
         lengths = walk_of(ca.Function("tendons", [q], [ca.densify(mechanism.dynamics.tendon_length(q))]))
         for k, tendon in enumerate(mechanism.tendons):
-            yield Claim(
-                name=f"length of tendon {tendon.name}",
-                unit=tendon.unit,
-                low=float(tendon.low),
-                high=float(tendon.high),
-                slack=rounding_of((tendon.low, tendon.high)),
-                values=_entry(lengths, k),
-            )
+            bounds = (tendon.low, tendon.high)
+            yield claim_of(f"length of tendon {tendon.name}", tendon.unit, bounds, _entry(lengths, k))
     if mechanism.balls:
         turns = walk_of(ca.Function("balls", [q], [ca.densify(mechanism.dynamics.ball_turns(q))]))
         for k, ball in enumerate(mechanism.balls):
-            yield Claim(
-                name=f"sin^2 of half the angle of ball joint {ball.name}",
-                unit="1",
-                low=-np.inf,
-                high=float(np.sin(ball.largest / 2) ** 2),
-                slack=(0.0, ROUNDING_SHARE),
-                values=_entry(turns, k),
-            )
+            bounds = (-np.inf, np.sin(ball.largest / 2) ** 2)
+            yield claim_of(f"sin^2 of half the angle of ball joint {ball.name}", "1", bounds, _entry(turns, k))
 
 
 def site_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
@@ -98,18 +72,16 @@ def site_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     q = ca.SX.sym("q", mechanism.n_q)
     for limit in problem.limits.site:
         place = mechanism.dynamics.site_places(q)[:, limit.index]
-        bounds = (float(limit.low), float(limit.high))
+        bounds, slack = (limit.low, limit.high), None
         if limit.is_tube:
             value, squared = _squared_distance(limit, place), limit.high**2
             slack = (0.0, (limit.high + rounding_of(bounds)[1]) ** 2 - squared)
-            shown = {"name": f"squared distance from the tube of site {limit.site}", "unit": "m2", "low": -np.inf}
-            shown |= {"high": squared, "slack": slack}
+            name, unit, bounds = f"squared distance from the tube of site {limit.site}", "m2", (-np.inf, squared)
         else:
             value = ca.dot(ca.DM(np.asarray(limit.normal)), place) - limit.origin
-            shown = {"name": f"{limit.what} of site {limit.site}", "unit": "m", "low": bounds[0], "high": bounds[1]}
-            shown |= {"slack": rounding_of(bounds)}
+            name, unit = f"{limit.what} of site {limit.site}", "m"
         walk = walk_of(ca.Function("site", [q], [ca.densify(value)]))
-        yield Claim(values=_entry(walk, 0), **shown)
+        yield claim_of(name, unit, bounds, _entry(walk, 0), slack)
 
 
 def _squared_distance(limit: SiteLimit, place: ca.SX) -> ca.SX:
@@ -139,15 +111,8 @@ def reference_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claim
             turned = 2 * arb.pi() * reference.frequency_hz * state.time + phase
             return [state.s[i] - bias - amplitude * turned.sin()]
 
-        yield Claim(
-            name=f"distance of {joint.name} from its reference",
-            unit=joint.unit,
-            low=0.0,
-            high=0.0,
-            slack=(allowed, allowed),
-            values=off,
-            per_unit=joint.shown(1.0),
-        )
+        name = f"distance of {joint.name} from its reference"
+        yield claim_of(name, joint.unit, (0.0, 0.0), off, (allowed, allowed), joint.shown(1.0))
 
 
 def _entry(walk: Walk, k: int) -> Callable[[State], list[Ball]]:

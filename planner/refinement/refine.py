@@ -1,12 +1,10 @@
 """From a first solution to a certified one: one loop that applies what `decision` decides until it says stop."""
 
-from dataclasses import replace
-
 from linkplan.models.interrupts import check
 from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, certify_iterate
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.state import Refined, RefinementState, observed
-from linkplan.planner.refinement.switch_search import at_bounds, settle_switch_times
+from linkplan.planner.refinement.switch_search import settle_switch_times
 
 
 def refine(
@@ -33,9 +31,7 @@ def first_state(
     case: Case[MotionT, CertificateT], found: Iterate[MotionT], *, warm: bool
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state that a first solution leads to: with switch times as unknowns where efforts jump."""
-    if found.fixed is None or not found.fixed.everything or at_bounds(found.solution) or case.target.enclosed:
-        found = replace(found, fixed=None)
-        if case.target.switches:
-            found = settle_switch_times(case, found)
+    if case.target.switches:
+        found = settle_switch_times(case, found)
     at = certify_iterate(case, found)
     return observed(RefinementState(asked=case, case=case, at=at, warm=warm), at)

@@ -13,7 +13,6 @@ from linkplan.planner.refinement.constrained_arcs import (
     arc_ends,
     find_constrained_paths,
     free_ends,
-    held_throughout,
     own_arcs,
     path_arcs,
 )
@@ -21,7 +20,7 @@ from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
-from linkplan.planner.transcription.mesh import Mesh, graded, segmented
+from linkplan.planner.transcription.mesh import Mesh, segmented
 
 # A solve with switch times replaces the last iterate if its objective is at most this share worse: the error of a mesh
 # without switch times.
@@ -43,7 +42,6 @@ class _Reading:
     what: str
     switch_times_s: np.ndarray
     fixed: FixedArcs | None
-    graded: bool = False  # intervals next to short arcs are short, because the effort changes fast there
     last_resort: bool = False  # used only if no other interpretation leads to a solution
 
 
@@ -73,7 +71,6 @@ def settle_switch_times(
             if solved and reading.last_resort:
                 continue
             finer, durations = mesh_with_switches(boundaries, reading.switch_times_s, case.problem.mesh.intervals)
-            finer = graded(finer, durations) if reading.graded else finer
             tried = attempt(
                 case, start, finer, durations, reading.what,
                 warm=True, position_rows=position_rows, fixed=reading.fixed,
@@ -109,10 +106,6 @@ def _readings(case: Case[MotionT, CertificateT], found: Iterate[MotionT], bounda
     # Bang arcs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
     arcs = own_arcs(transcribed, x, ("motor",) if target.bang_bang else ("motor", "speed"))
     arcs = np.hstack([on_path, arcs])
-    kinds = transcribed.program.interval.node_kinds[transcribed.program.interval.n_equations :]
-    powers = np.where(
-        np.array([kind == "power" for kind in kinds])[:, None], transcribed.formulation.path.reshape(-1, 2), np.nan
-    )
     alone, readings = is_bang_bang(case, transcribed), []
     for short in (True,) if alone else (False, True) if target.bang_bang else (False,):
         switch_times = find_switch_times(
@@ -134,10 +127,6 @@ def _readings(case: Case[MotionT, CertificateT], found: Iterate[MotionT], bounda
         what = "switch times as unknowns, short arcs too" if again else "switch times as unknowns"
         readings.append(_Reading(what=what, switch_times_s=switch_times, fixed=fixed, last_resort=again))
         if fixed.paths.any():
-            whole = held_throughout(motion, target.effort_limit, ends, fixed, powers) if target.bang_bang else None
-            if whole is not None:
-                what = "switch times as unknowns, arcs without a limit held as bangs"
-                readings.insert(0, _Reading(what=what, switch_times_s=whole[0], fixed=whole[1], graded=True))
             inner, loose = free_ends(ends, fixed)
             what = "switch times as unknowns, ends of arcs free"
             readings.append(_Reading(what=what, switch_times_s=np.sort(np.append(switch_times, inner)), fixed=loose))

@@ -14,7 +14,7 @@ from linkplan.planner.certificate.collisions import surely_collides, unavoidable
 from linkplan.planner.closed_chain.answer import finished, optimality
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
-from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -23,7 +23,7 @@ from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.rungs import HURRIED, Budget, Steps, followed
+from linkplan.planner.search.rungs import Budget, Steps, followed
 from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, solve_from, with_longer_durations
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
@@ -80,14 +80,9 @@ def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> list[I
         graded, lengths = graded_mesh(
             guess, guess.switch_times_s, max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
         )
-        for warm, how in ((False, "bang efforts fixed"), (True, "bang efforts fixed, warm start")):
-            attempted = solve_from(
-                problem, guess, graded, lengths, f"{word}, {how}",
-                bang_efforts=guess.bang_efforts, warm=warm,
-            )  # fmt: skip
-            found.append(attempted)
-            if attempted is not None:
-                break
+        found.append(
+            solve_from(problem, guess, graded, lengths, f"{word}, bang efforts fixed", bang_efforts=guess.bang_efforts)
+        )
         # The phase plane's time is exact. A mesh without switches may come below it by its error.
         return sorted(
             (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
@@ -189,36 +184,6 @@ def enclosed(problem: Problem, found: Iterate) -> Plan | None:
     """Return the plan with limits on power and pin force at every instant; None if it does not pass."""
     plan = certified(problem, found, enclosed=True)
     return plan if plan.passed else None
-
-
-def constant_efforts_would_do(problem: Problem, plan: Plan) -> bool:
-    """True if a polynomial effort overruns limits between its nodes: along a constrained arc it oscillates about the limit.
-
-    Efforts with a limited or penalised rate cannot be constant over intervals.
-    """
-    if np.any(np.isfinite(problem.limits.effort_rate)) or problem.objective.has("effort_rate"):
-        return False
-    overrun = plan.certificate is not None and not all(margin.kept for margin in plan.certificate.margins)
-    return problem.mesh.effort == "polynomial" and overrun
-
-
-def with_constant_efforts(problem: Problem, found: Iterate) -> Plan | None:
-    """Return the plan with efforts constant over intervals; None if it does not pass."""
-    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=HURRIED.of(problem.solver))
-    mesh = found.mesh
-    durations = np.bincount(mesh.segment, np.diff(found.motion.breaks_s))
-    what = "efforts constant over intervals"
-    again = solve_from(plain, motion_of(found.motion), mesh, durations, what)
-    plan = None if again is None else certified(plain, again)
-    if plan is None or not plan.passed:
-        return None
-    freely = found.solution.objective
-    cost = (plan.objective - freely) / max(abs(freely), np.finfo(float).tiny)
-    # Efforts constant over intervals are accepted as optimal if they raise the objective by at most this share.
-    if cost <= 1e-3:
-        return plan
-    why = f"; efforts constant over intervals may cost {cost:.1%} of the objective: a better motion is not excluded"
-    return only_feasible(plan, why)
 
 
 def _own_objective(at: Iterate | Refined) -> float:

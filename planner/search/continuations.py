@@ -1,9 +1,8 @@
-"""Continuation in the duration, from a motion of least time to a longer one, and in the effort limits.
+"""Continuation in the duration, from a motion of least time to a longer one.
 
 Solvers lose long motions under weak actuators. A swing amplifies the error of a coarse mesh, and a false motion between its
 nodes is cheaper than any true one. A motion of least time is found reliably. With a little more time the best motion is
-near it, and so on from one motion to the next. Problems that no start solves are continued in the effort limits, from the
-motion of least peak effort.
+near it, and so on from one motion to the next.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.search.attempts import certified, only_feasible
@@ -203,38 +202,3 @@ def _step(problem: Problem, at: Continued, allowed: float) -> Continued | None:
         motion=better.motion,
         held=not fixed and mesh.n_segments > 1 and at_bounds(better.solution),
     )
-
-
-def efforts_suffice(search: Search) -> bool:
-    """True if the motion of least peak effort keeps the effort limits."""
-    return search.least_limit is not None and search.least_limit.factor <= 1.0
-
-
-def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the motion of least peak effort leads to, by limits that grow to those asked for."""
-    problem, least = search.within(budget), search.least_limit
-
-    def solve(at: _Limited, factor: float) -> _Limited | None:
-        whole = factor == 1.0
-        limits = problem.limits if whole else replace(problem.limits, effort=factor * problem.limits.effort)
-        what = "start from the motion of least peak effort" + ("" if whole else f", {factor:.4g} of the limits")
-        found = solve_from(replace(problem, limits=limits), at.start, least.mesh, at.durations, what)
-        if found is None:
-            return None
-        durations = np.bincount(least.mesh.segment, np.diff(found.motion.breaks_s))
-        return _Limited(start=motion_of(found.motion), durations=durations, found=found)
-
-    begin = min(least.factor, 0.999)  # the first step is the whole way, the smallest a quarter of it in the logarithm
-    steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, halvings=2)
-    path = followed(_Limited(start=motion_of(least.trajectory), durations=least.durations), steps, solve)
-    found = path.stages[-1].found
-    return certified(problem, found) if path.arrived and found is not None else None
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Limited:
-    """A motion within a share of the effort limits, as a start; its solution, but for the first."""
-
-    start: Guess
-    durations: np.ndarray  # (n_segments,) [s]
-    found: Iterate | None = None

@@ -5,18 +5,16 @@ bounded by their guess are solved again with longer ones, unbounded ones are rep
 """
 
 import itertools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from linkplan.planner.closed_chain.case import case_of, held_arcs_of
+from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
-from linkplan.planner.search.rungs import Steps, followed
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
@@ -39,12 +37,11 @@ def solve_from(
 ) -> Iterate | None:
     """Solve a problem once and return the iterate; None without a motion. `attempt` describes the arguments.
 
-    A guess along which the loops do not close leads to none. Arcs along limits on power and pin force are held.
+    A guess along which the loops do not close leads to none.
     """
     if not closes(problem, guess):
         return None
-    fixed = None if guess.power_arcs is None else held_arcs_of(problem, guess)
-    return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts, fixed=fixed)
+    return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts)
 
 
 def first_mesh(problem: Problem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
@@ -70,29 +67,6 @@ def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> t
     times = np.linspace(0.0, guess.duration_s, 4001)
     progress = np.concatenate([[0.0], np.cumsum(_pace(guess, times))])
     return _spread(times, n_intervals * progress / progress[-1], ends, boundaries)
-
-
-def mesh_along_power(guess: Guess, n_intervals: int) -> tuple[Mesh, np.ndarray]:
-    """Return a graded mesh for a guess along limits on power, and its segments' durations [s].
-
-    Along a limit the effort P / w falls off from a bang however short: an interval more for each time that it halves.
-    """
-    boundaries = _boundaries(guess)
-    assert guess.switch_times_s is not None  # along limits on power
-    assert guess.power_arcs is not None
-    ends = np.sort(np.concatenate([boundaries, guess.switch_times_s]))
-    graded = np.geomspace(1e-6, 0.5, 301)  # samples of half a segment, a millionth of it apart next to its ends
-    inside = np.concatenate([graded, 1.0 - graded[-2::-1]])
-    times = np.concatenate([ends, *(begin + inside * (end - begin) for begin, end in itertools.pairwise(ends))])
-    times = np.unique(times)
-    halvings = np.zeros(len(times) - 1)
-    middle = 0.5 * (times[1:] + times[:-1])
-    assert guess.effort is not None  # that of legs along limits on power
-    along = guess.power_arcs[np.searchsorted(ends, middle) - 1] != 0
-    size = np.log2(np.maximum(np.abs(guess.effort(middle)), np.finfo(float).tiny))
-    halvings[1:] = np.where(along[1:] & along[:-1], np.abs(np.diff(size, axis=0)), 0.0).max(axis=1)
-    progress = np.concatenate([[0.0], np.cumsum(n_intervals * _pace(guess, times) + halvings)])
-    return _spread(times, progress, ends, boundaries)
 
 
 def _boundaries(guess: Guess) -> np.ndarray:
@@ -125,36 +99,21 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
 
 def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
     """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
-
-    def solve(at: _BoundedByGuess, longer: float) -> _BoundedByGuess | None:
-        if at.unbounded is None:
-            return None
+    unbounded, longer = unbounded_duration(problem, found.solution), found.motion.duration_s
+    for _ in range(2):
+        if unbounded is None:
+            break
+        longer *= 30.0
         duration = min(longer, problem.motion.max_duration_s or np.inf)
-        start = stretched(motion_of(at.found.motion), duration)
-        shares = at.found.solution.x[at.found.solution.transcribed.program.layout.durations()]
-        what = "from a longer motion"
-        further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what)
+        start = stretched(motion_of(found.motion), duration)
+        shares = found.solution.x[found.solution.transcribed.program.layout.durations()]
+        further = solve_from(problem, start, found.mesh, duration * shares / shares.sum(), "from a longer motion")
         if further is None:
-            return None
+            break
         # An objective that one step lowers to a thousandth falls for ever: the duration is unbounded.
-        falls = further.solution.objective < 1e-3 * at.found.solution.objective and problem.motion.max_duration_s is None
-        return _BoundedByGuess(
-            found=further, unbounded=at.unbounded if falls else unbounded_duration(problem, further.solution)
-        )
-
-    begin = _BoundedByGuess(found=found, unbounded=unbounded_duration(problem, found.solution))
-    duration = found.motion.duration_s
-    steps = Steps(begin=duration, end=np.inf, factor=30.0, halvings=0, most=2)
-    at = followed(begin, steps, solve).stages[-1]
-    return at.found, at.unbounded
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _BoundedByGuess:
-    """A solution, and the sentence on its free duration where that grew to the end of what its guess allows."""
-
-    found: Iterate
-    unbounded: str | None
+        falls = further.solution.objective < 1e-3 * found.solution.objective and problem.motion.max_duration_s is None
+        found, unbounded = further, unbounded if falls else unbounded_duration(problem, further.solution)
+    return found, unbounded
 
 
 def unbounded_duration(problem: Problem, solution: Solution) -> str | None:

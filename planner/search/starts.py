@@ -14,13 +14,11 @@ from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
-from linkplan.planner.phase_plane.energy_bounds import quicker_may_exist
 from linkplan.planner.phase_plane.legs_motion import legs_motion
-from linkplan.planner.phase_plane.power_legs import knows_pins, power_guess
+from linkplan.planner.phase_plane.power_legs import knows_pins
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
-from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import HURRIED, Budget
@@ -29,7 +27,6 @@ from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
     first_mesh,
     longest,
-    mesh_along_power,
     solve_from,
     with_longer_durations,
 )
@@ -38,9 +35,6 @@ from linkplan.planner.search.solving import (
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
 # Perturbed guesses among the first starts of a multistart.
 _FIRST_PERTURBED_GUESSES = 3
-# Factors on the number of intervals on which arcs along limits on power are held. Each mesh has a higher degree than the one
-# before: the error of a coarse mesh can make a held arc infeasible.
-_INTERVAL_FACTORS = (1, 2, 4)
 
 
 def one_start_is_worth_it(search: Search) -> bool:
@@ -73,12 +67,6 @@ def no_time(search: Search) -> bool:
         return False
     known = least_time_plan(search, HURRIED) if quickest.swings > 1 else None
     return known is None or not known.passed or longest(search.problem) < known.trajectory.duration_s
-
-
-def far_too_little_time(search: Search) -> bool:
-    """True if the given time is too short by more than the error of any local optimum of the phase plane."""
-    # A duration below that of the phase plane's motion by this factor is too short: the grid costs swings some percent.
-    return no_time(search) and 1.3 * longest(search.problem) < search.quickest.duration_s
 
 
 def enough_time(search: Search) -> bool:
@@ -138,41 +126,13 @@ def is_along_power(search: Search) -> bool:
     )
 
 
-def along_power(search: Search, budget: Budget) -> Plan | None:
-    """Return the least-time plan whose arcs the phase plane knows; None if it does not pass."""
-    guess, problem = power_guess(search.problem, search.start_pose), search.within(budget)
-    if guess is None or not (problem.motion.min_duration_s or 0.0) <= guess.duration_s <= longest(problem):
-        return None
-    assert guess.switch_times_s is not None
-    speed, (low, high) = guess.velocity(guess.switch_times_s), problem.limits.speed[problem.mechanism.independent[0]]
-    if np.any((speed < low) | (speed > high)):
-        return None
-    known = None
-    for finer in _INTERVAL_FACTORS:
-        mesh, durations = mesh_along_power(guess, finer * problem.mesh.intervals)
-        what = "the phase plane, its arcs held"
-        found = solve_from(problem, guess, mesh, durations, what, warm=True)
-        if found is not None:
-            plan = certified(problem, found)
-            # A solution later than the phase plane's legs by this share has lost them.
-            if plan.passed and plan.trajectory.duration_s <= (1 + 1e-6) * guess.duration_s:
-                return plan
-            known = plan if plan.passed else None
-            break
-        higher = raised(problem.mesh) or problem.mesh.scheme
-        problem = replace(problem, mesh=replace(problem.mesh, scheme=higher))
-    return _the_legs_themselves(search) or known
-
-
-def _the_legs_themselves(search: Search) -> Plan | None:
-    """Return the plan of legs along limits on power, which need no solver; None where its certificate does not pass."""
-    if search.stopped:
-        return None
+def along_power(search: Search, _: Budget) -> Plan | None:
+    """Return the plan of legs along limits on power and pin force, which need no solver; None if it does not pass."""
     progress("the phase plane along limits on power, integrated")
-    motion = legs_motion(search.problem, search.start_pose)
-    if motion is None:
+    problem, motion = search.problem, legs_motion(search.problem, search.start_pose)
+    if motion is None or not (problem.motion.min_duration_s or 0.0) <= motion.duration_s <= longest(problem):
         return None
-    problem, said = search.problem, f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
+    said = f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
     best = f"time-optimal {said}: the quickest that turns back only where it must"
     objective = problem.objective.weight("time") * motion.duration_s
     plan = without_solving(problem, motion, objective, said, best=best)
@@ -213,13 +173,10 @@ def judged_by_the_phase_plane(search: Search) -> tuple[bool, Guess | None]:
     problem = search.problem
     if not search.only_time_counts or problem.mechanism.dof > 1 or other_limits(problem):
         return False, None
-    duration = search.best.trajectory.duration_s
-    if not quicker_may_exist(problem, search.start_pose, duration):
-        return True, None
     if search.quickest is None:
         return False, None
     # The error of the phase plane's grid is below a thousandth.
-    as_quick = duration <= 1.002 * search.quickest.duration_s
+    as_quick = search.best.trajectory.duration_s <= 1.002 * search.quickest.duration_s
     return as_quick, None if as_quick else search.quickest
 
 

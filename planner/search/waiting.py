@@ -1,12 +1,9 @@
-"""The rung of waiting: the motion of least time with a rest before or after it.
+"""The rung of waiting: the motion of least time, or a little more, with a rest before or after it.
 
-If the given duration is longer and start or goal can be held at rest, the least-time motion and a rest are a feasible
-motion, and the best start for the solver. The start uses the mesh of the least-time motion with one more segment for the
-rest, and its transcription: a coarser one finds false motions between its nodes.
+If the given duration is longer and start or goal can be held at rest, such a motion and a rest are a feasible motion.
 """
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,19 +11,18 @@ import numpy as np
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.saved import objective_value
-from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.attempts import certified, refined, without_solving
+from linkplan.planner.search.attempts import certified, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import Budget
 from linkplan.planner.search.shortest import shortest_motion
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.mesh import Mesh
 
 # Terms of an objective that a rest adds to by its effort and its length alone.
 _STILL_TERMS = {"time", "effort", "copper_loss"}
@@ -52,49 +48,26 @@ def far_beyond(search: Search) -> bool:
 
 
 def from_waiting(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the least-time motion leads to with a rest before or after it; None where none passes.
+    """Return the cheapest plan of a rest and a known motion beside it; None where no certificate of one passes.
 
-    If the solver fails from this start, the rest and a certified motion are joined to a motion of the given duration.
+    The least-time motion is known, and one that takes a little longer and costs far less.
     """
-    quick = shortest_motion(search)
-    if quick is None or quick.solved is None or quick.solved.program.mesh.n_phases > 1:
-        return None
-    # With several driven freedoms (a five-bar's swing-up) such a solve may be lost, and takes a tenth of the time left.
-    share = 0.1 if search.problem.mechanism.dof > 1 else budget.share_of_time
-    problem = _on_its_scheme(search.within(replace(budget, share_of_time=share)), quick)
-    wait = problem.motion.duration_s - quick.trajectory.duration_s
-    if wait <= MIN_INTERVAL_SHARE * problem.motion.duration_s:
-        return None
-    for what, guess, mesh, durations in _waits(problem, quick, wait):
-        for warm in (True, False):
-            found = solve_from(problem, guess, mesh, durations, what, warm=warm)
-            plan = None if found is None else refined(search, problem, found)
-            if plan is not None and plan.passed:
-                return plan
-    return _rest_and_motion(search, budget, quick)
-
-
-def _on_its_scheme(problem: Problem, quick: Plan) -> Problem:
-    """Return a problem in the transcription that the least-time motion's certificate passed with."""
-    return replace(problem, guess=None, mesh=replace(problem.mesh, scheme=quick.solved.scheme.name))
-
-
-def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None:
-    """Return the cheapest plan of a rest and a known motion beside it; None where no certificate of one passes."""
-    if not set(search.problem.objective.weights) <= _STILL_TERMS:
+    quick = shortest_motion(search) if set(search.problem.objective.weights) <= _STILL_TERMS else None
+    if quick is None:
         return None
     problem = search.within(budget)
     asked = problem.motion.duration_s
     assert asked is not None  # a free duration needs no rest
-    if len(search.known.motions) == 1:
+    if len(search.known.motions) == 1 and quick.solved is not None:
         longer = _a_little_longer(search, budget, quick)
+        if longer is not None and longer.trajectory.duration_s >= asked:
+            return longer
         if longer is not None:
             search.known.add(longer.require_motion("wait after"))
     wholes = []
     for end, motion in itertools.product(("start", "goal"), search.known.shorter_than(asked)):
-        effort = _held(problem, end)
-        if effort is not None:
-            wait = asked - motion.duration_s
+        effort, wait = _held(problem, end), asked - motion.duration_s
+        if effort is not None and wait > MIN_INTERVAL_SHARE * asked:
             whole = _joined(motion, wait, effort, first=end == "start")
             said = (
                 f"motion of {asked:.6g} s: a motion of {motion.duration_s:.6g} s and a rest of {wait:.4g} s"
@@ -109,12 +82,13 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
 
 
 def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None:
-    """Return the plan of the best motion in a twentieth more than the least time; None where it does not pass."""
+    """Return the plan of the best motion in a twentieth more than the least time, or as asked; None if it does not pass."""
     motion, asked = quick.require_motion("lengthen"), search.problem.motion.duration_s
     duration = min(1.05 * motion.duration_s, asked or np.inf)
-    problem = _on_its_scheme(search.within(budget), quick)
-    mesh = replace(problem.mesh, refine="intervals")
-    problem = replace(problem, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
+    problem = search.within(budget)
+    # In the transcription that the least-time motion's certificate passed with.
+    mesh = replace(problem.mesh, scheme=quick.solved.scheme.name, refine="intervals")
+    problem = replace(problem, guess=None, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
     start, mesh = stretched(motion_of(motion), duration), quick.solved.program.mesh
     lengths = np.bincount(mesh.segment, weights=np.diff(motion.breaks_s))
     durations = lengths * duration / lengths.sum()
@@ -135,47 +109,6 @@ def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool)
         parts[name] = np.concatenate([rest, given] if first else [given, rest], axis=1)
     breaks = [[0.0], wait + motion.breaks_s] if first else [motion.breaks_s, [motion.duration_s + wait]]
     return replace(motion, breaks_s=np.concatenate(breaks), **parts)
-
-
-def _waits(problem: Problem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:
-    trajectory, mesh = quick.require_motion("wait beside"), quick.solved.program.mesh
-    motion, lengths = motion_of(trajectory), np.bincount(mesh.segment, weights=np.diff(trajectory.breaks_s))
-    rest = np.full(10, 0.1)  # shares of its intervals
-    for end in ("start", "goal"):
-        effort = _held(problem, end)
-        if effort is None:
-            continue
-        first = end == "start"
-        segment = [np.zeros(len(rest), dtype=int), mesh.segment + 1]
-        if not first:
-            segment = [mesh.segment, np.full(len(rest), mesh.n_segments)]
-        parts = (rest, mesh.fraction) if first else (mesh.fraction, rest)
-        longer = Mesh(fraction=np.concatenate(parts), segment=np.concatenate(segment))
-        durations = np.concatenate([[wait], lengths] if first else [lengths, [wait]])
-        word = f"the least-time motion and a rest of {wait:.4g} s {'before' if first else 'after'} it"
-        yield word, _rested(motion, wait, effort, first=first), longer, durations
-
-
-def _rested(motion: Guess, wait: float, effort: np.ndarray, *, first: bool) -> Guess:
-    """Return a motion with a rest before or after it, in which an effort (n_u,) holds it."""
-    begin, duration = (wait if first else 0.0), motion.duration_s
-
-    def moving(at: np.ndarray) -> np.ndarray:
-        return ((at >= begin) & (at <= begin + duration))[:, None]
-
-    def inside(at: np.ndarray) -> np.ndarray:
-        return np.clip(np.asarray(at) - begin, 0.0, duration)
-
-    planned = motion.effort
-    assert planned is not None  # of a motion that was solved for
-    return replace(
-        motion,
-        position=lambda t: motion.position(inside(t)),
-        velocity=lambda t: np.where(moving(t), motion.velocity(inside(t)), 0.0),
-        acceleration=lambda t: np.where(moving(t), motion.acceleration(inside(t)), 0.0),
-        effort=lambda t: np.where(moving(t), planned(inside(t)), effort),
-        duration_s=duration + wait,
-    )
 
 
 def _held(problem: Problem, end: str) -> np.ndarray | None:

@@ -273,17 +273,9 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
         except RuntimeError:  # contradictory bounds, or NaN
             result = None
     if result is None:
-        return Solution(
-            transcribed=transcribed,
-            x=np.array(transcribed.start),
-            objective=np.nan,
-            converged=False,
-            status=INVALID,
-            iterations=0,
-            build_s=build_s,
-            solve_s=time.perf_counter() - begin,
-        )
-    stats = solver.stats()
+        result, stats = {"x": transcribed.start, "f": np.nan}, {"success": False, "return_status": INVALID, "iter_count": 0}
+    else:
+        stats = solver.stats()
     return Solution(
         transcribed=transcribed,
         x=np.array(result["x"]).ravel(),

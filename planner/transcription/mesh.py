@@ -85,22 +85,3 @@ def halved(mesh: Mesh, which: np.ndarray) -> Mesh:
     pieces = np.where(which, 2, 1)
     fraction = np.repeat(mesh.fraction / pieces, pieces)
     return Mesh(fraction=fraction, segment=np.repeat(mesh.segment, pieces), phase=mesh.phase)
-
-
-def graded(mesh: Mesh, durations: np.ndarray) -> Mesh:
-    """Return the mesh in which no interval is more than twice as long as an adjacent segment, by repeated halving.
-
-    Args:
-        mesh: intervals.
-        durations: (n_segments,) [s] of its segments.
-    """
-    durations = np.asarray(durations, dtype=float)
-    while True:
-        widths = mesh.fraction * durations[mesh.segment]
-        ends = np.flatnonzero(np.diff(mesh.segment))
-        wide = np.zeros(mesh.n_intervals, dtype=bool)
-        wide[ends] = widths[ends] > 2.0 * durations[mesh.segment[ends + 1]]
-        wide[ends + 1] |= widths[ends + 1] > 2.0 * durations[mesh.segment[ends]]
-        if not wide.any():
-            return mesh
-        mesh = halved(mesh, wide)

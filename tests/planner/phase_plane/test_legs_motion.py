@@ -53,8 +53,7 @@ def test_a_waypoint_on_the_way_is_passed_at_a_break():
 
 
 @pytest.mark.slow
-def test_a_least_time_that_is_lost_by_the_solver_is_that_of_the_legs(monkeypatch):
-    monkeypatch.setattr(starts, "solve_from", lambda *_, **__: None)
+def test_a_least_time_is_that_of_the_legs():
     problem = within(10.0)
     plan = plan_motion(problem, rungs=RUNGS[:1])
     assert plan.status == "optimal", plan.message
@@ -63,8 +62,7 @@ def test_a_least_time_that_is_lost_by_the_solver_is_that_of_the_legs(monkeypatch
 
 
 @pytest.mark.slow
-def test_a_limit_that_the_legs_do_not_know_forbids_them(monkeypatch):
-    monkeypatch.setattr(starts, "solve_from", lambda *_, **__: None)
+def test_a_limit_that_the_legs_do_not_know_forbids_them():
     for share, passes in ((1.01, True), (0.99, False)):
         problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", f"limits.speed_deg_s.A={share * peak_speed()}"])
         search = Search(problem=problem, start_pose=problem.start_pose())

@@ -5,10 +5,9 @@ import pytest
 
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.case import held_arcs_of
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.phase_plane.legs_motion import legs_motion
-from linkplan.planner.phase_plane.power_legs import power_guess
+from linkplan.planner.phase_plane.power_legs import AT_FORCE, power_legs
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.sliders import drawn_with_a_pin
@@ -30,9 +29,9 @@ def rated(newton: float):
 def test_legs_take_the_least_time(number):
     case = drawn_with_a_pin(1, number)
     problem = Problem.from_tables("slider", case.tables)
-    guess = power_guess(problem, problem.start_pose())
-    assert guess.duration_s == pytest.approx(case.best, rel=INTEGRATED)
-    assert guess.force_arcs.any()
+    legs, boundaries = power_legs(problem, problem.start_pose())
+    assert boundaries[-1] == pytest.approx(case.best, rel=INTEGRATED)
+    assert any(abs(held) >= AT_FORCE for leg in legs for _, (held,) in leg.arcs())
 
 
 @pytest.mark.slow
@@ -58,21 +57,13 @@ def test_a_pin_or_the_effort_is_at_its_limit_at_every_instant_of_the_legs_motion
     assert np.mean(borne) > 0.1
 
 
-def test_arcs_along_a_pins_rating_are_held_as_its_path_quantity():
-    problem, pose = rated(2.5)
-    guess = power_guess(problem, pose)
-    fixed = held_arcs_of(problem, guess)
-    assert fixed.everything
-    np.testing.assert_array_equal(fixed.paths[:, 0], guess.force_arcs[:, 0])
-
-
 def test_where_no_pin_is_at_its_rating_there_are_no_such_legs():
-    assert power_guess(*rated(2.5)) is not None
-    assert power_guess(*rated(1e4)) is None
+    assert power_legs(*rated(2.5)) is not None
+    assert power_legs(*rated(1e4)) is None
 
 
 def test_a_rating_below_what_rest_asks_has_no_such_legs():
     case = drawn_with_a_pin(1, 3)
     tables = case.tables | {"limits": case.tables["limits"] | {"closure_force": {"P": 1e-3}}}
     problem = Problem.from_tables("slider", tables)
-    assert power_guess(problem, problem.start_pose()) is None
+    assert power_legs(problem, problem.start_pose()) is None

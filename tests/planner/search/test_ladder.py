@@ -14,13 +14,11 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search import attempts
-from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.ladder import Search, climb
 from linkplan.planner.search.rungs import Budget, Rung, Steps, followed
 from linkplan.planner.search.solving import first_mesh
-from linkplan.planner.search.starts import far_too_little_time, from_first_starts, no_time
+from linkplan.planner.search.starts import from_first_starts, no_time
 from linkplan.planner.solvers.solve import OUT_OF_TIME
-from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 # Less torque than any reach of the knee with the shank in this time needs.
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
@@ -197,19 +195,6 @@ def test_a_continuation_ends_where_it_has_gone_far_enough():
     assert all(whole for *_, whole in enough)
 
 
-@pytest.mark.parametrize(("intervals", "status"), [(5, "feasible"), (40, "optimal")])
-def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_to_nothing(intervals, status):
-    """A pure inertia's least effort is a line: N constant pieces of it cost 1 / (N^2 - 1) more."""
-    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"mesh.intervals={intervals}")
-    search = search_for(problem)
-    mesh, durations = first_mesh(problem, search.smooth)
-    found = attempt(case_of(problem), search.smooth, mesh, durations, "first")
-    plan = with_constant_efforts(problem, found)
-    assert (plan.status, plan.certificate.passed) == (status, True)
-    assert ("may cost 4.2%" in plan.message) == (status == "feasible")
-    assert ("optimal" in plan.message) == (status == "optimal")
-
-
 @pytest.mark.parametrize(
     ("switch_times", "duration", "too_short"),
     [(None, 0.995, False), (None, 0.98, True), ([0.5], 0.9995, False), ([0.5], 0.998, True)],
@@ -221,14 +206,6 @@ def test_the_phase_plane_rules_out_a_duration_by_a_thousandth_and_along_speed_li
     known = replace(search.smooth, duration_s=1.0, switch_times_s=switch_times, boundaries_s=None)
     search.__dict__["quickest"] = known
     assert no_time(search) is too_short
-
-
-@pytest.mark.parametrize(("duration", "too_short"), [(0.78, False), (0.76, True)])
-def test_a_duration_is_far_too_short_below_the_phase_planes_by_a_factor_of_1_3(duration, too_short):
-    search = search_for(load_problem("knee-reach", [f"motion.duration_s={duration}"]))
-    search.__dict__["quickest"] = replace(search.smooth, duration_s=1.0, switch_times_s=[0.5], boundaries_s=None)
-    assert no_time(search)
-    assert far_too_little_time(search) is too_short
 
 
 @pytest.mark.parametrize(("change", "status"), [(0.04, "optimal"), (0.06, "feasible")])

@@ -13,7 +13,6 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import PATIENT
-from linkplan.planner.search.shortest import shortest_motion
 from tests.support.bodies import PENDULUM, body_problem
 
 DURATION_S = 0.8
@@ -31,7 +30,7 @@ def search() -> Search:
 
 @pytest.fixture(scope="module")
 def plan(search):
-    return waiting._rest_and_motion(search, PATIENT, shortest_motion(search))
+    return waiting.from_waiting(search, PATIENT)
 
 
 @pytest.mark.slow
@@ -71,7 +70,7 @@ def test_the_objective_of_a_rest_and_a_motion_is_the_integral_of_its_efforts_squ
 def test_what_adds_to_an_objective_beyond_effort_and_time_is_not_waited_through(search):
     tracked = replace(search.problem, objective={"effort": 1.0, "work": 1.0})
     other = replace(search, problem=tracked)
-    assert waiting._rest_and_motion(other, PATIENT, None) is None
+    assert waiting.from_waiting(other, PATIENT) is None
 
 
 @pytest.mark.parametrize(("share", "can_wait"), [(1 - 3e-9, False), (1 - 3e-10, True)])
@@ -100,7 +99,7 @@ def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
     search = Search(problem=asked, start_pose=asked.start_pose())
     for plan in (quick, slow):
         search.known.add(plan.trajectory)
-    joined = waiting._rest_and_motion(search, PATIENT, quick)
+    joined = waiting.from_waiting(search, PATIENT)
     assert joined.passed
     assert joined.trajectory.duration_s == pytest.approx(2.5, rel=1e-12)
     assert joined.objective == pytest.approx(slow.objective, rel=1e-9)

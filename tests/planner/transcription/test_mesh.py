@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.mesh import Mesh, broken, graded, halved, segmented, uniform
+from linkplan.planner.transcription.mesh import Mesh, broken, halved, segmented, uniform
 
 DURATIONS = np.array([0.1, 3.0, 0.2])
 
@@ -29,17 +29,6 @@ def test_the_breaks_are_the_ends_of_intervals_in_their_segments():
 def test_only_marked_intervals_are_halved():
     mesh = halved(broken(np.array([0.0, 0.2, 1.0])), np.array([False, True]))
     np.testing.assert_allclose(mesh.fraction, [0.2, 0.4, 0.4])
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_a_graded_mesh_has_no_interval_more_than_twice_as_long_as_an_adjacent_segment(order):
-    durations = np.array([0.1, 3.0])[::order]
-    coarse = Mesh(fraction=np.array([1.0, 0.5, 0.5])[::order], segment=np.array([0, 1, 1] if order > 0 else [0, 0, 1]))
-    mesh = graded(coarse, durations)
-    widths = mesh.fraction * durations[mesh.segment]
-    beside_short = widths[1] if order > 0 else widths[-2]
-    assert 0.1 < beside_short <= 0.2
-    assert mesh.n_intervals == 6, "the short segment is whole, and the long one is halved towards it only"
 
 
 @pytest.mark.parametrize(
