@@ -19,7 +19,7 @@ from linkplan.models.actuation.transmission import attachment
 from linkplan.models.closure.equations import equality_name
 from linkplan.models.tree.coordinates import BALL, FREE, joint_label
 from linkplan.models.tree.dynamics import build_tree
-from linkplan.models.tree.passive import compensates, disabled, limits_off, spans_branches, tendon_armatures
+from linkplan.models.tree.passive import compensates, disabled, is_gas_spring, limits_off, spans_branches, tendon_armatures
 from linkplan.models.tree.tendons import LACKING, lacks_length, tendon_label
 
 
@@ -124,9 +124,10 @@ def _actuators(model: mujoco.MjModel):
             continue
         idle = is_idle_at_zero(model, index)
         kind = mujoco.mjtTrn(int(model.actuator_trntype[index])).name.removeprefix("mjTRN_").lower()
-        left = "idle at zero control" if idle else "out, though it acts at zero control too"
+        left = "leave it idle at zero control" if idle else "leave it out, though it acts at zero control too"
+        left = "include it" if idle and is_gas_spring(model, index) else left
         where = f"actuator {label(model, index)} on {attachment(model, index).target} ({kind} transmission)"
-        yield f"{where}: {reason}; plans leave it {left}", not idle
+        yield f"{where}: {reason}; plans {left}", not idle
     for actuator in read_actuators(model):
         if has_passive_terms(model, actuator.index) and not passive_terms_modelled(model, actuator.index):
             where = f"damping or armature of actuator {actuator.name} on {actuator.target}"

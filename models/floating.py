@@ -59,7 +59,7 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
     A base that actuators drive does not float, nor does one that loops tie to the world or to what else stands on it.
     """
-    driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nu) if int(model.actuator_trntype[a]) == 0}
+    driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nactuator) if int(model.actuator_trntype[a]) == 0}
     found = []
     for body in bodies:
         joints = joints_of(model, body)

@@ -20,6 +20,7 @@ import numpy as np
 from linkplan.models.actuation.transmission import KINDS, TRN_SITE, TRN_TENDON, attachment, gear_of, has_length, moment
 from linkplan.models.tree.coordinates import HINGE, SLIDE, joint_label
 from linkplan.models.tree.dynamics import Tree
+from linkplan.models.tree.passive import is_gas_spring, switched_off
 from linkplan.models.tree.tendons import LACKING, is_fixed, lacks_length, tendon_joints, tendon_label
 
 # Coefficients on 1, length and speed.
@@ -120,7 +121,7 @@ def unusable_reason(model: mujoco.MjModel, index: int) -> str | None:
 
 
 def _unusable_dynamics(model: mujoco.MjModel, index: int) -> str | None:
-    if _switched_off(model, index):
+    if switched_off(model, index):
         return "it is switched off"
     if float(model.actuator_delay[index]) != 0.0:
         return "its control is delayed"
@@ -144,6 +145,8 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
     dc_motor = int(model.actuator_dyntype[index]) == DC_MOTOR
     if not dc_motor and (gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS)):
         return "its gain or bias is not affine"
+    if is_gas_spring(model, index):
+        return "it has no gain: a passive force, as a gas spring's"
     if _coefficients(model, index)[0][0] == 0.0:
         return "its gain vanishes at rest"
     if not np.any(gear_of(model, index)):
@@ -155,13 +158,6 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
     if _moves(model, index) and not has_length(model, index):
         return "it is a servo on a rotation, whose length MuJoCo wraps to one turn"
     return None
-
-
-def _switched_off(model: mujoco.MjModel, index: int) -> bool:
-    """Return True if the model's flags or groups disable an actuator. It then gives no force, not even its bias."""
-    group = int(model.actuator_group[index])
-    by_group = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
-    return by_group or bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION))
 
 
 def _moves(model: mujoco.MjModel, index: int) -> bool:
@@ -194,12 +190,14 @@ def _coefficients(model: mujoco.MjModel, index: int) -> tuple[Triple, Triple]:
 def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
     """Return True if an actuator at zero control has no effect that the planner does not model."""
     if int(model.actuator_plugin[index]) >= 0:
-        return _switched_off(model, index)
+        return switched_off(model, index)
+    if is_gas_spring(model, index):
+        return passive_terms_modelled(model, index) or not has_passive_terms(model, index)
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
     affine = gain in (FIXED, AFFINE) and (
         bias == NO_BIAS or (bias == AFFINE_BIAS and not any(_coefficients(model, index)[1]))
     )
-    return (affine or _switched_off(model, index)) and (
+    return (affine or switched_off(model, index)) and (
         passive_terms_modelled(model, index) or not has_passive_terms(model, index)
     )
 

@@ -2,6 +2,7 @@
 
 A spring's force is -(a x + b x^2 + c x^3) with x measured from its rest position. A damper's force is
 -(a v + b v|v| + c v^3) (MuJoCo, Computation, "Polynomial forces"). An actuator's own coefficients are multiplied by gear^2.
+An actuator without gain is a passive force, as a gas spring's: its bias, an affine function of length and speed.
 """
 
 import itertools
@@ -64,6 +65,57 @@ def _gear(model: mujoco.MjModel, actuator: int) -> float:
     return float(model.actuator_gear[model.actuator_outadr[actuator], 0])
 
 
+def switched_off(model: mujoco.MjModel, actuator: int) -> bool:
+    """Return True if the model's flags or groups disable an actuator. It then gives no force, not even its bias."""
+    group = int(model.actuator_group[actuator])
+    by_group = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
+    return by_group or disabled(model, mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+
+
+def is_gas_spring(model: mujoco.MjModel, actuator: int) -> bool:
+    """Return True if an actuator on a hinge, slide or tendon has a bias but no gain: no control changes its force."""
+    kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+    if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+        clamped = model.tendon_actfrclimited[target]
+    elif kind in JOINT_TRANSMISSIONS and int(model.jnt_type[target]) in (HINGE, SLIDE):
+        clamped = model.jnt_actfrclimited[target]
+    else:
+        return False
+    kinds = model.actuator_dyntype[actuator], model.actuator_gaintype[actuator], model.actuator_biastype[actuator]
+    affine = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE)
+    law = tuple(map(int, kinds)) == tuple(map(int, affine)) and not model.actuator_gainprm[actuator, 0]
+    # A clamp of the joint or tendon limits the sum of all efforts on it.
+    return law and int(model.actuator_plugin[actuator]) < 0 and not clamped and not switched_off(model, actuator)
+
+
+def _gas_spring(model: mujoco.MjModel, actuator: int, length: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the force of an actuator without gain, within its forcerange, and its energy [J] at rest.
+
+    With F(l) = clip(b0 + b1 l) and l1 the length inside the range with this force, E = -(b0 l1 + b1 l1^2 / 2 + F (l - l1)).
+    """
+    b0, b1, b2 = (float(b) for b in model.actuator_biasprm[actuator, :3])
+    low, high = model.actuator_forcerange[actuator] if model.actuator_forcelimited[actuator] else (-np.inf, np.inf)
+
+    def clipped(force: ca.SX) -> ca.SX:
+        return ca.fmin(ca.fmax(force, low), high) if np.isfinite([low, high]).any() else force
+
+    still = clipped(ca.SX(b0 + b1 * length))
+    inside = (still - b0) / b1 if b1 else length
+    energy = -(b0 * inside + b1 * inside**2 / 2 + still * (length - inside)) if b1 else -still * length
+    return clipped(ca.SX(b0 + b1 * length + b2 * speed)), energy
+
+
+def simulated_gas_springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Return MuJoCo's generalised force (nv,) of the actuators without gain, at data with known velocities."""
+    outputs = [int(model.actuator_outadr[a]) for a in range(model.nactuator) if is_gas_spring(model, a)]
+    if not outputs:
+        return np.zeros(model.nv)
+    mujoco.mj_fwdActuation(model, data)
+    moments = np.zeros((len(data.moment_rownnz), model.nv))
+    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return moments[outputs].T @ data.actuator_force[outputs]
+
+
 def tendon_inertias(model: mujoco.MjModel, lengths: Sequence, q: ca.SX) -> list[tuple[float, ca.SX]]:
     """Return the armature of each tendon, its actuators' included, with the tendon's length.
 
@@ -121,6 +173,10 @@ def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple
                 if driven == tendon:
                     coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
                     pull -= gear**2 * _damper(speed, *coefficients)
+        for driven, gear, actuator in _tendon_actuators(model):
+            if driven == tendon and is_gas_spring(model, actuator):
+                push, stored = _gas_spring(model, actuator, gear * length, gear * (arm @ qd))
+                pull, energy = pull + gear * push, energy + stored
         force += arm.T * pull
     return force, energy
 
@@ -147,6 +203,10 @@ def joint_passive(model: mujoco.MjModel, q: ca.SX, velocity: ca.SX) -> tuple[ca.
         for dof, gear, actuator in _joint_actuators(model):
             coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
             force[dof] -= gear**2 * _damper(velocity[dof], *coefficients)
+    for dof, gear, actuator in _joint_actuators(model):
+        if is_gas_spring(model, actuator):
+            push, stored = _gas_spring(model, actuator, gear * q[dof], gear * velocity[dof])
+            force[dof], energy = force[dof] + gear * push, energy + stored
     return force, energy
 
 

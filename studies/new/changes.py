@@ -28,6 +28,7 @@ from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.stiffness import STIFF
 from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
@@ -308,7 +309,8 @@ def held_gap(mechanism: Mechanism) -> float:
     data.qpos[:] = mechanism.qpos_of(mechanism.home)
     mujoco.mj_forward(model, data)
     rows, free = equality_rows(model, data)
-    pushed = rows @ free @ (data.qfrc_passive - data.qfrc_bias + _joint_efforts(mechanism, hold))
+    springs = data.qfrc_passive + simulated_gas_springs(model, data)
+    pushed = rows @ free @ (springs - data.qfrc_bias + _joint_efforts(mechanism, hold))
     force = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
     stiffness, _, impedance, _ = data.efc_KBIP.reshape(-1, 4)[: data.ne].T
     gap = np.abs(data.efc_R[: data.ne] * force / (stiffness * impedance))

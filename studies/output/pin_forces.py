@@ -12,6 +12,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, sampled
 from linkplan.models.selected_model import whole_spec
 from linkplan.models.tree.coordinates import SLIDE, joint_label
+from linkplan.models.tree.passive import simulated_gas_springs
 
 # The step [s] of the central difference for MuJoCo's accelerations of ball joints, whose coordinates are not its own.
 _DIFFERENCE_STEP_S = 1e-6
@@ -99,7 +100,8 @@ def _terms(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.n
     mujoco.mj_mulM(model, data, required, data.qacc)
     mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
     jacobian = np.reshape(data.efc_J, (data.nefc, model.nv))[data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)]
-    return required + data.qfrc_bias - data.qfrc_passive, jacobian, moments
+    springs = data.qfrc_passive + simulated_gas_springs(model, data)
+    return required + data.qfrc_bias - springs, jacobian, moments
 
 
 def _across_slides(model: mujoco.MjModel, body: int, axes: np.ndarray, force: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan
 
@@ -91,7 +92,8 @@ def effort_error(plan: Plan, n: int = 41) -> float:
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
         friction = model.dof_frictionloss * np.tanh(v / transition)
-        needed = mass @ ((after - before) / (2 * step)) + data.qfrc_bias - data.qfrc_passive + friction
+        springs = data.qfrc_passive + simulated_gas_springs(model, data)
+        needed = mass @ ((after - before) / (2 * step)) + data.qfrc_bias - springs + friction
         projected = np.linalg.solve(by_joint, basis.T @ needed)
         own = np.array(dynamics.inverse_dynamics(q, s, accelerations[k])).ravel()
         distance, peak = max(distance, float(np.abs(projected - own).max())), max(peak, float(np.abs(own).max()))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.closure import closed_pose
+from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.planner.problem.problem import Problem
@@ -65,6 +66,19 @@ def test_a_loose_ball_is_fixed_and_the_ground_stays():
     assert [joint.name for joint in mechanism.joints] == ["arm"]
     assert "ball is loose" in notes[0]
     assert "floor" in [mechanism.model.geom(g).name for g in range(mechanism.model.ngeom)]
+
+
+def test_a_scene_with_many_loose_bodies_is_refused_with_the_remedy_that_a_first_motion_takes():
+    balls = (
+        '<replicate count="21" offset="0.3 0 0"><body name="ball"><freejoint/><geom size="0.1" mass="1"/></body></replicate>'
+    )
+    scene = ARM.format(effort=30.0).replace("<worldbody>", f"<worldbody>{balls}")
+    with pytest.raises(ModelError, match=r"ball00, .* and 17 more are loose.*mechanism\.fix_base = true"):
+        load_mechanism(scene)
+    mechanism, notes = changed_mechanism({"model": scene})
+    assert mechanism.dof == 1
+    assert "and 17 more are loose" in notes[0]
+    load_mechanism(scene.replace('count="21"', 'count="20"'))
 
 
 def test_what_hangs_on_unusable_tendons_alone_is_not_fixed_to_move_nothing(tmp_path, ask):

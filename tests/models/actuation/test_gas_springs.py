@@ -1,0 +1,80 @@
+"""Actuators without gain: passive forces of length and speed, as exporters write gas springs and constant-force springs."""
+
+import casadi as ca
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.controllers.mujoco_plant import MujocoPlant
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.simulate import simulate_one
+from linkplan.models.audit import audit
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.tree.dynamics import build_tree
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import Problem
+from linkplan.studies.compare.compare import build_tracker, tracking_reference
+from tests.support.tolerances_planner import ROUNDING
+
+LAW = 'gaintype="fixed" gainprm="0" biastype="affine"'
+STRUT = f'<general name="gas" tendon="strut" gear="1.5" {LAW} biasprm="-40 30 -3" forcerange="-30 -25" forcelimited="true"/>'
+TORSION = f'<general name="torsion" joint="rod" gear="-2" {LAW} biasprm="0.2 -0.5 -0.1"/>'
+# An arm and a rod on motors; a strut between the arm and the wall.
+ARM = """<mujoco><option timestep="2e-4"/><default><geom contype="0" conaffinity="0"/></default>
+  <worldbody><site name="wall" pos="-0.1 0 0.1"/>
+    <body name="arm"><joint name="arm" axis="0 -1 0" range="-80 80"/>
+      <geom type="capsule" fromto="0 0 0 0.4 0 0" size=".02" mass="2"/><site name="eye" pos="0.2 0 0"/>
+      <body name="rod" pos="0.4 0 0"><joint name="rod" axis="0 -1 0" %s/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size=".02" mass="1"/></body></body></worldbody>
+  <tendon><spatial name="strut"><site site="wall"/><site site="eye"/></spatial></tendon>
+  <actuator><motor name="a" joint="arm" ctrlrange="-30 30"/><motor name="r" joint="rod" ctrlrange="-9 9"/>%s</actuator>
+</mujoco>"""
+
+
+def test_their_forces_are_mujocos_within_and_at_their_range():
+    mechanism, clamped = load_mechanism(ARM % ("", STRUT + TORSION)), []
+    assert [actuator.name for actuator in mechanism.actuators] == ["a", "r"]
+    data, rng = mujoco.MjData(mechanism.model), np.random.default_rng(0)
+    for _ in range(100):
+        q, v = rng.uniform(-1.2, 1.2, 2), rng.normal(size=2) * 4
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(mechanism.model, data)
+        own = np.array(mechanism.dynamics.passive(q, v)).ravel()
+        np.testing.assert_allclose(own, data.qfrc_passive + data.qfrc_actuator, atol=ROUNDING)
+        clamped.append(float(data.actuator_force[2]) in (-30.0, -25.0))
+    assert 10 < sum(clamped) < 90
+
+
+def test_their_energy_is_the_work_of_their_force_at_rest():
+    tree = build_tree(load_mechanism(ARM % ("", STRUT + TORSION)).model)
+    balance = ca.jacobian(tree.potential_energy, tree.q).T - tree.gravity + tree.passive
+    at_rest = ca.Function("balance", [tree.q], [ca.substitute(balance, tree.qd, 0)])
+    for q in np.random.default_rng(1).uniform(-1.2, 1.2, (50, 2)):
+        np.testing.assert_allclose(np.array(at_rest(q)), 0.0, atol=ROUNDING)
+
+
+def test_a_planned_motion_counts_them_and_is_followed_in_mujoco():
+    mechanism = load_mechanism(ARM % ("", STRUT + TORSION))
+    (strut, torsion) = audit(mechanism.model)
+    assert strut.text.endswith("it has no gain: a passive force, as a gas spring's; plans include it")
+    assert not any(one.falsifies for one in (strut, torsion))
+    ends = {"start_deg": {"arm": 0.0, "rod": 0.0}, "goal_deg": {"arm": 40.0, "rod": -30.0}}
+    plan = plan_motion(Problem.reach(mechanism, **ends, duration_s=0.5)).require()
+    plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=plan.problem.limits.effort))
+    reference = tracking_reference(plan)
+    run = simulate_one(plant, build_tracker("pd+ff", plan, reference), reference)
+    assert np.degrees(np.abs(run.error_rad).max()) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("range_of_joint", "law"),
+    [
+        ('actuatorfrcrange="-1 1" actuatorfrclimited="true"', LAW),
+        ("", 'gaintype="affine" gainprm="0 1" biastype="affine"'),
+    ],
+    ids=["a clamp of the joint's whole effort", "a gain that vanishes at zero length only"],
+)
+def test_forces_that_a_clamp_or_a_control_changes_are_not_among_them(range_of_joint, law):
+    actuator = f'<general name="torsion" joint="rod" {law} biasprm="0.2 -0.5 -0.1"/>'
+    found = [one for one in audit(load_mechanism(ARM % (range_of_joint, actuator)).model) if "torsion" in one.text]
+    assert any(one.falsifies and "its gain vanishes at rest" in one.text for one in found)
