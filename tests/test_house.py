@@ -22,8 +22,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload", "model_text",
-        "model_values", "kinematics", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings", "one_thread",
-        "ties", "rod_spins", "floating", "selection", "library", "digest", "pickling", "renamed", "tree",
+        "model_values", "kinematics", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings",
+        "one_thread", "ties", "rod_spins", "floating", "selection", "library", "digest", "pickling", "renamed", "tree",
         "closure", "reduction", "actuation", "audit", "stiffness", "coordinate_choice", "equations",
         "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),
