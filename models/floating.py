@@ -5,10 +5,9 @@ from collections.abc import Iterable, Sequence
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import FREE, SLIDE
 from linkplan.models.ties import tied_points
 
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Slides of an undriven base that moves in a plane.
 _PLANAR_SLIDES = 2
 
