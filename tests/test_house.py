@@ -23,7 +23,7 @@ ROOMS = {
     "models": (
         "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload", "model_text",
         "model_values", "kinematics", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings",
-        "one_thread", "ties", "rod_spins", "floating", "selection", "library", "digest", "pickling", "renamed", "tree",
+        "one_thread", "ties", "rod_spins", "floating", "selection", "library", "digest", "renamed", "tree",
         "closure", "reduction", "actuation", "audit", "stiffness", "coordinate_choice", "equations",
         "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),
