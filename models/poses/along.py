@@ -99,3 +99,9 @@ def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
         else np.linalg.pinv(maps, rcond=_ZERO_ARM_SHARE)
     )
     return np.einsum("kus,ks->ku", inverse, tau)
+
+
+def whole_turns(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray:
+    """Return the whole turns (n_q,) [rad] nearest to the joints' travel [rad or m]; 0 for joints that do not turn."""
+    hinges = np.array([joint.turns for joint in mechanism.joints])
+    return np.where(hinges, 2 * np.pi * np.round(travelled / (2 * np.pi)), 0.0)
