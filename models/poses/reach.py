@@ -91,29 +91,16 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
 def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
     """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a range.
 
-    The steps are those of `reach`, but the check is much faster. Results are cached.
+    The steps are those of `reach`, but the check is much faster.
     """
-    return _is_open(mechanism, tuple(s.tolist()))
-
-
-@functools.lru_cache(maxsize=16)
-def _is_open(mechanism: Mechanism, s: tuple[float, ...]) -> bool:
-    poses = _way(mechanism, mechanism.home, np.array(s))
-    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
-    if poses is None:
-        return False
-    kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
-    return bool(np.all(kept) and np.all(beyond_balls(mechanism, poses) <= RANGE_ROUNDING))
-
-
-def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray | None:
-    """Return the poses (n, n_q) on the straight path to s in the steps of `reach`, or None if it is blocked or too long."""
-    first = start[mechanism.independent]
+    first = mechanism.home[mechanism.independent]
     n = int(np.ceil(2 * np.max(np.abs(s - first) / step_sizes(mechanism)[mechanism.independent], initial=0.0)))
     if not n < 361:  # about a full turn
-        return None
-    poses, arrived = continue_to(mechanism, start, np.linspace(first, s, n + 1))
-    return poses if arrived == n + 1 else None
+        return False
+    poses, arrived = continue_to(mechanism, mechanism.home, np.linspace(first, s, n + 1))
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
+    kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
+    return bool(arrived == n + 1 and np.all(kept) and np.all(beyond_balls(mechanism, poses) <= RANGE_ROUNDING))
 
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
