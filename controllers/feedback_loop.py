@@ -1,8 +1,8 @@
 """The feedback loop: a law is evaluated at every control instant for machines that run side by side. Written for speed.
 
 A `Stepper` advances the machines: MuJoCo (mujoco_plant.py) or the reduced dynamics (rigid_plant.py). Results of a machine
-do not depend on the other machines. A machine that diverges, or whose tracker fails, is frozen: its log ends, and it stands
-at its start, where the law can be evaluated.
+do not depend on the other machines. A machine that diverges, or whose tracker fails, is frozen: its log ends, and it is put
+back to its start, where the law can be evaluated.
 """
 
 import time

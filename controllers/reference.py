@@ -6,9 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import needed_effort, whole_turns
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.turning import whole_turns
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.trajectory import Trajectory
 

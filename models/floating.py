@@ -6,11 +6,10 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
+from linkplan.models.kinematics import FREE, SLIDE
 from linkplan.models.names import listed
 from linkplan.models.ties import tied_points
 
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Slides of an undriven base that moves in a plane.
 _PLANAR_SLIDES = 2
 
@@ -127,7 +126,7 @@ def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
     if len(loose) > 20:  # a hand's or a table's objects; two hundred have 1,200 coordinates, which take minutes
         raise ModelError(
             f"model '{name}': {_names(model, loose)} are loose: nothing drives these {len(loose)} bodies, and a mechanism"
-            " has at most 20 of them; mechanism.fix_base = true (--fix-base) fixes them where they stand"
+            " has at most 20 of them; mechanism.fix_base = true fixes them where they stand"
         )
 
 

@@ -3,6 +3,12 @@
 import mujoco
 import numpy as np
 
+# Kinds of joints, as numbers in a compiled model.
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
 
 def data_at(model: mujoco.MjModel, qpos: np.ndarray | None = None) -> mujoco.MjData:
     """Return MuJoCo's data with the kinematics at a qpos (nq,), by default at the model's reference pose."""

@@ -12,8 +12,7 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.errors import ModelError, one_line
 from linkplan.models.missing_files import leave_out_missing_files
-from linkplan.models.model_text import MAX_MODEL_BYTES, refuse_oversized
-from linkplan.models.model_values import refuse_unusable
+from linkplan.models.model_values import MAX_MODEL_BYTES, refuse_oversized, refuse_unusable
 from linkplan.models.mujoco_warnings import mujoco_warnings
 from linkplan.models.names import nearest
 from linkplan.models.one_thread import one_thread_at_a_time

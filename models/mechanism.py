@@ -2,8 +2,9 @@
 
 import functools
 import hashlib
+import pickle
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import casadi as ca
@@ -29,7 +30,6 @@ from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
-from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
 from linkplan.models.selection import Selection, home_qpos
@@ -90,7 +90,8 @@ class Mechanism:
     source: Mapping[str, object]
 
     def __reduce__(self) -> tuple:
-        return unpacked, (Mechanism, packed(self))
+        with ca.global_pickle_context():  # CasADi expressions need one
+            return _unpickled, (pickle.dumps({field.name: getattr(self, field.name) for field in fields(self)}),)
 
     @property
     def n_q(self) -> int:
@@ -213,6 +214,11 @@ class Mechanism:
     def rates_of(self, q: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Return the rates q' (..., n_q) of poses q under MuJoCo's qvel (..., nv)."""
         return self.coordinates.rates_of(q, qvel)
+
+
+def _unpickled(content: bytes) -> Mechanism:
+    with ca.global_unpickle_context():
+        return Mechanism(**pickle.loads(content))
 
 
 @functools.lru_cache(maxsize=64)

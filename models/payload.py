@@ -1,7 +1,7 @@
 """A rigid payload welded to a body of a model: mass, centre of mass, inertia."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -27,7 +27,7 @@ class Payload:
     body: str
     mass_kg: float
     com_m: np.ndarray
-    inertia_kgm2: np.ndarray
+    inertia_kgm2: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         for name in ("com_m", "inertia_kgm2"):
@@ -82,7 +82,7 @@ def payload_from(value: Payload | str | Mapping | None) -> Payload | None:
         return None
     if isinstance(value, str):
         return BUILT_IN[choose("payload", value, [*BUILT_IN, "none"])]
-    return Payload(**({"inertia_kgm2": np.zeros(3)} | dict(value))) if isinstance(value, Mapping) else value
+    return Payload(**value) if isinstance(value, Mapping) else value
 
 
 def attach(spec: mujoco.MjSpec, payload: Payload) -> None:

@@ -11,16 +11,16 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
+from linkplan.models.kinematics import BALL
 from linkplan.models.names import choose
 from linkplan.models.ties import carrying_axis, rod_line
 
-_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _COPIED = ("damping", "armature", "frictionloss", "solref_friction", "solimp_friction", "group", "userdata")
 
 
 def spin_refusal(model: mujoco.MjModel, joint: int) -> str | None:
     """Return the reason why a joint's spin cannot be locked, or None if it can."""
-    if int(model.jnt_type[joint]) != _BALL:
+    if int(model.jnt_type[joint]) != BALL:
         return "is no ball joint"
     if rod_line(model, joint) is None:
         return "carries no rod: a rod's other ball joints and connects lie on one line through it, and nothing else holds it"

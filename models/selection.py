@@ -12,21 +12,16 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
-from linkplan.models.floating import FREE, SLIDE, floating_bodies, floating_of, joints_of, subtree, tied_bodies
-from linkplan.models.kinematics import data_at, fix_in_parent, in_body
+from linkplan.models.floating import floating_bodies, floating_of, joints_of, subtree, tied_bodies
+from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, data_at, fix_in_parent, in_body
 from linkplan.models.names import choose, listed
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
-from linkplan.models.ties import tied_points
+from linkplan.models.ties import WELD, tied_points
 from linkplan.models.urdf_loops import add_motors
 from linkplan.models.users import delete_users, leave_the_ground
 
-BALL, HINGE = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
 # The keyframe at which a mechanism is assembled by default.
 HOME_KEYFRAME = "home"
-_TIED = {
-    int(mujoco.mjtEq.mjEQ_CONNECT): int(mujoco.mjtObj.mjOBJ_BODY),
-    int(mujoco.mjtEq.mjEQ_WELD): int(mujoco.mjtObj.mjOBJ_BODY),
-}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -219,13 +214,12 @@ def _words(model: mujoco.MjModel, joint: int, position: np.ndarray) -> str:
 def _tie_to_sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     """Tie the connects between bodies to sites at their compiled anchors, and write out the poses of welds."""
     for index, closure in enumerate(list(spec.equalities)):
-        kind = int(model.eq_type[index])
-        if int(model.eq_objtype[index]) != _TIED.get(kind):
+        ends = tied_points(model, index)
+        if not ends or int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
             continue
-        if kind == int(mujoco.mjtEq.mjEQ_WELD):
+        if int(model.eq_type[index]) == WELD:
             closure.data = model.eq_data[index]
             continue
-        ends = tied_points(model, index)
         name = closure.name or "-".join(model.body(end).name for end, _ in ends)
         for number, (end, point) in enumerate(ends, 1):
             body = spec.body(model.body(end).name) if end else spec.worldbody

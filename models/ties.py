@@ -3,11 +3,8 @@
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import data_at
+from linkplan.models.kinematics import BALL, FREE, HINGE, data_at
 
-BALL, FREE, HINGE = (
-    int(kind) for kind in (mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE)
-)
 CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 
 

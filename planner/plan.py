@@ -13,10 +13,9 @@ import numpy as np
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
 from linkplan.models.extras import load_extra
-from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.along import joint_rates, whole_turns
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.turning import whole_turns
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.collisions import contact_notes

@@ -21,9 +21,9 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload", "model_text",
+        "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload",
         "model_values", "kinematics", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings",
-        "one_thread", "ties", "rod_spins", "floating", "selection", "library", "digest", "pickling", "renamed", "tree",
+        "one_thread", "ties", "rod_spins", "floating", "selection", "library", "digest", "renamed", "tree",
         "closure", "reduction", "actuation", "audit", "stiffness", "coordinate_choice", "equations",
         "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),

@@ -16,9 +16,12 @@ import numpy as np
 
 from linkplan.controllers.integrator import stay_servos
 from linkplan.controllers.reference import SampledReference
-from linkplan.models.actuation.actuators import FIXED, LEAST_GAIN, NO_BIAS
+from linkplan.models.actuation.actuators import FIXED, NO_BIAS
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, sampled
+
+# A servo's gain below this share of its nominal gain counts as zero: no ctrl then gives a prescribed effort.
+_LEAST_GAIN_SHARE = 1e-9
 
 
 def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:
@@ -49,7 +52,7 @@ class ServoInversion:
         """Return the ctrls for efforts (n, n_u) at the actuators' lengths and speeds, and the efforts they produce."""
         gain = self.gains[:, 0] + self.gains[:, 1] * length + self.gains[:, 2] * rate
         bias = self.biases[:, 0] + self.biases[:, 1] * length + self.biases[:, 2] * rate
-        no_gain = np.abs(gain) <= LEAST_GAIN * np.abs(self.gains[:, 0])  # ctrl has no effect on the effort
+        no_gain = np.abs(gain) <= _LEAST_GAIN_SHARE * np.abs(self.gains[:, 0])  # ctrl has no effect on the effort
         wanted = np.where(no_gain, 0.0, (effort - bias) / np.where(no_gain, 1.0, gain))
         ctrl = np.where(no_gain, 0.0, np.minimum(np.maximum(wanted, self.low), self.high))
         given = np.where((ctrl == wanted) & ~no_gain, effort, gain * ctrl + bias)

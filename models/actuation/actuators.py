@@ -30,8 +30,6 @@ FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFI
 NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
 # A motor with a back-EMF; without inductance and the like it has no state.
 DC_MOTOR = int(mujoco.mjtDyn.mjDYN_DCMOTOR)
-# A servo's gain below this share of its nominal gain counts as zero: no ctrl then gives a prescribed effort.
-LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -73,20 +71,6 @@ class Actuator:
     def is_servo(self) -> bool:
         """True if its effort at a given ctrl depends on its length or speed."""
         return any(self.gains[1:]) or any(self.biases[1:])
-
-    def effort(self, control: float, length: float, velocity: float) -> float:
-        """Return the effort of a ctrl at a length and speed. The ctrl is clipped to its range, the effort is not clipped."""
-        state = np.array([1.0, length, velocity])
-        cut = min(max(control, self.control_lower), self.control_upper)
-        return float(state @ self.gains * cut + state @ self.biases)
-
-    def control(self, effort: float, length: float, velocity: float) -> float:
-        """Return the ctrl that gives an effort at a length and speed, clipped to its range; zero if the gain vanishes."""
-        state = np.array([1.0, length, velocity])
-        gain = float(state @ self.gains)
-        if abs(gain) <= LEAST_GAIN * abs(self.gain):
-            return 0.0
-        return min(max((effort - float(state @ self.biases)) / gain, self.control_lower), self.control_upper)
 
 
 def ranged_control(actuator: Actuator, control, effort, gain, larger):

@@ -117,7 +117,7 @@ def _crank_travel(model, tree: Tree, index: int) -> ca.SX:
     crank, slider = (int(i) for i in model.actuator_trnid[index])
     to_crank = _place(model, tree, crank) - _place(model, tree, slider)
     frame = tree.frames[int(model.site_bodyid[slider])]
-    axis = frame.R_world_B @ ca.DM(_site_axes(model, slider)[:, 2])
+    axis = frame.R_world_B @ ca.DM(rotation_from_quaternion(model.site_quat[slider])[:, 2])
     along = ca.dot(to_crank, axis)
     rod = float(model.actuator_cranklength[index])
     square = along**2 + rod**2 - ca.dot(to_crank, to_crank)
@@ -131,7 +131,7 @@ def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
     body = int(model.site_bodyid[site])
     holder = site if reference < 0 else reference
     holder_body = int(model.site_bodyid[holder])
-    R = tree.frames[holder_body].R_world_B @ ca.DM(_site_axes(model, holder))
+    R = tree.frames[holder_body].R_world_B @ ca.DM(rotation_from_quaternion(model.site_quat[holder]))
     J = _jacobian(model, tree, site) - (_jacobian(model, tree, reference) if reference >= 0 else 0)
     column = ca.SX(tree.q.numel(), 1)
     for rows, axis in ((J[:3, :], gear[:3]), (J[3:, :], gear[3:])):
@@ -147,12 +147,6 @@ def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
         keep[[start + k for k in range(int(model.body_dofnum[above]))]] = 0
         above = int(model.body_parentid[above])
     return ca.sparsify(column * keep)
-
-
-def _site_axes(model, site: int) -> np.ndarray:
-    flat = np.zeros(9)
-    mujoco.mju_quat2Mat(flat, model.site_quat[site])
-    return flat.reshape(3, 3)
 
 
 def _place(model, tree: Tree, site: int) -> ca.SX:

@@ -9,7 +9,7 @@ keep their zeros:
   applies to all rows.
 * The rows lie along the axes of the nearest body that carries both tied bodies. A planar loop on a moving leg therefore
   keeps its two independent rows when the leg turns.
-* A second connect between the same two bodies has only the rows normal to the line through the two pins (`second_pin`).
+* A second connect between the same two bodies has only the rows normal to the line through the two pins (`_second_pin`).
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.closure.second_pin import second_pin_residual
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import ModelError
 from linkplan.models.ties import tied_points
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
@@ -128,11 +128,49 @@ def _connect(model: mujoco.MjModel, tree: Tree, index: int):
     if earlier is not None:
         before = _in_order(tied_points(model, earlier), ends)
         own = np.array([[place for _, place in pin] for pin in (before, ends)])
-        residual = second_pin_residual(_places(frames, before), (first, second), own, tree.q)
+        residual = _second_pin(_places(frames, before), (first, second), own, tree.q)
         if residual is not None:
             yield "point", residual, frame, 1.0, ("m", 1.0)
             return
     yield "point", first - second, frame, 1.0, ("m", 1.0)
+
+
+def _second_pin(first: tuple[ca.SX, ca.SX], second: tuple[ca.SX, ca.SX], places: np.ndarray, q: ca.SX) -> ca.SX | None:
+    """Return phi_2 (3,) [m] of a second pin between the same two bodies, or None if the pin's own residual serves.
+
+    Two connects between two bodies form a hinge. Let d be the vector from pin to pin in one body, d_0 in the other, and R
+    the relative rotation. The two residuals differ by delta = R d - d_0, and since d and d_0 have the same length,
+
+        (R d + d_0) . delta = 0.
+
+    Five of the six rows are therefore independent, but the dependent combination changes with the pose. The same rows serve
+    at every pose if the second pin only has the components normal to d_0,
+
+        phi_2 = phi_1 + (I - e e^T) delta,   e = d_0 / |d_0|.
+
+    Together with phi_1 this vanishes where R d = d_0, as before (and where R d = -d_0, half a turn away), and has the same
+    Jacobian there.
+
+    Args:
+        first: the positions (3,) [m] of the first pin's two ends, expressions of q in the axes of one of the bodies or of
+            their common carrier.
+        second: the positions of the second pin's ends, with the bodies in the same order.
+        places: the positions of both pins in both bodies' own frames (2 pins, 2 bodies, 3) [m].
+        q: the coordinates (n_q,).
+    """
+    long = np.linalg.norm(places[1] - places[0], axis=-1)
+    if min(long) == 0 or abs(long[0] - long[1]) > 1e-10 * max(long):
+        return None  # the two pins cannot both close, and all rows are needed
+    ways = [later - earlier for earlier, later in zip(first, second, strict=True)]
+    still = [way for way in ways if not ca.symvar(way)]
+    if len(still) != 1:
+        return None
+    delta = ways[0] - ways[1]
+    pose = np.random.default_rng(0).uniform(-1.0, 1.0, q.numel())
+    if np.abs(np.array(ca.Function("delta", [q], [delta])(pose))).max() <= ROUNDING_SHARE * max(long):
+        return None  # delta is zero at every pose
+    e = np.array(ca.evalf(still[0])).ravel() / max(long)
+    return first[0] - first[1] + ca.DM(np.eye(3) - np.outer(e, e)) @ delta
 
 
 def earlier_pin(model: mujoco.MjModel, index: int) -> int | None:

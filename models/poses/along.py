@@ -9,9 +9,6 @@ from linkplan.models.compiled.on_arrays import on_arrays
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.friction import frictions_of
 
-# A function with at least _LARGE_OUTPUT outputs is evaluated in batches of _BATCH_SIZE samples. CasADi takes longer to set
-# up a larger sparse matrix than to evaluate it.
-_BATCH_SIZE, _LARGE_OUTPUT = 32, 256
 # Moment arms below this share of the largest are zero to rounding, at an actuator's dead centre.
 _ZERO_ARM_SHARE = 1e-12
 # Efforts that miss no more than this share of the largest effort give the whole: above rounding, far below what is felt.
@@ -29,9 +26,6 @@ def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     n = len(arguments[0])
     if n == 0:
         return np.empty((0, *function.size_out(0)))
-    if n > _BATCH_SIZE and function.numel_out(0) >= _LARGE_OUTPUT:
-        parts = [[a[k : k + _BATCH_SIZE] for a in arguments] for k in range(0, n, _BATCH_SIZE)]
-        return np.concatenate([sampled(function, *part) for part in parts])
     (stacked,) = evaluated(mapped(function, n), *[a.T for a in arguments], outputs=1)
     return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
 
@@ -99,3 +93,9 @@ def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
         else np.linalg.pinv(maps, rcond=_ZERO_ARM_SHARE)
     )
     return np.einsum("kus,ks->ku", inverse, tau)
+
+
+def whole_turns(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray:
+    """Return the whole turns (n_q,) [rad] nearest to the joints' travel [rad or m]; 0 for joints that do not turn."""
+    hinges = np.array([joint.turns for joint in mechanism.joints])
+    return np.where(hinges, 2 * np.pi * np.round(travelled / (2 * np.pi)), 0.0)

@@ -5,8 +5,6 @@ correction is too large, or if the determinant of a block of J_z changes sign. A
 path's start, and a path stops at a singular pose.
 """
 
-import functools
-
 import numpy as np
 
 from linkplan.models.closure.newton import CLOSED_M
@@ -109,15 +107,7 @@ def _on_branch(mechanism: Mechanism, poses: np.ndarray) -> int:
 
 def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
     """Return the pose (n_q,) at independent positions s (n_s,), reached from `start` (home by default) on its branch."""
-    if start is None:
-        return _from_home(mechanism, tuple(np.asarray(s, dtype=float).ravel().tolist())).copy()
     return follow(mechanism, np.atleast_2d(np.asarray(s, dtype=float)), start)[0]
-
-
-@functools.lru_cache(maxsize=16)
-def _from_home(mechanism: Mechanism, s: tuple[float, ...]) -> np.ndarray:
-    """Return the pose at s on the branch of home, cached because a plan needs start and goal five times."""
-    return follow(mechanism, np.array([s]))[0]
 
 
 def _where(mechanism: Mechanism, s: np.ndarray) -> str:

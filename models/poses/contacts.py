@@ -5,18 +5,19 @@ if the distance of two surfaces is below the margin, and its depth is the differ
 """
 
 import copy
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import mujoco
 import numpy as np
 
-from linkplan.models.closure.pins import shared_pins
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.deadline import NO_DEADLINE, Deadline
+from linkplan.models.kinematics import BALL, HINGE, data_at, in_body, in_world
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.ties import tied_points
 from linkplan.models.tree.passive import disabled
 
 # An overlap up to this share deeper than at home is there by construction: the overlap of two links on a pin varies.
@@ -28,6 +29,7 @@ _LEAST_TRAVEL_SHARE = 1e-4
 _INSTANT_SHARE = 1e-10
 
 Pair = tuple[int, int]
+Point = tuple[int, np.ndarray]  # a body and a position (3,) [m] in its frame
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -239,6 +241,36 @@ def _detected(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> I
     for (first, second), distance, place in zip(pairs, distances, contact.pos, strict=True):
         if first >= 0:  # not a flex, which `audit` reports
             yield (first, second), distance, place
+
+
+def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mapping[tuple[int, int], tuple[Point, ...]]:
+    """Return the pins that pairs of bodies share. Keys are pairs of `body_weldid`, the smaller first.
+
+    Geoms overlap at a shared pin by construction, which is no collision. The anchor of a joint lies on its body and on the
+    parent. The point of a connect or weld lies on both bodies that it ties. Two bodies share a pin if two of their points
+    coincide at home, which includes siblings on a pivot and three links on a bolt. Bodies without a joint between them count
+    as one body, as in MuJoCo's own collision filter.
+
+    Args:
+        model: the compiled model.
+        home: the closed home pose (nq,).
+        extent: the mechanism's size [m].
+    """
+    data = data_at(model, home)
+    found: list[tuple[int, np.ndarray]] = []
+    for joint in range(model.njnt):
+        if int(model.jnt_type[joint]) in (HINGE, BALL):
+            body = int(model.jnt_bodyid[joint])
+            found += [(end, data.xanchor[joint].copy()) for end in (body, int(model.body_parentid[body]))]
+    for index in np.flatnonzero(model.eq_active0):
+        for body, place in tied_points(model, int(index)):
+            found.append((body, in_world(data, body, place)))
+    shared: dict[tuple[int, int], list[Point]] = {}
+    for (one, here), (other, there) in combinations(found, 2):
+        a, b = sorted((int(model.body_weldid[one]), int(model.body_weldid[other])))
+        if a != b and np.linalg.norm(here - there) <= FILE_ROUNDING_SHARE * extent:
+            shared.setdefault((a, b), []).append((one, in_body(data, one, here)))
+    return {pair: tuple(points) for pair, points in shared.items()}
 
 
 def _bounding_radii(mechanism: Mechanism) -> np.ndarray:

@@ -91,29 +91,16 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
 def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
     """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a range.
 
-    The steps are those of `reach`, but the check is much faster. Results are cached.
+    The steps are those of `reach`, but the check is much faster.
     """
-    return _is_open(mechanism, tuple(s.tolist()))
-
-
-@functools.lru_cache(maxsize=16)
-def _is_open(mechanism: Mechanism, s: tuple[float, ...]) -> bool:
-    poses = _way(mechanism, mechanism.home, np.array(s))
-    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
-    if poses is None:
-        return False
-    kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
-    return bool(np.all(kept) and np.all(beyond_balls(mechanism, poses) <= RANGE_ROUNDING))
-
-
-def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray | None:
-    """Return the poses (n, n_q) on the straight path to s in the steps of `reach`, or None if it is blocked or too long."""
-    first = start[mechanism.independent]
+    first = mechanism.home[mechanism.independent]
     n = int(np.ceil(2 * np.max(np.abs(s - first) / step_sizes(mechanism)[mechanism.independent], initial=0.0)))
     if not n < 361:  # about a full turn
-        return None
-    poses, arrived = continue_to(mechanism, start, np.linspace(first, s, n + 1))
-    return poses if arrived == n + 1 else None
+        return False
+    poses, arrived = continue_to(mechanism, mechanism.home, np.linspace(first, s, n + 1))
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
+    kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
+    return bool(arrived == n + 1 and np.all(kept) and np.all(beyond_balls(mechanism, poses) <= RANGE_ROUNDING))
 
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
@@ -204,7 +191,7 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
         # What does not move with the coordinate, or returns into its range, is no stop.
         if not beyond(trial) - beyond(q) > ROUNDING_SHARE * unit:
             continue
-        pose = _pose_where(mechanism, [q], trial, coordinate, beyond)
+        pose = _pose_where(mechanism, q, trial, coordinate, beyond)
         distance = abs(pose[index] - q[index])
         if first is None or distance < first[3]:
             first = (pose, reason, joint, distance)
@@ -218,23 +205,17 @@ def _joint_end(mechanism: Mechanism, trial: np.ndarray, i: int) -> tuple[Callabl
     return (lambda p: float(p[i] - upper if above else lower - p[i])), float(step_sizes(mechanism)[i])
 
 
-def _pose_where(mechanism: Mechanism, known: list[np.ndarray], trial: np.ndarray, coordinate: int, function) -> np.ndarray:
-    """Return the pose between two poses at which `function(pose)` changes sign, or the first pose if it does not.
-
-    `known` has the first pose and receives those found: the way from the nearest one is short, and a pose is found once.
-    """
-    index, q = mechanism.independent[coordinate], known[0]
-
-    def pose_at(x: float) -> np.ndarray:
-        nearest = min(known, key=lambda pose: abs(pose[index] - x))
-        if nearest[index] != x:
-            known.append(nearest := _at(mechanism, nearest, coordinate, x))
-        return nearest
-
+def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int, function) -> np.ndarray:
+    """Return the pose between two poses at which `function(pose)` changes sign, or the first pose if it does not."""
+    index = mechanism.independent[coordinate]
     a, b = float(q[index]), float(trial[index])
-    if function(q) * function(trial) >= 0 or function(q) * function(pose_at(b)) >= 0:
+
+    def value(x: float) -> float:
+        return function(_at(mechanism, q, coordinate, x))
+
+    if function(q) * function(trial) >= 0 or function(q) * value(b) >= 0:
         return np.array(q)
-    return pose_at(sign_change(lambda x: function(pose_at(x)), a, b, xtol=1e-11))
+    return _at(mechanism, q, coordinate, sign_change(value, a, b, xtol=1e-11))
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
@@ -278,7 +259,7 @@ def toggles(mechanism: Mechanism, coordinate: int = 0) -> tuple[tuple[int, float
     def rate(pose: np.ndarray, joint: int) -> float:
         return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])
 
-    found, between = [], {}  # poses found after each sample
+    found = []
     rates = sampled(mechanism.dynamics.velocity_map, poses)[:, :, coordinate]
     rates[np.abs(rates) < ROUNDING_SHARE] = 0.0
     for joint in mechanism.dependent:
@@ -289,7 +270,6 @@ def toggles(mechanism: Mechanism, coordinate: int = 0) -> tuple[tuple[int, float
             if after > before + 1:
                 found.append((int(joint), float(poses[(before + after) // 2, index])))
                 continue
-            known = between.setdefault(int(before), [poses[before]])
-            pose = _pose_where(mechanism, known, poses[after], coordinate, lambda p, j=int(joint): rate(p, j))
+            pose = _pose_where(mechanism, poses[before], poses[after], coordinate, lambda p, j=int(joint): rate(p, j))
             found.append((int(joint), float(pose[index])))
     return tuple(sorted(found, key=lambda item: item[1]))

@@ -11,6 +11,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.hulls import directions, simplified
 from linkplan.models.poses.skeleton import pins_in_space
 from linkplan.models.ties import tied_points
+from linkplan.models.tree.rotations import rotation_from_quaternion
 
 _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")
@@ -153,9 +154,7 @@ def cut_pins(mechanism: Mechanism) -> list[Place]:
 def _in_root(model: mujoco.MjModel, body: int, points: np.ndarray) -> np.ndarray:
     """Return points (n, 3) of a body's frame in the frame of its rigid group's root."""
     while body != int(model.body_weldid[body]):
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.body_quat[body])
-        points = points @ turn.reshape(3, 3).T + model.body_pos[body]
+        points = points @ rotation_from_quaternion(model.body_quat[body]).T + model.body_pos[body]
         body = int(model.body_parentid[body])
     return points
 

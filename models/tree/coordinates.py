@@ -13,13 +13,9 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE
 from linkplan.models.ties import carrying_axis, rod_line, spin_line
 from linkplan.models.tree.charts import RodChart, StereographicChart, conjugate, quaternion_product
-
-HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-BALL = int(mujoco.mjtJoint.mjJNT_BALL)
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
-from linkplan.models.tree.coordinates import SLIDE, joint_label
+from linkplan.models.tree.coordinates import FREE, SLIDE, joint_label
 from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
 
@@ -90,7 +90,7 @@ def frictions_of(model: mujoco.MjModel) -> Iterator[DryFriction]:
     for dof in np.flatnonzero(model.dof_frictionloss > 0).tolist():
         joint = int(model.dof_jntid[dof])
         kind, place = int(model.jnt_type[joint]), dof - int(model.jnt_dofadr[joint])
-        slides = kind == SLIDE or (kind == int(mujoco.mjtJoint.mjJNT_FREE) and place < 3)
+        slides = kind == SLIDE or (kind == FREE and place < 3)
         force = float(model.dof_frictionloss[dof])
         yield DryFriction(name=f"joint {joint_label(model, joint)}", force=force, dof=dof, tendon=None, turns=not slides)
     for tendon in np.flatnonzero(model.tendon_frictionloss > 0).tolist():

@@ -11,11 +11,10 @@ import casadi as ca
 import mujoco
 
 from linkplan.models.errors import ModelError
-from linkplan.models.kinematics import data_at
+from linkplan.models.kinematics import HINGE, data_at
 from linkplan.models.tree.passive import limits_off
 from linkplan.models.tree.wrapping import CYLINDER, SPHERE, side_of, wrapped_length
 
-HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 SITE = int(mujoco.mjtWrap.mjWRAP_SITE)

@@ -14,6 +14,8 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.tree.rotations import rotation_from_quaternion
+
 CYLINDER = int(mujoco.mjtWrap.mjWRAP_CYLINDER)
 SPHERE = int(mujoco.mjtWrap.mjWRAP_SPHERE)
 # Side of the rope in a cylinder's plane: the shorter way, anticlockwise or clockwise from the first end to the second.
@@ -63,9 +65,8 @@ def wrapped_length(model: mujoco.MjModel, frames: Sequence, k: int, side: str, e
         ends: the two points.
     """
     geom, r = int(model.wrap_objid[k]), _radius(model, k)
-    frame, matrix = frames[int(model.geom_bodyid[geom])], np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
-    turn = frame.R_world_B @ ca.DM(matrix.reshape(3, 3))
+    frame = frames[int(model.geom_bodyid[geom])]
+    turn = frame.R_world_B @ ca.DM(rotation_from_quaternion(model.geom_quat[geom]))
     centre = frame.p_world_B + frame.R_world_B @ ca.DM(model.geom_pos[geom])
     first, second = (turn.T @ (end - centre) for end in ends)
     if int(model.wrap_type[k]) == CYLINDER:

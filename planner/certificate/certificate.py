@@ -11,10 +11,9 @@ from typing import ClassVar
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, joint_rates, least_effort, sampled
+from linkplan.models.poses.along import demanded, joint_rates, least_effort, sampled, whole_turns
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
-from linkplan.models.poses.turning import whole_turns
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.boundary import (
     BOUNDARY_SHARE,

@@ -6,10 +6,10 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import whole_turns
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import Reach, is_open, reach
-from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.reference import Sine

@@ -198,7 +198,7 @@ def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
     if source in names:
         return
     refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
-    if source in PROBLEMS or not os.path.exists(source):
+    if source in PROBLEMS or not os.path.exists(Path(source)):
         raise ModelError(
             f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name ({', '.join(names)})"
             " nor a file"

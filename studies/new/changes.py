@@ -18,6 +18,7 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError
 from linkplan.models.floating import floating_joints, floating_words
+from linkplan.models.kinematics import data_at
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import listed
@@ -243,10 +244,7 @@ def _is_spin(mechanism: Mechanism, column: int) -> bool:
     if not in_loops(mechanism)[column]:
         return False
     model = mechanism.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(mechanism.home)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    data = data_at(model, mechanism.qpos_of(mechanism.home))
     qvel = mechanism.qvel_of(mechanism.home, np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column])
     rows, twists = np.zeros((6, model.nv)), np.zeros((model.nbody, 6))
     for body in range(1, model.nbody):

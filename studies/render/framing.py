@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import data_at
 from linkplan.models.poses.skeleton import view
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 
@@ -37,9 +38,7 @@ def own_direction(model: mujoco.MjModel) -> tuple[float, float]:
     The hinges of a planar mechanism point a little below the eye. A spatial mechanism is seen from the
     side and above. In a planar mechanism all hinge axes are parallel to a thousandth.
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    axes = np.array(data.xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
+    axes = np.array(data_at(model).xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
     spread = np.linalg.svd(axes, compute_uv=False) if len(axes) else np.zeros(1)
     if (model.jnt_type == BALL).any() or (len(spread) > 1 and spread[1] > 1e-3 * spread[0]):
         return float(np.radians(125.0)), float(np.radians(-20.0))

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, one_line
+from linkplan.models.kinematics import data_at
 from linkplan.models.poses.solids import visible_geoms
 from linkplan.studies.render.framing import Eye
 from linkplan.studies.render.gl import context_class
@@ -127,8 +128,7 @@ def mujoco_painter(
 def far_planes(model: mujoco.MjModel, points: np.ndarray) -> np.ndarray:
     """Return the indices of planes whose distance from the lowest of all points (n, 3) [m] is over 30 % of their extent."""
     far = 0.3 * float(np.ptp(points, axis=0).max())
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model)
     found = []
     for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
         height = (points - np.array(data.geom_xpos[geom])) @ np.array(data.geom_xmat[geom]).reshape(3, 3)[:, 2]

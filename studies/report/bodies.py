@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import data_at
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.hulls import faces, outline
 from linkplan.models.poses.skeleton import Stick, body_name, sticks
@@ -159,9 +160,7 @@ def cut_pin_labels(drawing: Drawing, poses: np.ndarray) -> list[tuple[str, np.nd
 def floors_of(mechanism: Mechanism) -> list[float]:
     """Return the heights [m] of the ground's horizontal planes that the mechanism comes near."""
     model = mechanism.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(mechanism.home)
-    mujoco.mj_kinematics(model, data)
+    data = data_at(model, mechanism.qpos_of(mechanism.home))
     fixed = model.body_weldid[model.geom_bodyid] == 0
     planes = np.flatnonzero(fixed & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)))
     level = [k for k in planes if abs(data.geom_xmat[k].reshape(3, 3)[2, 2]) > 1 - 1e-9]

@@ -19,6 +19,7 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import close_at
 from tests.support.mechanisms import Simulated, simulated
 from tests.support.planar import Planar, random_planar
+from tests.support.servos import ctrl_of
 from tests.support.tolerances import (
     GAP_M,
     MOMENT,
@@ -79,7 +80,7 @@ def controls(mechanism: Mechanism, q: np.ndarray, rates: np.ndarray, u: np.ndarr
     ctrl = np.zeros(mechanism.model.nu)
     for actuator, effort in zip(mechanism.actuators, u, strict=True):
         length, velocity = data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]
-        ctrl[actuator.channel] = actuator.control(effort, length, velocity)
+        ctrl[actuator.channel] = ctrl_of(actuator, effort, length, velocity)
     return ctrl
 
 

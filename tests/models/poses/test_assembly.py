@@ -255,16 +255,6 @@ def test_a_far_position_is_reached_on_the_branch_without_a_path():
     assert np.abs(wrapped(close_at(load(CRANK_ROCKER), np.array([far])) - CRANK_ROCKER.pose(far)[0])).max() < ANGLE_RAD
 
 
-def test_a_pose_asked_for_again_is_looked_up_and_is_the_askers_own(monkeypatch):
-    mechanism = load_mechanism("optimus-knee")
-    s = np.array([0.31])
-    pose = close_at(mechanism, s)
-    expected = follow(mechanism, s[None])[0]
-    pose += 1.0
-    monkeypatch.setattr("linkplan.models.poses.assembly.continue_to", lambda *_: pytest.fail("continued again"))
-    np.testing.assert_array_equal(close_at(mechanism, s), expected)
-
-
 def test_a_path_may_start_on_another_branch_than_home():
     other = CRANK_ROCKER.mirrored()
     q_O = np.linspace(0.2, 2.0, 20)
