@@ -123,11 +123,11 @@ def test_what_is_done_is_not_run_again(tmp_path, monkeypatch):
     ran = []
     real = conducting.run_block
 
-    def stopping(experiment, block, threads, batch):
+    def stopping(experiment, block, threads):
         if len(ran) == 2:
             raise KeyboardInterrupt
         ran.append(block)
-        return real(experiment, block, threads, batch)
+        return real(experiment, block, threads)
 
     monkeypatch.setattr(conducting, "run_block", stopping)
     with pytest.raises(KeyboardInterrupt):
