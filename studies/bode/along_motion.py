@@ -29,7 +29,6 @@ class AlongMotion:
     plan: Plan
     law: str
     reference: SampledReference
-    timing: Sampling
     instants: np.ndarray
     margins: tuple[Margins, ...]
     channels: tuple[int, ...]
@@ -74,7 +73,6 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
         plan=plan,
         law=law,
         reference=reference,
-        timing=timing,
         instants=instants,
         margins=tuple(one for one, _ in found),
         channels=tuple(channel for _, channel in found),

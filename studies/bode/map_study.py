@@ -39,7 +39,6 @@ class MapStudy:
     critical: np.ndarray
     longest_s: float | None
     longest_at: OperatingPoint | None
-    delay_periods: float
 
 
 def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
@@ -93,7 +92,6 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         critical=critical,
         longest_s=longest,
         longest_at=where,
-        delay_periods=delay,
     )
 
 

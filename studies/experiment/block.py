@@ -16,7 +16,7 @@ from linkplan.studies.experiment.metrics import measured, metrics_of
 # A worker computes one block at a time, and an interruption loses at most one block. The most samples of a block, and the
 # simulator steps that it has about: some ten seconds.
 BLOCK_SAMPLES, BLOCK_STEPS = 128, 2_000_000
-# Largest log of simulations that are stepped together.
+# Largest log of simulations that are stepped together; results do not depend on their number.
 _MAX_LOG_BYTES = 256 << 20
 
 
@@ -38,18 +38,17 @@ def samples_of(block: int, experiment: Experiment) -> range:
     return range(block * size, min(experiment.n, (block + 1) * size))
 
 
-def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int | None = None) -> dict[str, list]:
+def run_block(experiment: Experiment, block: int, threads: int = 0) -> dict[str, list]:
     """Return the results of a block as columns of equal length, ordered by sample and then by tracker.
 
     Args:
         experiment: the experiment.
         block: index of the block.
         threads: simulator threads; 0 for one per core.
-        batch: most simulations stepped together; results do not depend on it.
     """
     samples = samples_of(block, experiment)
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
-    together = max(1, min(batch or BLOCK_SAMPLES, _MAX_LOG_BYTES // bytes_each(mechanism, reference.n)))
+    together = max(1, min(BLOCK_SAMPLES, _MAX_LOG_BYTES // bytes_each(mechanism, reference.n)))
     found: dict[tuple[int, str], dict] = {}
     plant = MujocoPlant(mechanism=mechanism, loop=experiment.loop, threads=threads)
     laws = {name: law_of(name, experiment) for name in experiment.settings.trackers}

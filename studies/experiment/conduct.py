@@ -37,7 +37,6 @@ def conduct(
     engine: Engine,
     say: Say,
     threads: int = 0,
-    batch: int | None = None,
 ) -> Experiment:
     """Run the unfinished blocks of an experiment, and return the experiment.
 
@@ -50,7 +49,6 @@ def conduct(
         engine: runs the blocks.
         say: receives progress messages.
         threads: simulator threads of each block; 0 for the engine's default.
-        batch: most simulations stepped together.
 
     Raises:
         LinkplanError: if workers fail repeatedly.
@@ -65,7 +63,7 @@ def conduct(
         say(line)
     there = done(folder)
     progress = Progress(experiment.n, sum(len(samples_of(block, experiment)) for block in there), "samples", say)
-    work = functools.partial(_work, folder, settings, written, sources, own, threads, batch)
+    work = functools.partial(_work, folder, settings, written, sources, own, threads)
     todo = [block for block in range(block_count(experiment)) if block not in there]
     with contextlib.closing(streamed(engine, work, todo, say)) as results:
         for block, columns in results:
@@ -95,7 +93,6 @@ def _work(
     sources: Mapping[str, str],
     own: Mapping[str, TrackerLike],
     threads: int,
-    batch: int | None,
     block: int,
     share: int,
 ) -> dict[str, list]:
@@ -105,7 +102,7 @@ def _work(
             f"a worker on {socket.gethostname()} does not see '{folder}': all workers must share the disk of the results"
         )
     refuse_other_sources(sources)
-    return run_block(replace(_opened(folder, settings, written), own=own), block, threads or share, batch)
+    return run_block(replace(_opened(folder, settings, written), own=own), block, threads or share)
 
 
 def keep_plan(folder: Path, plan: Plan) -> None:

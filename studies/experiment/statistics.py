@@ -26,8 +26,6 @@ class Estimate:
         return 0.5 * (self.high - self.low)
 
 
-# The upper end of a 95 % interval.
-_UPPER_QUANTILE = 0.975
 _NO_ESTIMATE = Estimate(value=float("nan"), low=float("nan"), high=float("nan"), n=0)
 
 
@@ -50,22 +48,18 @@ def mean_of(values: np.ndarray, replicate: np.ndarray | None = None) -> Estimate
     if groups == 1:
         return Estimate(value=mean, low=-np.inf, high=np.inf, n=len(kept))
     error = np.sqrt(groups / (groups - 1) * np.sum((share * (means - mean)) ** 2))
-    half = float(t.ppf(_UPPER_QUANTILE, groups - 1) * error)
+    half = float(t.ppf(0.975, groups - 1) * error)
     return Estimate(value=mean, low=mean - half, high=mean + half, n=len(kept))
 
 
 def share_of(hits: int, n: int) -> Estimate:
     """Return the share of hits among n."""
-    from scipy.stats import norm
+    from scipy.stats import binomtest
 
     if n == 0:
         return _NO_ESTIMATE
-    z, p = float(norm.ppf(_UPPER_QUANTILE)), hits / n
-    middle, half = (
-        (p + z * z / (2 * n)) / (1 + z * z / n),
-        z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n),
-    )
-    return Estimate(value=p, low=float(middle - half) if hits else 0.0, high=float(middle + half) if hits < n else 1.0, n=n)
+    ends = binomtest(hits, n).proportion_ci(method="wilson")
+    return Estimate(value=hits / n, low=float(ends.low), high=float(ends.high), n=n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -74,7 +74,6 @@ def run_experiment(
     *,
     engine: Engine = here,
     threads: int = 0,
-    batch: int | None = None,
     own: Mapping[str, TrackerLike] | None = None,
 ) -> Outcome:
     """Return an experiment's outcome, and write it into a folder if one is given.
@@ -88,7 +87,6 @@ def run_experiment(
         say: receives progress messages.
         engine: runs the blocks.
         threads: simulator threads of each block; 0 for the engine's default.
-        batch: most simulations stepped together.
         own: trackers given as Python objects, by their names in the settings.
 
     Raises:
@@ -103,7 +101,7 @@ def run_experiment(
 
     def carried_out(folder: Path) -> Outcome:
         with working(folder, asked, "an experiment"):
-            experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads, batch)
+            experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads)
             write_results(folder, folder / RESULTS, experiment)
             outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
             (folder / RESULTS).unlink()

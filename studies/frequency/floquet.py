@@ -34,7 +34,6 @@ class Floquet:
     is the remaining share of the worst disturbance.
     """
 
-    period_s: float
     cycle_s: float
     monodromy: np.ndarray
     measured: np.ndarray
@@ -152,7 +151,6 @@ def floquet(
     scaled = transition / scale[:, None] * scale
     measured_scaled = measured / scale[:, None] * scale
     return Floquet(
-        period_s=reference.period_s,
         cycle_s=n * reference.period_s,
         monodromy=transition[-1],
         measured=measured[-1],

@@ -1,7 +1,7 @@
 """The PD gains that keep a sampled feedback loop stable at all poses: boundary, margins and the longest control period.
 
 Stability follows from the closed-loop poles of the sampled model in MuJoCo's own steps. The map also holds the smallest
-phase margin and the largest sensitivity peak.
+phase margin.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,9 +27,9 @@ _BORDER_TOLERANCE = 1e-6
 class StabilityMap:
     """The loop over grids of gains kp (n,) and kd (m,): at each pair of gains, the worst over all points.
 
-    `radius` (n, m): the largest pole. `phase_margin_deg` and `sensitivity_peak` (n, m) are NaN where the loop is unstable.
-    `worst` (n, m): index of the point with the largest pole. `border` (kp, kd, radius): the radius on a finer grid.
-    `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `settles` (tried,): whether they settle there.
+    `radius` (n, m): the largest pole. `phase_margin_deg` (n, m) is NaN where the loop is unstable. `border` (kp, kd,
+    radius): the radius on a finer grid. `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `settles` (tried,):
+    whether they settle there.
     """
 
     points: tuple[OperatingPoint, ...]
@@ -38,8 +38,6 @@ class StabilityMap:
     kd: np.ndarray
     radius: np.ndarray
     phase_margin_deg: np.ndarray
-    sensitivity_peak: np.ndarray
-    worst: np.ndarray
     border: tuple[np.ndarray, np.ndarray, np.ndarray]
     tried: tuple[tuple[float, float, int], ...] = ()
     settles: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
@@ -159,32 +157,22 @@ def stability_map(
     If `effort_limit` (n_u, 2) is given, gains on both sides of the border are also simulated in MuJoCo.
     """
     shape = len(kp), len(kd)
-    radius, margin, peak = np.zeros(shape), np.full(shape, np.inf), np.zeros(shape)
-    worst = np.zeros(shape, dtype=int)
+    radius, margin = np.zeros(shape), np.full(shape, np.inf)
     fine_kp, fine_kd = (np.geomspace(axis[0], axis[-1], _BORDER_GRID_POINTS) for axis in (kp, kd))
     fine = np.zeros((_BORDER_GRID_POINTS, _BORDER_GRID_POINTS))
-    for index, point in enumerate(points):
+    for point in points:
         say(f"gains at {point.name}")
-        here = radii(point, kp[:, None], kd[None, :], timing)
-        worst = np.where(here > radius, index, worst)
         fine = np.maximum(fine, radii(point, fine_kp[:, None], fine_kd[None, :], timing))
-        radius = np.maximum(radius, here)
-        phase, Ms = np.empty(shape), np.empty(shape)
-        for i, p in enumerate(kp):
-            quick = quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing)
-            phase[i], Ms[i] = quick.phase_margin_deg, quick.sensitivity_peak
-        margin, peak = np.minimum(margin, phase), np.maximum(peak, Ms)
-    unstable = radius >= 1.0
-    margin, peak = np.where(unstable, np.nan, margin), np.where(unstable, np.nan, peak)
+        radius = np.maximum(radius, radii(point, kp[:, None], kd[None, :], timing))
+        phase = [quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing).phase_margin_deg for p in kp]
+        margin = np.minimum(margin, phase)
     found = StabilityMap(
         points=tuple(points),
         timing=timing,
         kp=np.array(kp),
         kd=np.array(kd),
         radius=radius,
-        phase_margin_deg=margin,
-        sensitivity_peak=peak,
-        worst=worst,
+        phase_margin_deg=np.where(radius >= 1.0, np.nan, margin),
         border=(fine_kp, fine_kd, fine),
     )
     if effort_limit is None:

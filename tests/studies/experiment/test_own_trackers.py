@@ -7,6 +7,7 @@ from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
 from linkplan.planner.planning import silent
 from linkplan.studies.compare.tracker_source import source_files, source_hash
 from linkplan.studies.compare.user_tracker import tracker_named
+from linkplan.studies.experiment import block
 from linkplan.studies.experiment import conduct as conducting
 from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings
@@ -77,10 +78,11 @@ def done(target, trackers=OWN, say=silent, samples=6, **how):
     return run_experiment({"name": "knee-reach"}, None, lambda: plan, settings, target, say, **how)
 
 
-def test_a_law_that_keeps_something_in_itself_runs_as_one_for_each_machine(laws):
+def test_a_law_that_keeps_something_in_itself_runs_as_one_for_each_machine(laws, monkeypatch):
     said = []
-    one = done(laws / "one", say=said.append, batch=1)
-    done(laws / "many", batch=4)
+    done(laws / "many")
+    monkeypatch.setattr(block, "_MAX_LOG_BYTES", 1)  # one simulation at a time
+    one = done(laws / "one", say=said.append)
     assert (laws / "one" / RESULTS).read_bytes() == (laws / "many" / RESULTS).read_bytes()
     assert [text for text in said if "one state after the other" in text] == [
         f"{OWN[0]} is evaluated for one state after the other: it has neither batched = True nor start and step"
