@@ -12,10 +12,7 @@ from typing import Any, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_rates
-from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.path_limit import (
     BETWEEN_NODES_FACTOR,
     RELAXED_FACTOR,
@@ -29,7 +26,6 @@ from linkplan.planner.limits.path_limit import (
     Samples,
     Scales,
     Tightened,
-    Trajectory,
     limited_rows,
 )
 
@@ -42,6 +38,7 @@ class RangeLimit(PathLimit):
     words: ClassVar[str] = "joint {}"
     verb: ClassVar[str] = "stands at"
     of_position: ClassVar[bool] = True
+    tightened: ClassVar[Tightened] = Tightened.IN_UNITS
     item: int
     column: int | None
     at_nodes: ClassVar[bool] = False
@@ -63,19 +60,13 @@ class RangeLimit(PathLimit):
         unit, values, bounds = joint.shown(1.0), at.q[:, self.item], at.problem.limits.position[self.item]
         return Measured(joint.name, unit * values, unit * bounds, joint.unit, unit)
 
-    def margin(self, samples: Samples) -> None:
-        return None
-
-    @classmethod
-    def violation(cls, problem: Problem, motion: Trajectory) -> str | None:
-        return _violation(problem, motion, problem.limits.position, speeds=False)
-
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimit(PathLimit):
     """The speed of one joint; `column` is its index among the independent joints, None for a dependent one."""
 
     key: ClassVar[str] = "speed"
+    words: ClassVar[str] = "the speed of joint {}"
     item: int
     column: int | None = None
 
@@ -101,18 +92,10 @@ class SpeedLimit(PathLimit):
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
         return None if self.column is None else ("speed_columns", self.column)
 
-    @classmethod
-    def factor(cls, problem: Problem, motion: Trajectory) -> float | None:
-        _, rates = _along(problem, motion, speeds=True)
-        bounds = problem.limits.speed
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.maximum(rates / bounds[:, 1], rates / bounds[:, 0])
-        largest = float(np.nan_to_num(ratios, posinf=0.0, neginf=0.0).max())
-        return BETWEEN_NODES_FACTOR * largest if largest > 1 else None
-
-    @classmethod
-    def violation(cls, problem: Problem, motion: Trajectory) -> str | None:
-        return _violation(problem, motion, problem.limits.speed, speeds=True)
+    def measured(self, at: Samples) -> Measured:
+        joint, bounds = at.problem.mechanism.joints[self.item], at.problem.limits.speed[self.item]
+        unit = joint.shown(1.0)
+        return Measured(joint.name, unit * at.joint_rates[:, self.item], unit * bounds, f"{joint.unit}/s")
 
 
 def own_column(mechanism: Mechanism, j: int) -> int | None:
@@ -120,33 +103,6 @@ def own_column(mechanism: Mechanism, j: int) -> int | None:
     joint = mechanism.actuators[j].joint
     places = np.flatnonzero(mechanism.independent == joint) if joint is not None else []
     return int(places[0]) if len(places) else None
-
-
-def _along(problem: Problem, motion: Trajectory, *, speeds: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,) [s] of a motion and the positions or rates (n, n_q) of all joints."""
-    time = motion.dense_times(8)
-    poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose, problem.solver.deadline)
-    return time, joint_rates(problem.mechanism, poses, motion.velocity_at(time)) if speeds else poses
-
-
-def _violation(problem: Problem, motion: Trajectory, bounds: np.ndarray, *, speeds: bool) -> str | None:
-    try:
-        time, values = _along(problem, motion, speeds=speeds)
-    except AssemblyError:
-        return None
-    over = np.maximum(values - bounds[:, 1], bounds[:, 0] - values)
-    worst = int(np.argmax(over.max(axis=0)))
-    at = int(np.argmax(over[:, worst]))
-    if over[at, worst] <= 0:
-        return None
-    joint, value = problem.mechanism.joints[worst], values[at, worst]
-    unit = joint.unit + ("/s" if speeds else "")
-    bound = bounds[worst, 1] if value > bounds[worst, 1] else bounds[worst, 0]
-    return (
-        f"joint {joint.name} would have to {'move at' if speeds else 'reach'} {joint.shown(value):.4g} {unit}"
-        f" at t = {time[at]:.3g} s, {abs(joint.shown(value - bound)):.4g} {unit} beyond its limit of"
-        f" {joint.shown(bound):.4g}"
-    )
 
 
 @dataclass(frozen=True, slots=True)

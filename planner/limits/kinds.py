@@ -52,6 +52,7 @@ def relaxed_kinds(problem: Problem) -> list[type[PathLimit]]:
 
 
 def margins(samples: Samples) -> tuple[Margin, ...]:
-    """Return the margins of all limits along a motion, except those on efforts and joints."""
-    found = [limit.margin(samples) for limit in limits_of(samples.problem)]
+    """Return the margins of all limits along a motion, except those on efforts and joints, which are listed by joint."""
+    others = (limit for limit in limits_of(samples.problem) if not isinstance(limit, RangeLimit | SpeedLimit))
+    found = [limit.margin(samples) for limit in others]
     return tuple(margin for margin in found if margin is not None)

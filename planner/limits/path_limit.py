@@ -212,7 +212,7 @@ class PathLimit(Protocol):
         return None
 
     def margin(self, samples: Samples) -> Margin | None:
-        """Return the margin along a motion; None for joints' limits, which the certificate lists by joint."""
+        """Return the margin along a motion, if it has one."""
         measured = self.measured(samples)
         return None if measured is None else margin_of(self, measured, samples)
 
@@ -247,7 +247,7 @@ class PathLimit(Protocol):
             over = overrun_margins(cls, problem, motion)
         except AssemblyError:
             return None
-        return over[0].sentence("would have to come to") if over else None
+        return max(over, key=lambda m: m.overrun.max()).sentence("would have to come to") if over else None
 
     def narrowed(self, problem: Problem, amount: float) -> Problem:
         """Return a problem with both bounds of this limit moved inwards, if `tightened` is None."""

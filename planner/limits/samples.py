@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import joint_rates, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.robust import corner_efforts_along
@@ -53,6 +53,11 @@ class Samples(Poses):
     def actuator_speeds(self) -> np.ndarray:
         """The actuators' speeds (n, n_u) [rad/s or m/s]."""
         return actuator_speeds(self.problem, self.q, self.v)
+
+    @cached_property
+    def joint_rates(self) -> np.ndarray:
+        """The rates (n, n_q) of all joints."""
+        return joint_rates(self.problem.mechanism, self.q, self.v)
 
     @cached_property
     def closure_forces(self) -> np.ndarray:

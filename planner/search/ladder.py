@@ -124,11 +124,6 @@ class Search:
         return any(plan.passed for plan in self.plans)
 
     @property
-    def missed(self) -> bool:
-        """Whether motions were found and none passes."""
-        return bool(self.plans) and not self.solved
-
-    @property
     def starts_are_worth_it(self) -> bool:
         """Whether a further start may lead to a motion: no plan passes, and not too many plans have missed."""
         # After so many motions that were found and do not pass, further starts are not tried.

@@ -44,13 +44,13 @@ def solve_from(
     return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts)
 
 
-def first_mesh(problem: Problem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
+def first_mesh(problem: Problem, guess: Guess) -> tuple[Mesh, np.ndarray]:
     """Return the first mesh of a problem and its segments' durations [s] in a guess."""
-    n = n_intervals or max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings if guess.swings > 1 else 0)
+    n = max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings if guess.swings > 1 else 0)
     if guess.boundaries_s is not None:
         durations = np.diff(guess.boundaries_s)
         return segmented(durations, n, phase=np.arange(len(durations))), durations
-    if problem.mesh.breaks is not None and n_intervals is None:
+    if problem.mesh.breaks is not None:
         return broken(problem.mesh.breaks), np.array([guess.duration_s])
     return uniform(n), np.array([guess.duration_s])
 
