@@ -91,12 +91,14 @@ class ClosureForceLimit(PathLimit):
 
 @dataclass(frozen=True, slots=True)
 class SingularMarginLimit(PathLimit):
-    """The determinant of one block of J_z, for loops that close together."""
+    """The determinant of one block of J_z, for loops that close together.
+
+    Its row binds at prescribed poses too: without it there, continuation next to the margin is lost more often.
+    """
 
     key: ClassVar[str] = "singular_margin"
     words: ClassVar[str] = "the distance from a singular pose"
     beyond: ClassVar[str] = "short of"
-    of_position: ClassVar[bool] = True
     row_kind: ClassVar[str] = "singular"
     n_numbers: ClassVar[int] = 1
     item: int

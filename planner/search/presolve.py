@@ -13,6 +13,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.planner.certificate.boundary import POSE_SLACK
 from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.loops import SingularMarginLimit
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.limits.samples import Poses
 from linkplan.planner.limits.site import SitePathLimit
@@ -95,7 +96,7 @@ def _branches_on_the_way(problem: Problem) -> str | None:
 
 def _pose_beyond(problem: Problem) -> str | None:
     """Return the sentence on a limit that a pose of start, goal or a waypoint overruns, or one on the only way; or None."""
-    limits = [limit for limit in limits_of(problem) if limit.of_position]
+    limits = [limit for limit in limits_of(problem) if limit.of_position or isinstance(limit, SingularMarginLimit)]
     for when, pose, open_at in _known_poses(problem) if limits else ():
         known = [limit for limit in limits if open_at is None or _is_known(problem, limit, open_at)]
         sentence = sentence_beyond(problem, known, pose[None], when, POSE_SLACK)

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.loops import SingularMarginLimit
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond
@@ -21,7 +23,7 @@ def limited(**changes) -> Problem:
 
 
 def beyond(problem: Problem) -> str | None:
-    limits = [limit for limit in limits_of(problem) if limit.of_position]
+    limits = [limit for limit in limits_of(problem) if isinstance(limit, RangeLimit | SingularMarginLimit)]
     return sentence_beyond(problem, limits, only_way(problem), None, ONLY_WAY_SLACK)
 
 
