@@ -245,7 +245,7 @@ def refined_motion(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTraj
     """Return the motion that a first solution is refined to."""
     asked = replace(problem, mesh=first.case.problem.mesh)
     first = replace(first, case=OdeCase(asked, problem, first.case.units))
-    first = _without_wild_efforts(first)
+    first = _with_linear_efforts(_without_wild_efforts(first))
     guess = sampled_guess(first.found.motion)
     unstable = is_unstable(problem, first.found.motion, sizes_of(guess.state))
     if unstable:
@@ -263,12 +263,8 @@ def _without_wild_efforts(first: FirstSolution) -> FirstSolution:
     # Efforts are wild between the nodes if the integrated state ends this share of its size away.
     if before <= 1e-3:
         return first
-    durations = np.diff(motion.breaks_s[[0, -1]])
-    what = "efforts piecewise constant at first"
-    again = attempt(case, piecewise_constant(case, motion), first.found.mesh, durations, what, warm=True)
-    if again is None or case.certify(again.motion).integration_error >= before:
-        return first
-    return replace(first, found=again)
+    start, what = piecewise_constant(case, motion), "efforts piecewise constant at first"
+    return _solved_again(first, case, start, before, what)
 
 
 def is_affine(problem: OdeProblem) -> bool:
@@ -281,3 +277,41 @@ def is_affine(problem: OdeProblem) -> bool:
             if ca.depends_on(slope, u):
                 return False
     return True
+
+
+def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
+    """True if an effort stays within its limits for longer than a smeared switch."""
+    # An effort within this share of its range from a limit is at the limit; the solver is exact to 1e-8.
+    slack = np.where(np.isfinite(limit).all(axis=1), 1e-3 * np.diff(limit, axis=1).ravel(), np.inf)
+    within = (motion.effort.min(axis=0) < limit[:, 1] - slack) & (motion.effort.max(axis=0) > limit[:, 0] + slack)
+    for column in within.T:
+        padded = np.concatenate([[False], column, [False]]).astype(int)
+        lengths = np.flatnonzero(np.diff(padded) < 0) - np.flatnonzero(np.diff(padded) > 0)
+        # More successive intervals than this with an effort within its limits are an arc and not a smeared switch.
+        if lengths.max(initial=0) > 3:
+            return True
+    return False
+
+
+def _with_linear_efforts(first: FirstSolution) -> FirstSolution:
+    """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
+
+    On a singular arc only higher derivatives of the costates determine an effort that enters affinely. A polynomial through
+    the nodes of an interval can oscillate there, a straight line cannot.
+    """
+    case, asked, motion = first.case, first.case.asked, first.found.motion
+    if case.problem.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(motion, asked.effort_limit):
+        return first
+    linear = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
+    # Efforts linear over intervals replace polynomials if they reduce the integration error to this share.
+    allowed = 0.01 * case.certify(motion).integration_error
+    return _solved_again(first, linear, linear.start_from(motion), allowed, "efforts linear over intervals")
+
+
+def _solved_again(first: FirstSolution, case: OdeCase, start: Start, allowed: float, what: str) -> FirstSolution:
+    """Return a first solution solved again on its mesh, where that reduces the integration error below what is allowed."""
+    durations = np.diff(first.found.motion.breaks_s[[0, -1]])
+    again = attempt(case, start, first.found.mesh, durations, what, warm=True)
+    if again is None or case.certify(again.motion).integration_error >= allowed:
+        return first
+    return replace(first, found=again, case=case)

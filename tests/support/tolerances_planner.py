@@ -107,8 +107,6 @@ ODE_CLOSED_FORM = 1e-9
 ODE_PUBLISHED = 5e-9
 # The same published to six digits from a finite mesh, relative. Measured 2e-6.
 ODE_FOUR_DIGITS = 3e-6
-# The same where arcs are shorter than an interval and read from the mesh, relative. Measured 1.3e-5.
-ODE_HIDDEN_ARCS = 3e-5
 # Against solve_bvp on Pontryagin's conditions, relative: kinks in the effort cost both routes some, the asked change is
 # 1e-8.
 ODE_COSTATES = 5e-8
