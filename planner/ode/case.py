@@ -33,21 +33,25 @@ class OdeCase:
     asked: OdeProblem
     units: Units
     tightenings: tuple[Tightening, ...] = ()
+    has_switch_times: bool = False  # whether the mesh has its switch times already, where the costates put them
+    bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts held between those switch times
 
     target: RefinementTarget = field(init=False)
 
     def __post_init__(self) -> None:
         asked = self.asked
+        # Cut at its switches a bang-bang motion is exact as soon as its integration is. Others settle to 1e-6 where the user
+        # gives no tolerance and that is cheap.
+        default = None if self.has_switch_times else 1e-6
         target = RefinementTarget(
             effort_limit=asked.effort_limit,
             # Wherever an effort has two limits to jump between.
-            switches=bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
+            switches=not self.has_switch_times and bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
             bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
             continuous_efforts=False,  # nothing is known of its costs
             strictness=INTEGRATION_SHARE / asked.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
-            # Where the user gives none and that is cheap, to a millionth.
-            objective_tolerance=asked.objective_tolerance or 1e-6,
+            objective_tolerance=asked.objective_tolerance or default,
             objective_tolerance_given=asked.objective_tolerance is not None,
         )
         object.__setattr__(self, "target", target)
@@ -64,6 +68,8 @@ class OdeCase:
         least_limit: bool = False,
     ) -> Transcribed:
         """Return the program from a start."""
+        if bang_efforts is None and self.bang_efforts is not None and mesh.n_segments == len(self.bang_efforts):
+            bang_efforts = self.bang_efforts
         formulation = formulate_ode(
             self.problem, self.units, state_rows=position_rows, least_limit=least_limit, tightenings=self.tightenings
         )

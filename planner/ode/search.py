@@ -17,6 +17,7 @@ from linkplan.planner.ode.formulation import completed, start_of, straight_guess
 from linkplan.planner.ode.integration import is_unstable
 from linkplan.planner.ode.plan import OdePlan, plan_of
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
+from linkplan.planner.ode.switches import has_arcs, is_affine, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import recorded
@@ -25,7 +26,7 @@ from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
 from linkplan.planner.search.rungs import Budget
-from linkplan.planner.solvers.solve import INVALID
+from linkplan.planner.solvers.solve import INVALID, SOLVER_TOLERANCE
 from linkplan.planner.transcription.formulation import Start
 from linkplan.planner.transcription.mesh import Mesh, broken, uniform
 
@@ -242,10 +243,11 @@ def best_plan(problem: OdeProblem, found: Iterable[FirstSolution]) -> OdePlan | 
 
 
 def refined_motion(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTrajectory, OdeCertificate]:
-    """Return the motion that a first solution is refined to."""
-    asked = replace(problem, mesh=first.case.problem.mesh)
-    first = replace(first, case=OdeCase(asked, problem, first.case.units))
-    first = _with_linear_efforts(_without_wild_efforts(first))
+    """Return the motion that a first solution is refined to; one with switch times is taken as it is."""
+    if not first.case.has_switch_times:
+        asked = replace(problem, mesh=first.case.problem.mesh)
+        first = replace(first, case=OdeCase(asked, problem, first.case.units))
+        first = switch_by_costates(_with_linear_efforts(_without_wild_efforts(first)))
     guess = sampled_guess(first.found.motion)
     unstable = is_unstable(problem, first.found.motion, sizes_of(guess.state))
     if unstable:
@@ -253,6 +255,9 @@ def refined_motion(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTraj
         first = replace(first, case=replace(first.case, units=units_of(problem, guess)))
     refined = refine(first.case, first.found, warm=unstable)
     assert refined is not None  # a user's solution always has a certificate
+    if first.case.has_switch_times and not np.isfinite(refined.objective_error):
+        # Solved on one mesh: next to an arc that vanishes the duration changes by the root of the solver's tolerance.
+        refined = replace(refined, objective_error=float(np.sqrt(SOLVER_TOLERANCE)))
     return refined
 
 
@@ -265,32 +270,6 @@ def _without_wild_efforts(first: FirstSolution) -> FirstSolution:
         return first
     start, what = piecewise_constant(case, motion), "efforts piecewise constant at first"
     return _solved_again(first, case, start, before, what)
-
-
-def is_affine(problem: OdeProblem) -> bool:
-    """True if rate and running cost are affine in the efforts: each effort is then at a limit or on a singular arc."""
-    for name in ("rate", "running_cost"):
-        function = problem.at_instant(name)
-        if function.numel_out(0):
-            x, u, p, t = (ca.SX.sym(k, *function.size_in(i)) for i, k in enumerate("xupt"))
-            slope = ca.jacobian(function(x, u, p, t), u)
-            if ca.depends_on(slope, u):
-                return False
-    return True
-
-
-def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
-    """True if an effort stays within its limits for longer than a smeared switch."""
-    # An effort within this share of its range from a limit is at the limit; the solver is exact to 1e-8.
-    slack = np.where(np.isfinite(limit).all(axis=1), 1e-3 * np.diff(limit, axis=1).ravel(), np.inf)
-    within = (motion.effort.min(axis=0) < limit[:, 1] - slack) & (motion.effort.max(axis=0) > limit[:, 0] + slack)
-    for column in within.T:
-        padded = np.concatenate([[False], column, [False]]).astype(int)
-        lengths = np.flatnonzero(np.diff(padded) < 0) - np.flatnonzero(np.diff(padded) > 0)
-        # More successive intervals than this with an effort within its limits are an arc and not a smeared switch.
-        if lengths.max(initial=0) > 3:
-            return True
-    return False
 
 
 def _with_linear_efforts(first: FirstSolution) -> FirstSolution:

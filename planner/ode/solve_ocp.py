@@ -22,7 +22,6 @@ from linkplan.planner.ode.search import (
     first_mesh,
     first_solutions,
     integrated,
-    is_affine,
     is_open,
     of_least_time,
     of_other_durations,
@@ -31,6 +30,7 @@ from linkplan.planner.ode.search import (
     stretched,
     with_smallest_efforts,
 )
+from linkplan.planner.ode.switches import is_affine
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, progress, record, recorded, recording, silent, step_of

@@ -5,7 +5,7 @@ import pytest
 
 from linkplan.planner.ode.certificate import certify_ode
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.search import has_arcs
+from linkplan.planner.ode.switches import has_arcs
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from tests.support.ode import FREE_EFFORT, NAN, squared_effort
 

@@ -1,4 +1,4 @@
-"""Least times and fuels by `plan_ode` whose switches hide from a mesh."""
+"""Least times and fuels by `plan_ode` whose switches hide from a mesh, from costates and starts that find them."""
 
 from functools import cache
 
@@ -7,14 +7,20 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.formulation import start_of, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
+from linkplan.planner.ode.switches import Switching, _switch_times, is_affine, switching_of
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.transcription.mesh import uniform
 from tests.support.ode import FREE_EFFORT, double_integrator, duration, oscillator, solved, squared_effort
 from tests.support.tolerances_planner import (
     ODE_CLOSED_FORM,
     ODE_COLLAPSED_ARC,
     ODE_PUBLISHED,
     ODE_SHORT,
+    ODE_STATE,
     ODE_SWITCH,
     ROUNDING,
 )
@@ -82,6 +88,25 @@ def test_an_arc_shorter_than_an_interval_is_found():
     time = motion.dense_times(50)
     switches = time[1:][np.diff(np.sign(motion.effort_at(time)[:, 0])) != 0]
     np.testing.assert_allclose(switches, np.cumsum(arcs)[:-1], atol=ODE_SWITCH)
+
+
+def test_switching_functions_are_the_costates_of_the_closed_form():
+    """x'' = u from rest to rest at 1 in least time T = 2: the costate of v is t - 1, as 1 + lambda_v u = 0 at the ends."""
+    problem = OdeProblem(
+        name="double integrator",
+        rate=double_integrator,
+        start=[0, 0],
+        goal=[1, 0],
+        effort_limit=[[-1, 1]],
+        duration_s=(0.1, 10),
+        final_cost=duration,
+    )
+    assert is_affine(problem)
+    guess = straight_guess(problem)
+    case = OdeCase(problem, problem, units_of(problem, guess))
+    found = attempt(case, start_of(guess, case.units), uniform(40), np.array([guess.duration_s]), "")
+    switching = switching_of(problem, found.motion, found.solution)
+    np.testing.assert_allclose(switching.value[:, :, 0], switching.time_s - 1.0, atol=ODE_STATE)
 
 
 # Bang-bang.
@@ -233,3 +258,10 @@ def test_a_duration_that_is_given_is_begun_from_once():
         )
     )
     assert [step.what for step in plan.history if step.what.startswith(("first", "start"))] == ["first solve"]
+
+
+def test_switch_times_are_where_switching_functions_cross_zero():
+    """Straight lines fall through zero at 0.37 s and 1.61 s; a third keeps its sign."""
+    time = np.array([np.linspace(0.0, 1.0, 5), np.linspace(1.0, 2.0, 5)])
+    value = np.stack([0.37 - time, 5.0 * (1.61 - time), 1.0 + time], axis=2)
+    assert _switch_times(Switching(time_s=time, value=value)) == pytest.approx([0.37, 1.61], rel=1e-12)
