@@ -179,7 +179,8 @@ class Plan:
 
     `details` holds further values by name, with the unit in the name. `solved` is the last program with its solution as the
     starting point, for warm starts; None for a motion that needed no solver. `solved_again` says that it was solved by a
-    warm start of an existing program. `read_scheme` is the transcription of a plan that was read, and has no program.
+    warm start of an existing program. `read_scheme` is the transcription of a motion that has no program here, as that of a
+    plan that was read.
     """
 
     problem: Problem

@@ -20,7 +20,7 @@ from linkplan.planner.transcription.schemes import scheme
 # The share of limits on effort and power that is left for the polynomials between their nodes, and the share by which they
 # may differ from the effort and from its acceleration.
 _LIMIT_RESERVE, _POLYNOMIAL_TOLERANCE = 1e-8, 3e-9
-_SCHEME = "radau-7"
+LEGS_SCHEME = "radau-7"
 # Shares of an interval at which it is checked.
 _CHECKED_AT = np.linspace(0.0, 1.0, 12)
 
@@ -107,7 +107,7 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
         h: its width, negative backwards.
         at: place and speed there (2,).
     """
-    known = scheme(_SCHEME)
+    known = scheme(LEGS_SCHEME)
     nodes = known.nodes
 
     def law(s: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
-from linkplan.planner.phase_plane.legs_motion import legs_motion
+from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.phase_plane.power_legs import knows_pins
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -135,7 +135,7 @@ def along_power(search: Search, _: Budget) -> Plan | None:
     said = f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
     best = f"time-optimal {said}: the quickest that turns back only where it must"
     objective = problem.objective.weight("time") * motion.duration_s
-    plan = without_solving(problem, motion, objective, said, best=best)
+    plan = replace(without_solving(problem, motion, objective, said, best=best), read_scheme=LEGS_SCHEME)
     return plan if plan.passed else None
 
 

@@ -58,6 +58,7 @@ def test_a_least_time_is_that_of_the_legs():
     plan = plan_motion(problem, rungs=RUNGS[:1])
     assert plan.status == "optimal", plan.message
     assert plan.solved is None
+    assert plan.scheme == f"radau-{len(plan.trajectory.effort)}"  # that of its polynomials, not the problem's
     assert plan.objective == pytest.approx(least_time(problem), rel=ROOM)
 
 
