@@ -2,7 +2,7 @@
 
 A `Stepper` advances the machines: MuJoCo (mujoco_plant.py) or the reduced dynamics (rigid_plant.py). Results of a machine
 do not depend on the other machines. A machine that diverges, or whose tracker fails, is frozen: its log ends, and it is put
-back to its start, where the law can be evaluated.
+back to its start.
 """
 
 import time
@@ -78,19 +78,23 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
     logs = (log.pose, log.velocity, log.commanded, log.applied, log.speed)
     for k, (row, q, v, command, applied, speed) in enumerate(zip(log.instants.reshape(instants, -1), *logs, strict=True)):
         check()
+        if not stepper.running.any():
+            break
         stepper.read(q, v)
         s, rate = q[:, independent], v
         if sensors is not None:
             s, rate = measure(sensors, k, s, rate)
         begin = clock()
-        efforts, memory, failed = _efforts(law, k, s, rate, memory, n_u)
+        if stepper.running.all():
+            command[...], memory, failed = _efforts(law, k, s, rate, memory, n_u)
+        else:  # the law is not evaluated for frozen machines
+            run, memory, command[...] = np.flatnonzero(stepper.running), memory.copy(), 0.0
+            command[run], memory[run], raised = _efforts(law, k, s[run], rate[run], memory[run], n_u)
+            failed = {int(run[i]): error for i, error in raised.items()}
         log.asked_s[k] = clock() - begin
-        command[...] = efforts
         # If the sum of squares is finite and small, all states and commands are valid.
         if not row.dot(row) < bound:
             _freeze_failures(log, stepper, k, failed)
-            if not stepper.running.any():
-                break
         stepper.hold(command, applied, speed)
     for machine in np.flatnonzero(log.done < instants):
         for whole in (log.instants, log.applied, log.speed):

@@ -25,7 +25,7 @@ from linkplan.controllers.linearisation import linearise
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, sampled
-from linkplan.models.tree.passive import joint_passive
+from linkplan.models.tree.passive import is_gas_spring, joint_passive
 
 # Integrators that do not use the derivatives of a servo's force.
 _EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
@@ -154,7 +154,8 @@ def _discrete_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -
     if int(mechanism.model.opt.solver) == int(mujoco.mjtSolver.mjSOL_PGS):
         return -sampled(_slope(mechanism, "joint dampers"), pose, rates), K
     D = _servo_terms(mechanism, pose, 2) - sampled(_slope(mechanism, "dampers"), pose, rates)
-    return D, K + _tendon_stiffness(mechanism, pose) + _servo_terms(mechanism, pose, 1)
+    K = K + _tendon_stiffness(mechanism, pose) + _gas_stiffness(mechanism, pose)
+    return D, K + _servo_terms(mechanism, pose, 1)
 
 
 def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarray:
@@ -168,6 +169,24 @@ def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarr
         return np.zeros((len(pose), mechanism.n_q, mechanism.n_q))
     moments = sampled(mechanism.dynamics.effort_matrix, pose)
     return (moments * own) @ moments.swapaxes(1, 2)
+
+
+def _gas_stiffness(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
+    """Return the contribution of actuators without gain to K (n, n_q, n_q), as `_servo_terms` does for servos."""
+    model, n_q = mechanism.model, mechanism.n_q
+    springs = [a for a in range(model.nactuator) if is_gas_spring(model, a)]
+    K = np.zeros((len(pose), n_q, n_q))
+    if not springs:
+        return K
+    data, outputs = mujoco.MjData(model), model.actuator_outadr[springs]
+    stiffness = np.maximum(-model.actuator_biasprm[springs, 1], 0.0)
+    for k, q in enumerate(pose):
+        data.qpos[:], arms = mechanism.qpos_of(q), np.zeros((len(data.moment_rownnz), model.nv))
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mju_sparse2dense(arms, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        arms = arms[outputs] @ np.array([mechanism.qvel_of(q, unit) for unit in np.eye(n_q)]).T
+        K[k] = arms.T @ (stiffness[:, None] * arms)
+    return K
 
 
 def _tendon_stiffness(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ A mesh that is only drawn or touched is left out with its geoms. A mesh that giv
 refused then, because its dynamics would be others.
 """
 
+import os
 from pathlib import Path
 
 import mujoco
@@ -60,7 +61,7 @@ def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
 
 def _is_missing(folder: Path, name: str, stripped: bool) -> bool:
     """Return True if a file is not where MuJoCo looks for it: in the folder, without the path of its name if `stripped`."""
-    return bool(name) and not (folder / (Path(name).name if stripped else name)).is_file()
+    return bool(name) and not os.path.isfile(folder / (Path(name).name if stripped else name))
 
 
 def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:

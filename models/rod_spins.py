@@ -27,7 +27,7 @@ def spin_refusal(model: mujoco.MjModel, joint: int) -> str | None:
     if model.jnt_stiffness[joint] or model.jnt_limited[joint]:
         return "has a spring or a range, which a universal joint does not have"
     on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    if any(int(model.actuator_trntype[a]) in on_joint and model.actuator_trnid[a, 0] == joint for a in range(model.nu)):
+    if joint in model.actuator_trnid[np.isin(model.actuator_trntype, on_joint), 0]:
         return "is driven by an actuator"
     return None
 

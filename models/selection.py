@@ -236,7 +236,7 @@ def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) ->
     if not dropped:
         return []
     mass = float(sum(model.body_mass[body] for body in dropped))
-    names = ", ".join(model.body(body).name for body in roots)
+    names = listed([model.body(body).name for body in roots], 12)
     return [f"dropped with all that hangs on them ({len(dropped)} bodies, {mass:.4g} kg): {names}"]
 
 

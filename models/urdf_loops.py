@@ -69,8 +69,9 @@ def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: S
         _close(spec, "-".join(pair), ends, _WELD if kind.lower() == "6d" else _CONNECT)
     for loop in loops:
         _close_loop_joint(spec, loop)
+    data, names = (data_at(spec.compile()), [body.name for body in spec.bodies]) if hinges else (None, [])
     for hinge in hinges:
-        _close_hinge(spec, hinge)
+        _close_hinge(spec, hinge, data, names)
     sources = {
         "the URDF": ["-".join(pair) for pair in frames] + [str(loop.get("name")) for loop in loops],
         _BESIDE: ["-".join(pair) for pair in named.closed_loop],
@@ -158,10 +159,9 @@ def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
         _close(spec, f"{name} axis", further, _CONNECT)
 
 
-def _close_hinge(spec: mujoco.MjSpec, hinge: CutHinge) -> None:
-    """Close a hinge that was cut by two connects on its axis, which let its links turn."""
-    model, links = spec.compile(), (hinge.link_a, hinge.link_b)
-    data, names = data_at(model), [body.name for body in spec.bodies]
+def _close_hinge(spec: mujoco.MjSpec, hinge: CutHinge, data: mujoco.MjData, names: Sequence[str]) -> None:
+    """Close a hinge that was cut by two connects on its axis, which let its links turn; `names` are those of all bodies."""
+    links = (hinge.link_a, hinge.link_b)
     bodies = [names.index(choose("link in loop_closures.yaml", link, names)) for link in links]
     along, name = np.array(hinge.axis) / np.linalg.norm(hinge.axis), "-".join(links)
     for label, point in ((name, np.array(hinge.point)), (f"{name} axis", hinge.point + _HINGE_WIDTH_M * along)):

@@ -176,7 +176,7 @@ def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
     if int(model.actuator_plugin[index]) >= 0:
         return switched_off(model, index)
     if is_gas_spring(model, index):
-        return passive_terms_modelled(model, index) or not has_passive_terms(model, index)
+        return passive_terms_modelled(model, index)
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
     affine = gain in (FIXED, AFFINE) and (
         bias == NO_BIAS or (bias == AFFINE_BIAS and not any(_coefficients(model, index)[1]))
@@ -193,7 +193,7 @@ def has_passive_terms(model: mujoco.MjModel, index: int) -> bool:
 
 
 def passive_terms_modelled(model: mujoco.MjModel, index: int) -> bool:
-    """Return True if the tree includes the actuator's own damping and armature: on a hinge, slide or most tendons."""
+    """Return True if the tree includes an actuator's passive forces and armature: on a hinge, slide or most tendons."""
     if int(model.actuator_trntype[index]) == int(TRN_TENDON):
         return not lacks_length(model, int(model.actuator_trnid[index, 0]))
     on_joint = attachment(model, index)

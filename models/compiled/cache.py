@@ -73,6 +73,9 @@ def trusted_folder(*, make: bool) -> Path:
     found = folder.stat()
     if found.st_uid == os.geteuid() and found.st_mode & _WRITABLE_BY_OTHERS and not os.environ.get("LINKPLAN_CACHE"):
         folder.chmod(0o700)  # an earlier version created it under a permissive umask
+        for entry in os.scandir(folder):  # others may have put them there
+            if _ENTRY.fullmatch(entry.name):
+                os.unlink(entry.path)
         found = folder.stat()
     above = dict.fromkeys([*Path(os.path.abspath(given)).parents, *folder.parents])  # parents of symbolic links count too
     whose = "belongs to somebody else" if found.st_uid != os.geteuid() else None

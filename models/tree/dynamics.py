@@ -20,6 +20,7 @@ from linkplan.models.tree.newton_euler import Inertial, inertial_of, newton_eule
 from linkplan.models.tree.passive import (
     compensates,
     disabled,
+    gas_springs,
     joint_armature,
     joint_passive,
     tendon_inertias,
@@ -135,6 +136,7 @@ def build_tree(
     if not coordinates.trivial:
         joint_force = T.T @ joint_force
     tendon_force, tendon_energy = tendon_passive(model, lengths, q, qd)
+    gas_force, gas_energy = gas_springs(model, lengths, q, qd)
     compensation_energy = _compensation_energy(model, frames, gravity)
     compensation = -ca.jacobian(compensation_energy, q).T
     mass_matrix = ca.jacobian(tau, qdd)
@@ -149,10 +151,10 @@ def build_tree(
         mass_matrix=mass_matrix,
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
         gravity=weight - compensation,
-        passive=joint_force + tendon_force + compensation,
+        passive=joint_force + tendon_force + gas_force + compensation,
         friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(model)),
         kinetic_energy=0.5 * ca.dot(qd, mass_matrix @ qd),
-        potential_energy=potential + spring_energy + tendon_energy + compensation_energy,
+        potential_energy=potential + spring_energy + tendon_energy + gas_energy + compensation_energy,
         velocity_matrix=T,
         tendon_lengths=lengths,
     )

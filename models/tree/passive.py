@@ -88,21 +88,27 @@ def is_gas_spring(model: mujoco.MjModel, actuator: int) -> bool:
     return law and int(model.actuator_plugin[actuator]) < 0 and not clamped and not switched_off(model, actuator)
 
 
-def _gas_spring(model: mujoco.MjModel, actuator: int, length: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the force of an actuator without gain, within its forcerange, and its energy [J] at rest.
+def gas_springs(model: mujoco.MjModel, lengths: Sequence, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the generalised force (n_q,) of actuators without gain, within their forceranges, and their energy [J] at rest.
 
-    With F(l) = clip(b0 + b1 l) and l1 the length inside the range with this force, E = -(b0 l1 + b1 l1^2 / 2 + F (l - l1)).
+    The force along a length l is F = clip(b0 + b1 l + b2 l'). At rest, with l1 the length inside the range that has the same
+    force, the energy is -(b0 l1 + b1 l1^2 / 2 + F (l - l1)).
     """
-    b0, b1, b2 = (float(b) for b in model.actuator_biasprm[actuator, :3])
-    low, high = model.actuator_forcerange[actuator] if model.actuator_forcelimited[actuator] else (-np.inf, np.inf)
-
-    def clipped(force: ca.SX) -> ca.SX:
-        return ca.fmin(ca.fmax(force, low), high) if np.isfinite([low, high]).any() else force
-
-    still = clipped(ca.SX(b0 + b1 * length))
-    inside = (still - b0) / b1 if b1 else length
-    energy = -(b0 * inside + b1 * inside**2 / 2 + still * (length - inside)) if b1 else -still * length
-    return clipped(ca.SX(b0 + b1 * length + b2 * speed)), energy
+    force, energy = ca.SX.zeros(model.nv), ca.SX(0)
+    on_tendons = [(a, gear * lengths[t]) for t, gear, a in _tendon_actuators(model) if lengths[t] is not None]
+    on_joints = [(a, gear * q[dof]) for dof, gear, a in _joint_actuators(model)]
+    for actuator, length in (*on_tendons, *on_joints):
+        if not is_gas_spring(model, actuator):
+            continue
+        arm, (b0, b1, b2) = ca.jacobian(length, q), (float(b) for b in model.actuator_biasprm[actuator, :3])
+        still, push = b0 + b1 * length, b0 + b1 * length + b2 * (arm @ qd)
+        if model.actuator_forcelimited[actuator]:
+            low, high = (float(end) for end in model.actuator_forcerange[actuator])
+            still, push = (ca.fmin(ca.fmax(one, low), high) for one in (still, push))
+        inside = (still - b0) / b1 if b1 else length
+        energy -= b0 * inside + b1 * inside**2 / 2 + still * (length - inside)
+        force += arm.T * push
+    return force, energy
 
 
 def simulated_gas_springs(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -173,10 +179,6 @@ def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple
                 if driven == tendon:
                     coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
                     pull -= gear**2 * _damper(speed, *coefficients)
-        for driven, gear, actuator in _tendon_actuators(model):
-            if driven == tendon and is_gas_spring(model, actuator):
-                push, stored = _gas_spring(model, actuator, gear * length, gear * (arm @ qd))
-                pull, energy = pull + gear * push, energy + stored
         force += arm.T * pull
     return force, energy
 
@@ -203,10 +205,6 @@ def joint_passive(model: mujoco.MjModel, q: ca.SX, velocity: ca.SX) -> tuple[ca.
         for dof, gear, actuator in _joint_actuators(model):
             coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
             force[dof] -= gear**2 * _damper(velocity[dof], *coefficients)
-    for dof, gear, actuator in _joint_actuators(model):
-        if is_gas_spring(model, actuator):
-            push, stored = _gas_spring(model, actuator, gear * q[dof], gear * velocity[dof])
-            force[dof], energy = force[dof] + gear * push, energy + stored
     return force, energy
 
 

@@ -12,6 +12,7 @@ from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, s
 from linkplan.models.poses.reach import RANGE_ROUNDING
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.passive import is_gas_spring
 from linkplan.studies.check.check_report import effort_unit
 
 
@@ -56,7 +57,8 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     if not len(ends) or (np.any(ends[:, 0] < 0) and np.any(ends[:, 1] > 0)):
         return None
     weight = np.abs(np.array(mechanism.dynamics.gravity_effort(mechanism.home))[column]).item()
-    if np.any(model.jnt_stiffness) or weight > 0.01 * np.abs(ends).max():
+    gas = any(is_gas_spring(model, a) for a in range(model.nactuator))
+    if gas or np.any(model.jnt_stiffness) or weight > 0.01 * np.abs(ends).max():
         return None
     unit, damped = effort_unit(joint), float(model.dof_damping[index]) > 0
     moves = "turns" if joint.kind == "hinge" else "pushes"

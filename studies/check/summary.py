@@ -64,7 +64,7 @@ def _names(mechanism: Mechanism) -> re.Pattern | None:
         mujoco.mjtObj.mjOBJ_GEOM: model.ngeom,
         mujoco.mjtObj.mjOBJ_SITE: model.nsite,
         mujoco.mjtObj.mjOBJ_JOINT: model.njnt,
-        mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
+        mujoco.mjtObj.mjOBJ_ACTUATOR: model.nactuator,
         mujoco.mjtObj.mjOBJ_EQUALITY: model.neq,
         mujoco.mjtObj.mjOBJ_TENDON: model.ntendon,
     }

@@ -15,6 +15,7 @@ import numpy as np
 from linkplan.models.transfer.polytope import speed_box
 from linkplan.models.transfer.serial import SerialModel
 from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.tree.passive import is_gas_spring
 from linkplan.studies.transfer.study import Transfer
 from linkplan.studies.transfer.units import units_of
 
@@ -74,6 +75,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
         found.append(f"speed limits are {_UNKNOWN_SPEED} where no speeds of the motors are given")
     lacking = {
         "springs of joints": bool(np.any(model.jnt_stiffness)),
+        "gas springs": any(is_gas_spring(model, a) for a in range(model.nactuator)),
         "closures of other loops": model.neq > 0,
         "shapes other than boxes, spheres, cylinders and capsules": None in [_shape(model, g) for g in range(model.ngeom)],
     }

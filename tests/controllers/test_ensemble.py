@@ -139,6 +139,22 @@ class _Counting:
         return memory.copy(), memory + 1
 
 
+def test_a_tracker_is_not_evaluated_for_frozen_machines_and_keeps_the_memory_of_the_others():
+    mechanism, reference = reach()
+    blown = Imperfections(pushes=(Push(start_s=0.005, duration_s=0.001, joint="O", effort=1e16),))
+    asked, counting = [], _Counting()
+
+    class Recording(_Counting):
+        def step(self, k, position, velocity, memory):
+            asked.append(len(position))
+            return counting.step(k, position, velocity, memory)
+
+    found = run_machines(mechanism, reference, Recording(), LOOP, [blown, Imperfections()])
+    assert found.failure == (DIVERGED, None)
+    assert asked == [2] * (int(found.done[0]) + 1) + [1] * (reference.n - int(found.done[0]) - 1)
+    assert np.array_equal(found.commanded[:, 1, 0], np.arange(reference.n))
+
+
 def test_a_tracker_s_memory_is_held_by_the_loop_single_or_many():
     mechanism, reference = reach()
     many = run_machines(mechanism, reference, _Counting(), LOOP, [Imperfections(), everything(3)])

@@ -21,12 +21,15 @@ CHAIN = """<body><joint name="a" axis="0 1 0" armature="0.01"/><geom type="capsu
 <body pos="0.3 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></body>"""
 APART = CHAIN.replace('<body pos="0.3 0 0">', '</body><body pos="0 1 0">').replace("</body></body>", "</body>")
 MOTORS = '<motor name="ma" joint="a"/><motor name="mb" joint="b"/>'
+GAS = 'gainprm="0" biastype="affine" biasprm="0.3 -20 -1"'
 ACTING = {
     "a tendon's damper": (CHAIN, 'damping="0.5"', MOTORS),
     "a tendon's damper across branches": (APART, 'damping="0.5"', MOTORS),
     "a tendon's spring": (CHAIN, 'stiffness="20"', MOTORS),
     "a tendon's motor with damping": (CHAIN, "", '<motor tendon="t" damping="0.3" gear="2"/><motor joint="b"/>'),
     "a servo": (CHAIN, "", '<position joint="a" kp="20" kv="1"/><motor joint="b"/>'),
+    "a gas spring": (CHAIN, "", MOTORS + f'<general joint="a" {GAS}/>'),
+    "a gas spring on a tendon": (CHAIN, "", MOTORS + f'<general tendon="t" gear="2" {GAS}/>'),
     "a servo on a tendon": (CHAIN, "", '<position tendon="t" kp="20" kv="1"/><motor joint="b"/>'),
 }
 
@@ -63,7 +66,7 @@ def test_the_map_of_a_step_is_the_simulator_s(what, integrator):
 
 
 def test_under_the_dual_solver_the_discrete_step_leaves_tendons_and_servos_out():
-    for what in ("a tendon's damper", "a servo"):
+    for what in ("a tendon's damper", "a servo", "a gas spring"):
         assert_maps_agree(loaded(what, "discrete", solver="PGS"))
 
 

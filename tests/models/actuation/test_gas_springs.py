@@ -78,3 +78,14 @@ def test_forces_that_a_clamp_or_a_control_changes_are_not_among_them(range_of_jo
     actuator = f'<general name="torsion" joint="rod" {law} biasprm="0.2 -0.5 -0.1"/>'
     found = [one for one in audit(load_mechanism(ARM % (range_of_joint, actuator)).model) if "torsion" in one.text]
     assert any(one.falsifies and "its gain vanishes at rest" in one.text for one in found)
+
+
+def test_forces_on_a_tendon_whose_length_is_not_known_are_not_among_them():
+    """A side site within the sphere: the cord wraps around its inside."""
+    drum = '<geom name="drum" type="sphere" size=".05" pos="0.05 0 0.1"/><site name="in" pos="0.05 0 0.1"/>'
+    inside = ARM.replace('<site name="wall"', f'{drum}<site name="wall"').replace(
+        '<site site="wall"/>', '<site site="wall"/><geom geom="drum" sidesite="in"/>'
+    )
+    (found,) = [one for one in audit(load_mechanism(inside % ("", STRUT)).model) if "actuator gas" in one.text]
+    assert found.falsifies
+    assert "plans leave it out, though it acts at zero control too" in found.text
