@@ -24,7 +24,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-_WORK = ".work-"
+_WORK = ".build-"
 # A compilation that began longer ago than this [s] and left no library has failed.
 _MAX_COMPILATION_AGE_S = 600.0
 # Names of an entry's two files. No other file of the folder is removed.

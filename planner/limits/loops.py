@@ -97,7 +97,7 @@ class SingularMarginLimit(PathLimit):
     """
 
     key: ClassVar[str] = "singular_margin"
-    words: ClassVar[str] = "the distance from a singular pose"
+    words: ClassVar[str] = "the distance from a singular pose, relative to home,"
     beyond: ClassVar[str] = "short of"
     row_kind: ClassVar[str] = "singular"
     n_numbers: ClassVar[int] = 1

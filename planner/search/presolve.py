@@ -11,6 +11,7 @@ from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
+from linkplan.models.tree.joints import POSITION_ROUNDING
 from linkplan.planner.certificate.boundary import POSE_SLACK
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.loops import SingularMarginLimit
@@ -111,8 +112,11 @@ def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Site
     mechanism, motion = problem.mechanism, problem.motion
     if motion.start is not None:
         yield "at the start", close_at(mechanism, motion.start), None
-    if motion.goal is not None:
-        yield "at the goal", close_at(mechanism, motion.goal), motion.goal_at if motion.goal_is_free else None
+    if motion.goal is not None and not motion.goal_is_free:
+        yield "at the goal", close_at(mechanism, motion.goal), None
+    if motion.goal is not None and motion.goal_is_free:
+        with contextlib.suppress(AssemblyError):  # the search finds that the loops do not close there
+            yield "at the goal", close_at(mechanism, motion.goal), motion.goal_at
     for k, waypoint in enumerate(motion.waypoints):
         if not np.any(np.isnan(waypoint.guessed)):
             with contextlib.suppress(AssemblyError):  # the search finds that the loops do not close there
@@ -153,8 +157,9 @@ def sentence_beyond(
         size = problem.mechanism.extent_m if isinstance(limit, SitePathLimit) else measured.size or abs(nearest[k]) or 1.0
         if off[k] > slack * size:
             unit, title = f" {measured.unit}".rstrip(), limit.words.format(measured.name)
+            value = measured.values[k] if abs(measured.values[k]) > POSITION_ROUNDING * size else 0.0
             return (
-                f"infeasible: {title} {limit.verb} {measured.values[k]:.6g}{unit} {when or _where(problem, poses[k])},"
+                f"infeasible: {title} {limit.verb} {value:.6g}{unit} {when or _where(problem, poses[k])},"
                 f" {off[k]:.4g}{unit} {limit.beyond} its limit of {nearest[k]:.6g}"
             )
     return None

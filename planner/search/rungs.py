@@ -93,15 +93,13 @@ class Path(Generic[Stage]):
 class Steps:
     """How a parameter is changed: from `begin` towards `end`, by a `factor` at a time.
 
-    A lost step is tried again with the root of the factor, `halvings` times at most; `most` steps in all, where the end is
-    infinite or far away.
+    A lost step is tried again with the root of the factor, `halvings` times at most.
     """
 
     begin: float
     end: float
     factor: float
     halvings: int
-    most: int = 40
 
 
 def followed(
@@ -123,7 +121,7 @@ def followed(
     """
     stages, value, factor, halvings = [stage], steps.begin, steps.factor, steps.halvings
     way = np.sign(np.log(steps.factor))
-    for _ in range(steps.most):
+    for _ in range(40):  # the end may be infinite or far away
         # The relative distance at which a parameter counts as at its end: rounding.
         if way * (steps.end * (1 - way * 1e-12) - value) <= 0:
             return Path(stages=tuple(stages), arrived=True)

@@ -128,11 +128,11 @@ def is_along_power(search: Search) -> bool:
 
 def along_power(search: Search, _: Budget) -> Plan | None:
     """Return the plan of legs along limits on power and pin force, which need no solver; None if it does not pass."""
-    progress("the phase plane along limits on power, integrated")
+    progress("the phase plane along its limits, integrated")
     problem, motion = search.problem, legs_motion(search.problem, search.start_pose)
     if motion is None or not (problem.motion.min_duration_s or 0.0) <= motion.duration_s <= longest(problem):
         return None
-    said = f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
+    said = f"motion of {motion.duration_s:.6g} s, integrated along its limits"
     best = f"time-optimal {said}: the quickest that turns back only where it must"
     objective = problem.objective.weight("time") * motion.duration_s
     plan = replace(without_solving(problem, motion, objective, said, best=best), read_scheme=LEGS_SCHEME)

@@ -60,7 +60,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     assert asked is not None  # a free duration needs no rest
     if len(search.known.motions) == 1 and quick.solved is not None:
         longer = _a_little_longer(search, budget, quick)
-        if longer is not None and longer.trajectory.duration_s >= asked:
+        if longer is not None and longer.trajectory.duration_s >= (1 - MIN_INTERVAL_SHARE) * asked:
             return longer
         if longer is not None:
             search.known.add(longer.require_motion("wait after"))

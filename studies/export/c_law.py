@@ -57,7 +57,7 @@ def law_tables(plan: Plan, tracker: str) -> LawTables:
     choose("tracker for C", tracker, C_TRACKERS, ProblemError)
     reference = tracking_reference(plan)
     law = build_tracker(tracker, plan, reference)
-    gains, feedforward = tracker_gains(law), reference.effort * feeds_forward(law)
+    gains, feedforward = tracker_gains(law), reference.effort if feeds_forward(law) else np.zeros_like(reference.effort)
     if np.all(gains == gains[0]):
         gains = gains[:1]
     if reference.n * (2 * reference.position_rad.shape[1] + feedforward.shape[1]) + gains.size > _MAX_NUMBERS:

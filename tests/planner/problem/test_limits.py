@@ -262,7 +262,7 @@ def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant(case):
 def test_a_goal_nearer_to_a_singular_pose_than_allowed_is_said_without_solving():
     plan = planned("knee-reach", "limits.singular_margin=0.6")
     assert plan.status == "infeasible"
-    assert "the distance from a singular pose is 0.440993 at the goal" in plan.message
+    assert "the distance from a singular pose, relative to home, is 0.440993 at the goal" in plan.message
     assert "0.159 short of its limit of 0.6" in plan.message
     assert plan.history == ()
 

@@ -265,7 +265,7 @@ def test_a_compiler_ends_before_the_planner_s_deadline_and_the_interpreter_serve
 
 
 def test_what_a_kill_left_in_the_cache_is_removed_by_the_next_run(folder):
-    left = folder / ".work-left"
+    left = folder / ".build-left"
     left.mkdir()
     (left / "k1.c").write_text("int", encoding="utf-8")
     os.utime(left, (1000.0, 1000.0))
@@ -293,12 +293,15 @@ def test_users_without_a_home_have_a_temporary_cache(tmp_path, monkeypatch):
 
 
 @needs_owners
-def test_an_earlier_versions_own_folder_is_closed_to_others(tmp_path, monkeypatch):
+def test_an_earlier_versions_own_folder_is_closed_to_others_and_loses_what_they_may_have_put_there(tmp_path, monkeypatch):
     monkeypatch.delenv("LINKPLAN_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (tmp_path / "linkplan").mkdir()
+    (tmp_path / "linkplan" / f"k{'0' * 32}.so").touch()
+    (tmp_path / "linkplan" / "note.txt").touch()
     (tmp_path / "linkplan").chmod(0o775)
     assert trusted_folder(make=False).stat().st_mode & 0o777 == 0o700
+    assert [path.name for path in (tmp_path / "linkplan").iterdir()] == ["note.txt"]
 
 
 def test_a_record_says_the_library_s_hash(folder):
