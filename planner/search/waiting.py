@@ -58,6 +58,8 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     problem = search.within(budget)
     asked = problem.motion.duration_s
     assert asked is not None  # a free duration needs no rest
+    if asked - quick.trajectory.duration_s <= MIN_INTERVAL_SHARE * asked:
+        return None
     if len(search.known.motions) == 1 and quick.solved is not None:
         longer = _a_little_longer(search, budget, quick)
         if longer is not None and longer.trajectory.duration_s >= (1 - MIN_INTERVAL_SHARE) * asked:

@@ -149,13 +149,13 @@ def test_rungs_are_few_and_their_names_are_their_own():
 
 
 def test_continuation_goes_to_the_end_by_equal_factors():
-    path = followed(1.0, Steps(begin=1.0, end=10.0, factor=2.0, halvings=2, most=20), lambda _, value: value)
+    path = followed(1.0, Steps(begin=1.0, end=10.0, factor=2.0, halvings=2), lambda _, value: value)
     assert path.arrived
     assert path.stages == (1.0, 2.0, 4.0, 8.0, 10.0)
 
 
 def test_continuation_goes_down_as_it_goes_up():
-    path = followed(1.0, Steps(begin=1.0, end=0.1, factor=0.5, halvings=2, most=20), lambda _, value: value)
+    path = followed(1.0, Steps(begin=1.0, end=0.1, factor=0.5, halvings=2), lambda _, value: value)
     assert path.arrived
     assert path.stages == (1.0, 0.5, 0.25, 0.125, 0.1)
 
@@ -168,16 +168,14 @@ def test_a_lost_step_is_tried_again_with_the_root_of_its_factor():
         tried.append(value / stage)
         return value if value < 1.5 * stage else None
 
-    path = followed(1.0, Steps(begin=1.0, end=8.0, factor=4.0, halvings=2, most=30), solve)
+    path = followed(1.0, Steps(begin=1.0, end=8.0, factor=4.0, halvings=2), solve)
     assert path.arrived
     assert tried[:3] == pytest.approx([4.0, 2.0, np.sqrt(2.0)])
     assert path.stages[-1] == 8.0
 
 
 def test_a_continuation_that_is_lost_for_good_keeps_what_it_passed():
-    path = followed(
-        1.0, Steps(begin=1.0, end=8.0, factor=2.0, halvings=0, most=30), lambda _, value: value if value < 3 else None
-    )
+    path = followed(1.0, Steps(begin=1.0, end=8.0, factor=2.0, halvings=0), lambda _, value: value if value < 3 else None)
     assert not path.arrived
     assert path.stages == (1.0, 2.0)
 
@@ -189,7 +187,7 @@ def test_a_continuation_ends_where_it_has_gone_far_enough():
         enough.append((before, after, whole))
         return after > 3
 
-    path = followed(1.0, Steps(begin=1.0, end=100.0, factor=2.0, halvings=0, most=30), lambda _, v: v, enough=settled)
+    path = followed(1.0, Steps(begin=1.0, end=100.0, factor=2.0, halvings=0), lambda _, v: v, enough=settled)
     assert path.arrived
     assert path.stages == (1.0, 2.0, 4.0)
     assert all(whole for *_, whole in enough)
