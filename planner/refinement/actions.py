@@ -11,8 +11,9 @@ from linkplan.planner.refinement.case import Iterate, attempt, certify_iterate
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import progress, record, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
+from linkplan.planner.refinement.pontryagin import interval_breaks, released
 from linkplan.planner.refinement.state import RefinementState, observed
-from linkplan.planner.refinement.switch_search import settle_switch_times
+from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
 from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed
@@ -120,6 +121,29 @@ class Loosen:
             return replace(new, ended=True, loose=state.best)
         at = certify_iterate(state.asked, found)
         return observed(replace(new, loose=at), at)
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseArcs:
+    """Let held arcs begin and end where the sign of their multipliers changes (Pontryagin's principle)."""
+
+    def apply(self, state: RefinementState) -> RefinementState:
+        """Return the state with the arcs released."""
+        best = state.best.found
+        release = released(best.solution)
+        if release is None:
+            return replace(state, releases=state.releases + 1, ended=True)
+        ends, fixed = release
+        finest = state.asked.with_scheme(best.solution.transcribed.scheme.name)
+        boundaries = interval_breaks(best.solution)[best.mesh.boundaries()]
+        switch_times = ends[1:-1][~np.isin(ends[1:-1], boundaries)]
+        mesh, durations = mesh_with_switches(boundaries, switch_times, state.asked.problem.mesh.intervals)
+        what = "arcs against their limits released"
+        found = attempt(finest, finest.start_from(best.motion), mesh, durations, what, warm=True, fixed=fixed)
+        counted = replace(state, case=finest, releases=state.releases + 1, rounds=state.rounds + 1)
+        if found is None:
+            return replace(counted, ended=True)
+        return observed(replace(counted, ended=False, warm=True), certify_iterate(state.asked, found))
 
 
 def _held_in(found: Iterate[Any]) -> FixedArcs | None:

@@ -22,6 +22,7 @@ from linkplan.planner.refinement.actions import (
     Loosen,
     RaiseDegree,
     ReadSwitches,
+    ReleaseArcs,
     Restore,
     Tighten,
 )
@@ -40,6 +41,7 @@ from linkplan.planner.refinement.marking import (
     rough_of,
     uneven_of,
 )
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.state import RefinementState
 from linkplan.planner.refinement.switch_search import is_bang_bang
 
@@ -53,8 +55,8 @@ ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-
 # A mesh grows by this factor at most for digits of the objective that the user did not ask for: a solve on such a mesh takes
 # about as many times as long as the first. A second mesh, which tells the error, is always solved.
 CHEAP_GROWTH = 8
-# Switches are read again at most so often.
-MAX_READINGS = 3
+# Switches are read again at most so often, and wrongly held arcs released.
+MAX_READINGS, MAX_RELEASES = 3, 3
 # Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
 HALVINGS_BEFORE_TIGHTENING = 4
 # Limits are loosened while tightening costs more than this share of the objective, on at most so many intervals, until so
@@ -133,8 +135,13 @@ def _finer(state: RefinementState, over: np.ndarray) -> Action | None:
 
 
 def _towards_the_optimum(state: RefinementState) -> Action | None:
-    """Return the next action on a motion that passes: loosen limits."""
-    return Loosen() if state.best is not None and _may_loosen(state) else None
+    """Return the next action on a motion that passes: release arcs that are held too long, and loosen limits."""
+    best = state.best
+    if best is None:
+        return None
+    if state.releases < MAX_RELEASES and len(arcs_against_their_limits(best.found.solution)):
+        return ReleaseArcs()
+    return Loosen() if _may_loosen(state) else None
 
 
 def _may_loosen(state: RefinementState) -> bool:

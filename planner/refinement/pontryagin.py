@@ -7,6 +7,7 @@ or the holding restricts this motion. The reduced gradient of an effort is the i
 
 import numpy as np
 
+from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.solvers.solve import Solution
 
 # A multiplier of the wrong sign above this share of the largest one is more than rounding.
@@ -23,8 +24,7 @@ _SECOND_ORDER = ("site", "tube", "tendon", "singular", "path")
 
 def arcs_against_their_limits(solution: Solution) -> np.ndarray:
     """Return the instants (n,) [s], middles of intervals, at which the optimum would leave a held limit."""
-    program, transcribed = solution.transcribed.program, solution.transcribed
-    breaks = program.mesh.breaks(solution.x[program.layout.durations()] * transcribed.units.time_s)
+    breaks = interval_breaks(solution)
     wrong = np.hstack(held_wrongly(solution)).any(axis=1)
     return 0.5 * (breaks[1:] + breaks[:-1])[wrong]
 
@@ -38,6 +38,12 @@ def limits_bind(solution: Solution) -> bool:
     most = BINDING_SHARE * np.abs(rows[equal]).max(initial=np.finfo(float).tiny)
     of_unknowns = np.abs(unknowns[transcribed.lower < transcribed.upper])
     return bool(max(np.abs(rows[~equal]).max(initial=0.0), of_unknowns.max(initial=0.0)) > most)
+
+
+def interval_breaks(solution: Solution) -> np.ndarray:
+    """Return the ends of a solution's intervals (n + 1,) [s]."""
+    program, transcribed = solution.transcribed.program, solution.transcribed
+    return program.mesh.breaks(solution.x[program.layout.durations()] * transcribed.units.time_s)
 
 
 def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -80,3 +86,20 @@ def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
     of_arcs = np.zeros((mesh.n_segments, of_paths.shape[1]))
     np.add.at(of_arcs, mesh.segment, of_paths)
     return transcribed.constrained_paths[mesh.segment] * np.where(second, of_arcs[mesh.segment], of_paths)
+
+
+def released(solution: Solution) -> tuple[np.ndarray, FixedArcs] | None:
+    """Return the ends (n_segments + 1,) [s] of segments and what to hold on them; None if nothing is held wrongly."""
+    transcribed, mesh = solution.transcribed, solution.transcribed.program.mesh
+    wrong = np.hstack(held_wrongly(solution))
+    if not wrong.any():
+        return None
+    first = np.concatenate([[True], (np.diff(mesh.segment) != 0) | np.any(wrong[1:] != wrong[:-1], axis=1)])
+    n_u, n_path = transcribed.program.layout.n_u, transcribed.program.interval.n_path
+    efforts, paths = transcribed.bang_efforts, transcribed.constrained_paths
+    efforts = np.full((mesh.n_segments, n_u), np.nan) if efforts is None else efforts
+    paths = np.zeros((mesh.n_segments, n_path), dtype=int) if paths is None else paths
+    held = np.hstack([efforts, np.where(paths == 0, np.nan, paths)])[mesh.segment][first]
+    held[wrong[first]] = np.nan
+    fixed = FixedArcs(efforts=held[:, :n_u], paths=np.nan_to_num(held[:, n_u:]).astype(int))
+    return interval_breaks(solution)[np.append(first, True)], fixed

@@ -76,7 +76,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     this led to no solution, `degree_lost` that a higher degree led to none. `rounds` counts actions, `readings` those
     that read switches, `read_in` is the round of the last reading. `before` is the objective of the iterate that passed
     before, `change` its relative change since, `change_before` the one before that, `calm` the number of meshes without
-    change. `falls` says that the last finer mesh erred by less than the one before.
+    change. `falls` says that the last finer mesh erred by less than the one before. `releases` counts releases of arcs.
     `loose` is the last iterate with the limits as asked after one had passed within tightened limits, `tightenings`
     counts those since then, `idle` the loosenings since the best one improved. `ended` says that the last action led
     nowhere. `restored` counts meshes on which the best motion was kept, see `Restore`.
@@ -98,6 +98,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     change_before: float = np.inf
     calm: int = 0
     falls: bool = True
+    releases: int = 0
     loose: CertifiedIterate[MotionT, CertificateT] | None = None
     tightenings: int = 0
     idle: int = 0

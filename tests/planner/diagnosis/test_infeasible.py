@@ -49,11 +49,11 @@ INFEASIBLE = {
     ),
     "a dependent joint's range at the goal": (
         ("knee-reach", "limits.range_deg.A=[20, 150]"),
-        ["joint A", "8.352 deg", "limit of 20"],
+        ["joint A", "8.35194 deg", "limit of 20"],
     ),
     "a dependent joint's range at the start": (
         ("knee-reach", "limits.range_deg.C=[-20, 120]"),
-        ["joint C", "-25.94", "-20"],
+        ["joint C", "-25.9383", "-20"],
     ),
     "a longest duration": (("knee-sprint", "motion.max_duration_s=0.1"), ["act_O", "N.m", "limit of 100", "0.12185 s"]),
 }

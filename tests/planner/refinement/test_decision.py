@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from linkplan.planner.problem.settings import MeshSettings
+from linkplan.planner.refinement import decision
 from linkplan.planner.refinement.actions import (
     Halve,
     ImposeRanges,
     Loosen,
     RaiseDegree,
+    ReleaseArcs,
     Restore,
     Tighten,
 )
@@ -270,6 +272,12 @@ def test_a_solver_that_stopped_short_says_nothing_of_the_error_of_the_objective(
     short.found.solution.status = "Solved_To_Acceptable_Level"
     assert observed(settled, iterate(objective=1.1)).objective_error > 0.09
     assert observed(settled, short).objective_error == settled.objective_error
+
+
+@pytest.mark.parametrize(("releases", "released"), [(0, True), (2, True), (3, False)])
+def test_wrongly_held_arcs_are_released_three_times(releases, released, monkeypatch):
+    monkeypatch.setattr(decision, "arcs_against_their_limits", lambda _: [1])
+    assert isinstance(next_action(state(iterate(), releases=releases)), ReleaseArcs) == released
 
 
 @pytest.mark.parametrize(("change", "finer"), [(3e-5, False), (3e-4, True)])

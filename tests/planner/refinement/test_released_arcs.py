@@ -1,14 +1,30 @@
-"""Arcs that are held too long: multipliers of the wrong sign show them, and refinement reads the arcs anew."""
+"""Arcs that are held too long are let go from where their multipliers change sign, and the answer is the better one."""
 
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, released
 from linkplan.planner.refinement.refine import refine
 from tests.support.bodies import HINGE_INERTIA, TURN
 from tests.support.held_arcs import held, held_case
+from tests.support.sites import site_problem
 
 WRONG = ([4.0, -4.0, 4.0, -4.0], [0.41, 0.46, 0.56])
+
+
+def test_only_what_is_held_wrongly_is_let_go():
+    solution = held(*WRONG).solution
+    ends, fixed = released(solution)
+    assert np.all(np.diff(ends) > 0)
+    assert np.isnan(fixed.efforts).any()
+    assert np.all(np.isnan(fixed.efforts) | np.isin(fixed.efforts, (4.0, -4.0)))
+    assert (fixed.efforts[0, 0], fixed.efforts[-1, 0]) == (4.0, -4.0)
+
+
+def test_right_arcs_are_left_as_they_are():
+    assert released(held([4.0, -4.0], [0.5]).solution) is None
 
 
 def test_an_answer_with_wrong_arcs_becomes_the_right_one():
@@ -20,3 +36,10 @@ def test_an_answer_with_wrong_arcs_becomes_the_right_one():
     assert len(right.against) == 0
     assert len(arcs_against_their_limits(found.solution)) > 0
     assert right.motion.duration_s == pytest.approx(least, rel=1e-8)
+
+
+@pytest.mark.slow
+def test_two_efforts_that_leave_their_limits_next_to_each_other_are_told_apart():
+    motion = {"start_deg": {"O1": -90.0, "O2": -90.0}, "goal_at": {"P": {"z": -0.25}}, "duration_s": 0.5}
+    plan = plan_motion(site_problem(load_mechanism("five-bar"), motion, objective={"minimize": "work"}))
+    assert plan.status == "optimal", plan.message

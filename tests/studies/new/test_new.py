@@ -291,7 +291,7 @@ def test_without_a_file_the_problem_is_printed(ask):
         ("optimus-kne", "did you mean 'optimus-knee'?"),
         ("knee-reach", "is already a problem"),
         ("no/such.xml", "unknown model"),
-        ("", "unknown model ''"),
+        ("", "mechanism.model is"),
     ],
 )
 def test_what_is_no_model_is_refused_in_one_line(model, said, ask):
