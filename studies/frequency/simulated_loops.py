@@ -21,7 +21,7 @@ from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effo
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class StateFeedback:
-    """The law u_k = u_ff + K (x_ref - x_k), x = (s, v), without a memory.
+    """The law u_k = u_ff + K (x_ref - x_k), x = (s, v). Its memory (n, 1) is the number of each simulation.
 
     `drive` u_ff + K x_ref (t, n, n_u) [N.m or N] and `gain` K (t, n, n_u, 2 n_s).
     """
@@ -31,15 +31,15 @@ class StateFeedback:
     name: str = "state feedback"
 
     def start(self, n: int) -> np.ndarray:
-        """Return the empty memory (n, 0)."""
-        return np.empty((n, 0))
+        """Return the numbers (n, 1) of the simulations."""
+        return np.arange(n)[:, None]
 
     def step(
         self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) of simulations at states (n, n_s)."""
-        x = np.concatenate([position_rad, velocity_rad_s], axis=1)
-        return self.drive[k] - np.matmul(self.gain[k], x[:, :, None])[:, :, 0], memory
+        x, of = np.concatenate([position_rad, velocity_rad_s], axis=1), memory[:, 0]
+        return self.drive[k, of] - np.matmul(self.gain[k, of], x[:, :, None])[:, :, 0], memory
 
 
 class SimulatedLoops:
