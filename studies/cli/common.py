@@ -206,7 +206,7 @@ def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
 
 
 def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
-    """Return the plan with a motion of the argument PLAN.
+    """Return the plan that the argument PLAN names, if it has a motion.
 
     Raises:
         NoMotionError: if it has none; the command ends with the reason and exit code 1.

@@ -60,7 +60,7 @@ def _run_sample(arguments: argparse.Namespace) -> int:
 
 
 def _of_one(plan: Plan, run: "Rollout", tracker: str, title: str, stem: str) -> "Comparison":
-    """Return the comparison that a single run is."""
+    """Return a single run as a comparison of one tracker."""
     from linkplan.studies.compare.compare import Comparison
 
     return Comparison(plan=plan, nominal={tracker: run}, mismatch=None, mismatched={}, title=title, stem=stem)
