@@ -35,6 +35,23 @@ def compile_model(
         ModelError: if the source is neither a built-in name, nor a readable file, nor MJCF text; if MuJoCo refuses it
             (with MuJoCo's reason); or if the payload's body is not in it.
     """
+    name, _, model, notes = _compiled(source, payload, selection)
+    return name, model, notes
+
+
+@one_thread_at_a_time
+def model_spec(source: str | Path, payload: Payload | None = None, selection: Selection = NOTHING_SELECTED) -> mujoco.MjSpec:
+    """Return the compiled specification of what is selected of a model, with the payload.
+
+    Raises:
+        ModelError: if the model does not compile, see `compile_model`.
+    """
+    return _compiled(source, payload, selection)[1]
+
+
+def _compiled(
+    source: str | Path, payload: Payload | None, selection: Selection
+) -> tuple[str, mujoco.MjSpec, mujoco.MjModel, tuple[str, ...]]:
     with mujoco_warnings() as messages:
         try:
             name, spec, notes = _selected(source, selection)
@@ -56,20 +73,7 @@ def compile_model(
         )
     for text in messages:
         warnings.warn(f"model '{name}': {one_line(text)}", RuntimeWarning, stacklevel=2)
-    return name, model, notes
-
-
-def model_spec(source: str | Path, payload: Payload | None = None, selection: Selection = NOTHING_SELECTED) -> mujoco.MjSpec:
-    """Return the specification of what is selected of a model, with the payload.
-
-    Raises:
-        ModelError: if the model does not compile, see `compile_model`.
-    """
-    compile_model(source, payload, selection)
-    _, spec, _ = _selected(source, selection)
-    if payload is not None:
-        attach(spec, payload)
-    return spec
+    return name, spec, model, notes
 
 
 def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
@@ -83,22 +87,17 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     _name_all(spec.bodies, "body")
     if not selection:
         return name, spec, notes
-    model = spec.compile()  # numbers the joints
-    if _name_all(spec.joints, "joint"):
-        model = spec.compile()
-    return name, spec, (*notes, *select(spec, model, selection))
+    _name_all(spec.joints, "joint")
+    return name, spec, (*notes, *select(spec, spec.compile(), selection))
 
 
-def _name_all(elements: Sequence, kind: str) -> bool:
-    """Give every element without a name one, its kind and its number; return True if there are such elements."""
+def _name_all(elements: Sequence, kind: str) -> None:
+    """Give every element without a name one, its kind and its place, which is its number in the compiled model."""
     taken = {element.name for element in elements}
-    unnamed = "" in taken
     for place, element in enumerate(elements):
         if not element.name:
-            first = element.id if element.id >= 0 else place
-            element.name = next(name for n in itertools.count(first) if (name := f"{kind}{n}") not in taken)
+            element.name = next(name for n in itertools.count(place) if (name := f"{kind}{n}") not in taken)
             taken.add(element.name)
-    return unnamed
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:

@@ -209,13 +209,16 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     """Return the pose between two poses at which `function(pose)` changes sign, or the first pose if it does not."""
     index = mechanism.independent[coordinate]
     a, b = float(q[index]), float(trial[index])
+    known = [np.array(q)]
 
-    def value(x: float) -> float:
-        return function(_at(mechanism, q, coordinate, x))
+    def at(x: float) -> np.ndarray:
+        nearest = min(known, key=lambda pose: abs(pose[index] - x))
+        known.append(_at(mechanism, nearest, coordinate, x))
+        return known[-1]
 
-    if function(q) * function(trial) >= 0 or function(q) * value(b) >= 0:
+    if function(q) * function(trial) >= 0 or function(q) * function(at(b)) >= 0:
         return np.array(q)
-    return _at(mechanism, q, coordinate, sign_change(value, a, b, xtol=1e-11))
+    return at(sign_change(lambda x: function(at(x)), a, b, xtol=1e-11))
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:

@@ -10,7 +10,7 @@ def sign_change(function: Callable[[float], float], a: float, b: float, xtol: fl
 
     The values of f at the ends have opposite signs, or one of them is 0. The root stays bracketed.
     """
-    at_a, at_b = function(a), function(b)
+    at_a, at_b, before = function(a), function(b), np.inf
     if at_a == 0 or at_b == 0:
         return a if at_a == 0 else b
     for _ in range(100):
@@ -23,8 +23,9 @@ def sign_change(function: Callable[[float], float], a: float, b: float, xtol: fl
             return middle
         x = middle + (middle - a) * np.sign(at_a - at_b) * at_middle / scale
         at_x = function(x)
-        if at_x == 0:
+        if at_x == 0 or abs(x - before) <= xtol:
             return float(x)
+        before = x
         ends = [(a, at_a), (b, at_b), (middle, at_middle), (float(x), at_x)]
         (a, at_a), (b, at_b) = min(
             ((left, right) for left in ends for right in ends if left[1] < 0 < right[1]),

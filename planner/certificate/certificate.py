@@ -23,6 +23,7 @@ from linkplan.planner.certificate.boundary import (
     waypoint_off_m,
     waypoint_times,
 )
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import integrate
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.kinds import margins
@@ -100,6 +101,12 @@ class Certificate(RenamedFields):
         return any(failure not in self.unmendable for failure in self.failures)
 
 
+def integration_rtol(problem: Problem) -> float:
+    """Return the relative tolerance of a certificate's integration: a millionth of the error that the user allows [rad]."""
+    tolerance_deg = problem.mesh.tolerance_deg
+    return INTEGRATION_RTOL if tolerance_deg is None else max(INTEGRATION_RTOL, 1e-6 * float(np.radians(tolerance_deg)))
+
+
 def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     """Return the certificate of a motion against its problem's limits.
 
@@ -140,7 +147,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     site_error, sites_off = ends_off_m(problem, trajectory, time, q)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
-    integrated = integrate(mechanism, trajectory, speed, allowed_error, until)
+    integrated = integrate(mechanism, trajectory, speed, allowed_error, until, integration_rtol(problem))
     in_deg = float(np.degrees(integrated.position[hinge].max(initial=0.0)))
     in_m = float(integrated.position[~hinge].max(initial=0.0))
     velocity_error, growth = integrated.velocity, integrated.growth

@@ -19,7 +19,7 @@ from linkplan.models.interrupts import check
 from linkplan.models.poses.along import evaluated
 from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
-# Relative error tolerance of the integration: two digits below the 1e-10 of certificates. The absolute one is a tenth.
+# Least relative error tolerance of the integration: two digits below the 1e-10 of certificates. The absolute one is a tenth.
 INTEGRATION_RTOL = 1e-12
 # Largest number of evaluations of the dynamics on one interval: sixteen hundred explicit or three thousand implicit steps.
 # Feasible motions need about ten steps. At a fold, where the reduced dynamics end, steps become ever smaller.
@@ -45,12 +45,13 @@ def flow(
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
     most: int = _MAX_EVALUATIONS,
+    rtol: float = INTEGRATION_RTOL,
 ) -> np.ndarray | None:
     """Return the states (m, n) at shares (m,) of an interval, from the state at its beginning; None if it fails.
 
     Integration also fails after `most` evaluations of the rate, and when the deadline `until` passes.
     """
-    return _flown(_counted(rate, until, most), width_s, state, shares, method="DOP853")
+    return _flown(_counted(rate, until, most), width_s, state, shares, rtol, method="DOP853")
 
 
 def stiff_flow(
@@ -60,19 +61,22 @@ def stiff_flow(
     state: np.ndarray,
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
+    rtol: float = INTEGRATION_RTOL,
 ) -> np.ndarray | None:
     """Integrate as `flow` does, by an implicit method, with the derivative (n, n) of the rate by the state."""
     counted = _counted(rate, until, _MAX_EVALUATIONS)
     try:
-        return _flown(counted, width_s, state, shares, method="Radau", jac=jacobian)
+        return _flown(counted, width_s, state, shares, rtol, method="Radau", jac=jacobian)
     except (ValueError, np.linalg.LinAlgError):  # an infeasible motion diverges to infinite numbers
         return None
 
 
-def _flown(counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, *, method, jac=None) -> np.ndarray | None:
+def _flown(
+    counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, rtol: float, *, method, jac=None
+) -> np.ndarray | None:
     import scipy
 
-    atol = 0.1 * INTEGRATION_RTOL * np.maximum(1.0, np.abs(state))
+    atol = 0.1 * rtol * np.maximum(1.0, np.abs(state))
     own = {} if jac is None else {"jac": jac}
     # An infeasible motion may diverge; the result shows it without warnings.
     with np.errstate(all="ignore"):
@@ -82,7 +86,7 @@ def _flown(counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray,
                 (0.0, width_s),
                 state,
                 method=method,
-                rtol=INTEGRATION_RTOL,
+                rtol=rtol,
                 atol=atol,
                 t_eval=shares * width_s,
                 **own,
@@ -132,7 +136,12 @@ def _counted(rate: Rate, until: Deadline, most: int) -> Rate:
 
 
 def strides(
-    rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: np.ndarray, until: Deadline = NO_DEADLINE
+    rate: ca.Function,
+    widths_s: np.ndarray,
+    inputs: np.ndarray,
+    state: np.ndarray,
+    until: Deadline = NO_DEADLINE,
+    rtol: float = INTEGRATION_RTOL,
 ) -> np.ndarray:
     """Return the states (m, 2, n) at the middle and end of the first m intervals, up to the first too long step.
 
@@ -142,6 +151,7 @@ def strides(
         inputs: (n_intervals, k), constant on each interval.
         state: (n,) at the start.
         until: deadline.
+        rtol: relative error tolerance.
     """
     found: list[np.ndarray] = [np.empty((0, 2, len(state)))]
     begin, longest = 0, 4
@@ -150,7 +160,7 @@ def strides(
         length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
         some = slice(begin, begin + length)
         ends, middles, errors = evaluated(_stretch(rate, length), state, inputs[some].T, widths_s[some])
-        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, 2)
+        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, 2, rtol)
         good = length if np.all(short) else int(np.argmin(short)) // 2
         found.append(np.stack([middles, ends]).transpose(2, 0, 1)[:good])
         if good < length:
@@ -189,7 +199,7 @@ def side_by_side(
             ends, slopes, *errors = evaluated(
                 one, ends, slopes, inputs.T, (to - at) * widths_s, np.full(n, at), np.full(n, to - at)
             )
-            good &= _short(before, ends, np.vstack(errors), 1) & np.all(np.isfinite(ends), axis=0)
+            good &= _short(before, ends, np.vstack(errors), 1, INTEGRATION_RTOL) & np.all(np.isfinite(ends), axis=0)
             found.append(ends.T)
     reached = np.stack(found, axis=1)
     for k in np.flatnonzero(~good):
@@ -216,9 +226,9 @@ def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
     return rate
 
 
-def _short(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, steps: int) -> np.ndarray:
+def _short(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, steps: int, rtol: float) -> np.ndarray:
     """Return a mask (steps * m,) of short enough steps from states (n, m) to (n, m), by their errors (2 n, steps * m)."""
-    scale = INTEGRATION_RTOL * (0.1 * np.maximum(1.0, np.abs(before)) + np.maximum(np.abs(before), np.abs(ends)))
+    scale = rtol * (0.1 * np.maximum(1.0, np.abs(before)) + np.maximum(np.abs(before), np.abs(ends)))
     fifth, third = (np.square(e / np.repeat(scale, steps, axis=1)).sum(axis=0) for e in np.split(errors, 2))
     return fifth <= np.sqrt((fifth + 0.01 * third) * len(before))
 

@@ -18,7 +18,7 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.flow import STIFF_EVALUATIONS, called, flow, stiff_flow, strides
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL, STIFF_EVALUATIONS, called, flow, stiff_flow, strides
 from linkplan.planner.problem.instant import position_units
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
@@ -42,7 +42,12 @@ class Integrated:
 
 
 def integrate(
-    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline = NO_DEADLINE
+    mechanism: Mechanism,
+    trajectory: Trajectory,
+    speed: float,
+    allowed: np.ndarray,
+    until: Deadline = NO_DEADLINE,
+    rtol: float = INTEGRATION_RTOL,
 ) -> Integrated:
     """Return the integrated model's errors against a plan.
 
@@ -54,8 +59,9 @@ def integrate(
         speed: its largest speed [rad/s or m/s].
         allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
         until: deadline of the integration.
+        rtol: relative error tolerance of the integration without restarts.
     """
-    whole = _integrated_once(mechanism, trajectory, speed, allowed, until)
+    whole = _integrated_once(mechanism, trajectory, speed, allowed, until, rtol)
     if np.all(whole.position <= allowed):
         return whole
     try:
@@ -65,7 +71,7 @@ def integrate(
 
 
 def _integrated_once(
-    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline
+    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline, rtol: float
 ) -> Integrated:
     """Return the errors of one integration, sampled at the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
@@ -73,7 +79,7 @@ def _integrated_once(
     state = np.concatenate([start, trajectory.velocity[0, 0]])
     n = len(trajectory.breaks_s) - 1
     errors, velocity_error = np.full((n, mechanism.dof), np.inf), np.inf
-    reached = _states(mechanism, trajectory, state, until)
+    reached = _states(mechanism, trajectory, state, until, rtol)
     m = len(reached) - 1
     planned, speeds = (
         np.stack([bernstein_value(c[:, :m], tau) for tau in (0.0, 0.5, 1.0)], axis=1)
@@ -150,19 +156,19 @@ def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarr
     return largest
 
 
-def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: Deadline) -> np.ndarray:
+def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: Deadline, rtol: float) -> np.ndarray:
     """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval before a failure."""
     widths, inputs = np.diff(trajectory.breaks_s), _inputs(trajectory)
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
     reached, halves, stiff = np.array([[state, state]]), np.array([0.5, 1.0]), False
     while (k := len(reached) - 1) < len(widths):
         if not stiff:
-            reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until)])
+            reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until, rtol)])
         if (k := len(reached) - 1) < len(widths):
             rates, begin = called(rate, inputs[k], widths[k]), reached[-1, 1]
-            half = None if stiff else flow(rates, widths[k], begin, halves, until, STIFF_EVALUATIONS)
+            half = None if stiff else flow(rates, widths[k], begin, halves, until, STIFF_EVALUATIONS, rtol)
             if half is None:  # after one stiff interval the others are taken as stiff too
-                half = stiff_flow(rates, _slope_on(rate, inputs[k], widths[k]), widths[k], begin, halves, until)
+                half = stiff_flow(rates, _slope_on(rate, inputs[k], widths[k]), widths[k], begin, halves, until, rtol)
                 stiff = half is not None
             if half is None:
                 break

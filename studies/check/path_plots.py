@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach, toggles
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure, thinned
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.drawing import GREY, RED
@@ -56,7 +57,7 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     reaches, mechanism = found.reaches[:MAX_FIGURES], found.mechanism
     rows: list[list] = []
     for can in reaches:
-        swept = measure(mechanism, can.poses, "reach", coordinate=can.coordinate)
+        swept = measure(mechanism, thinned(can.poses, mechanism), "reach", coordinate=can.coordinate)
         plots_of_reach = [plot for plot in path_plots(swept) if plot.title.startswith(_OF_REACH)]
         rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can))])
         rows[-1] += [_marked(plot, mechanism, can) for plot in plots_of_reach]
@@ -117,9 +118,10 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
         return [_line(f"{joint.name}{suffix}", values[:, i], unit(joint)) for i, joint in joints]
 
     needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
+    rounding = ROUNDING_SHARE * max(np.abs(needed).max(), np.finfo(float).tiny)
+    needed = np.where(np.abs(needed) > rounding, needed, 0.0)
     weights = own(needed, effort_unit)
-    # Springs that hold less than this share of the effort are rounding errors.
-    if np.abs(needed - path.gravity_effort).max() > 1e-9 * max(np.abs(needed).max(), np.finfo(float).tiny):
+    if np.abs(needed - path.gravity_effort).max() > rounding:  # springs hold, too
         weights += own(path.gravity_effort, effort_unit, ", weight alone")
     available: list[Line] = []
     if mechanism.actuators:
@@ -127,7 +129,8 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
         high = own(path.available_effort[:, :, 1], effort_unit, ", most")
         available = list(chain.from_iterable(zip(low, high, own(needed, effort_unit, ", holds it still"), strict=True)))
     ratios, felt = _actuator_lines(path, joints)
-    dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent]
+    moved = np.ptp(path.poses, axis=0) > ROUNDING_SHARE * np.ptp(path.poses)
+    dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent if moved[k]]
     singular = [_line("least of J_z's blocks", path.singularity, "1")] if mechanism.closure_names else []
     followers = [_line(j.name, j.shown(1.0) * path.poses[:, k], j.unit) for k, j in dependent]
     forces = [_line(name, path.closure_force[:, c], "N") for c, name in enumerate(mechanism.closure_names)]

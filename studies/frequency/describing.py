@@ -12,7 +12,6 @@ when the two limits are at unequal distances.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import control
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
@@ -53,6 +52,8 @@ class LargeSignals:
 
 def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Return the real N(A) (n,) of an actuator's limits about its holding effort, for amplitudes A (n,) [N.m or N]."""
+    import control
+
     refuse_several_freedoms(loop.point.mechanism, "a response past the effort limit")
     low, high = effort_limit[0] - loop.point.hold[0]
     if not (np.isfinite(low) and np.isfinite(high)):

@@ -12,8 +12,8 @@ their own do not count.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import control
 import numpy as np
 
 from linkplan.controllers.linearisation import linearise
@@ -31,6 +31,9 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.frequency.response import Response
+
+if TYPE_CHECKING:
+    import control
 
 CONTINUOUS, EXACT, SIMULATED = "continuous", "sampled, exact hold", "sampled, MuJoCo's steps"
 # The unit of each response: {q} is the joint's unit, {u} the effort's.
@@ -239,15 +242,19 @@ class FeedbackLoop:
         unit = np.eye(len(steered))[steered.index(channel)]
         return float(1.0 / np.linalg.solve(K[np.ix_(steered, steered)], unit)[steered.index(channel)])
 
-    def system(self) -> control.StateSpace:
+    def system(self) -> "control.StateSpace":
         """Return the open loop from commands to K x as python-control's state space."""
+        import control
+
         A, B = self.steered_matrices()
         C = np.zeros((len(self.gain), len(A)))
         C[:, : len(self.steered_entries)] = self.gain[:, self.steered_entries]
         return control.StateSpace(A, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
 
-    def closed_system(self) -> control.StateSpace:
+    def closed_system(self) -> "control.StateSpace":
         """Return the closed loop from commands added to the law's to the state x, as python-control's state space."""
+        import control
+
         A, B = self.steered_matrices()
         C = np.eye(len(self.steered_entries), len(A))
         return control.StateSpace(self.matrix, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)

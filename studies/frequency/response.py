@@ -1,11 +1,14 @@
 """A frequency response as a value: predicted or measured, with its unit, uncertainty and origin."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import control
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
+
+if TYPE_CHECKING:
+    import control
 
 _COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
 
@@ -72,8 +75,10 @@ class Response:
         ratio = self.gain / other.gain
         return 20 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
 
-    def frd(self) -> control.FrequencyResponseData:
+    def frd(self) -> "control.FrequencyResponseData":
         """Return the response as python-control's frequency response data."""
+        import control
+
         return control.FrequencyResponseData(self.gain, 2 * np.pi * self.frequency_hz)
 
     def record(self) -> dict:

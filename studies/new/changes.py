@@ -54,9 +54,8 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         ModelError: if the model cannot be used.
     """
     source, selection = model_from_tables({"mechanism": dict(table)})
-    _, model, _ = compile_model(source, selection=selection)
     notes = []
-    if (fixed := _base_fixed(model)) is not None:
+    if not selection.fix_base and (fixed := _base_fixed(compile_model(source, selection=selection)[1])) is not None:
         table, notes = {**table, **fixed[0]}, [fixed[1]]
     mechanism = _assembled(table)
     for change in _CHANGES:

@@ -29,7 +29,6 @@ _STYLE = {
     "grid.alpha": 0.3,
     "legend.framealpha": 0.85,
     "lines.linewidth": 1.6,
-    "savefig.bbox": "tight",
 }
 
 
@@ -57,6 +56,8 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
         if path is not None:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "Glyph", UserWarning)  # missing glyphs are drawn as boxes
+                figure.get_layout_engine().execute(figure)
+                figure.set_layout_engine(None)  # a figure that has an engine is drawn twice when it is saved
                 figure.savefig(path)
 
 

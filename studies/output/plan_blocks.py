@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from linkplan.planner.certificate.certificate import Certificate
+from linkplan.planner.certificate.certificate import Certificate, integration_rtol
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.studies.output.digits import figure, known_digits, objective_unit
@@ -82,7 +82,7 @@ def _error_rows(plan: Plan) -> list[list]:
         ["inverse dynamics minus planned effort", figure(certificate.dynamics_residual, 2), units],
         *(["closure gap", figure(gap, 2), unit] for unit, gap in (certificate.closure_gaps or {"m": 0.0}).items()),
         *(
-            ["state after integration at 1e-12", figure(error, 2), unit]
+            [f"state after integration at {integration_rtol(plan.problem):.0e}", figure(error, 2), unit]
             for kind, (error, unit) in errors.items()
             if kind in kinds
         ),

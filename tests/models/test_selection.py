@@ -148,6 +148,16 @@ def test_a_loop_closes_where_it_did_when_one_of_its_joints_is_locked():
     assert np.abs(data.efc_pos[:3]).max() < 1e-9  # the robot's own loop is closed at the leg's home pose
 
 
+def test_joints_without_names_are_named_by_their_numbers_in_the_compiled_model():
+    """A body's joint that stands behind the body's children in the file still has the smaller number."""
+    text = """<mujoco><worldbody><body name="a"><geom size=".1"/>
+        <body name="b"><geom size=".1"/><joint axis="0 1 0"/></body>
+        <joint axis="1 0 0"/></body>
+        <body name="c"><geom size=".1"/><joint name="turn" axis="0 0 1"/></body></worldbody></mujoco>"""
+    part = compile_model(text, selection=Selection(keep=("a",)))[1]
+    assert {name: part.joint(name).axis.tolist() for name in joint_names(part)} == {"joint0": [1, 0, 0], "joint1": [0, 1, 0]}
+
+
 def test_notes_name_what_was_locked_and_dropped():
     notes = " | ".join(linkplan.load_mechanism(ROBOT, keep=["left crank"], fix_base=True).notes)
     assert "locked: base at home; left hip at 0 deg" in notes

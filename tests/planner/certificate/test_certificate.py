@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.certificate import Certificate, certify
+from linkplan.planner.certificate.certificate import Certificate, certify, integration_rtol
 from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, body_problem
@@ -50,6 +50,15 @@ def test_an_effort_above_its_limit_in_one_interval_is_found():
     certificate = found(replace(motion(), effort=effort))
     assert certificate.effort_excess == pytest.approx(0.001, rel=EXCESS)
     assert motion().breaks_s[17] <= certificate.worst_time_s["effort_excess"] < motion().breaks_s[18]
+
+
+@pytest.mark.parametrize(("tolerance_deg", "rtol"), [(None, 1e-12), (1e-6, 1e-12), (5e-3, 8.7266e-11)])
+def test_the_integration_is_a_million_times_as_exact_as_the_tolerance_that_is_asked(tolerance_deg, rtol):
+    asked = () if tolerance_deg is None else (f"mesh.tolerance_deg={tolerance_deg}",)
+    problem = problem_of("knee-reach", *asked)
+    assert integration_rtol(problem) == pytest.approx(rtol, rel=1e-4)
+    exact, error = certify(problem_of("knee-reach"), motion()), certify(problem, motion()).integration_error_deg
+    assert error == pytest.approx(exact.integration_error_deg, abs=1e-6 * (tolerance_deg or 1e-6))
 
 
 def test_an_effort_below_its_lower_limit_is_found():

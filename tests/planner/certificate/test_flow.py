@@ -68,7 +68,7 @@ def test_the_error_of_a_step_weighs_its_estimates_as_hairer_norsett_and_wanner_d
     """err = err5^2 / sqrt((err5^2 + err3^2 / 100) n) <= 1, with both in units of the tolerance (II.10, after (10.17))."""
     state = np.zeros((1, 1))
     tolerance = 1e-13
-    assert _short(state, state, tolerance * np.array([[fifth], [third]]), 1).tolist() == [is_short]
+    assert _short(state, state, tolerance * np.array([[fifth], [third]]), 1, 1e-12).tolist() == [is_short]
 
 
 @pytest.mark.parametrize(("before", "after", "allowed"), [(0.2, 0.1, 0.3), (3.0, -5.0, 5.3), (-5.0, 3.0, 5.5)])
@@ -76,4 +76,4 @@ def test_the_error_allowed_in_a_step_is_that_of_the_larger_end_and_a_tenth_of_th
     """Of the tolerance; a tenth of one at least, for states that pass through zero."""
     for share, is_short in ((0.99, True), (1.01, False)):
         errors = 1e-12 * np.array([[share * allowed], [0.0]])
-        assert _short(np.array([[before]]), np.array([[after]]), errors, 1).tolist() == [is_short]
+        assert _short(np.array([[before]]), np.array([[after]]), errors, 1, 1e-12).tolist() == [is_short]
