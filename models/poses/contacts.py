@@ -85,20 +85,21 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
     model, rounding = mechanism.model, FILE_ROUNDING_SHARE * mechanism.extent_m
     if not may_collide(model):
         return ()
-    data, found = mujoco.MjData(model), {}
+    data, points = mujoco.MjData(model), [np.empty((0, 4))]  # rows: a pose's number, the two geoms, their depth
     for k, qpos in enumerate(mechanism.qpos_of(poses)):
-        for pair, distance, _ in _detected(model, data, qpos):
-            if -distance > rounding:
-                found.setdefault(pair, []).append((k, -distance))
+        pairs, distance, _ = _detected(model, data, qpos)
+        points.append(np.column_stack([np.full(len(pairs), k), pairs, -distance])[-distance > rounding])
+    number, *geoms, depth = np.vstack(points).T
+    pairs, of = np.unique(np.array(geoms, dtype=int), axis=1, return_inverse=True)
     return tuple(
         ContactPair(
-            first=geom_name(model, pair[0]),
-            second=geom_name(model, pair[1]),
-            bodies=_bodies(model, pair),
-            poses=tuple(dict.fromkeys(k for k, _ in points)),
-            depth_m=max(depth for _, depth in points),
+            first=geom_name(model, first),
+            second=geom_name(model, second),
+            bodies=_bodies(model, (first, second)),
+            poses=tuple(np.unique(number[of == i].astype(int)).tolist()),
+            depth_m=float(depth[of == i].max()),
         )
-        for pair, points in sorted(found.items())
+        for i, (first, second) in enumerate(pairs.T.tolist())
     )
 
 
@@ -216,7 +217,8 @@ def _pose_sampler(
     def look(qpos: np.ndarray) -> _PoseSample:
         deadline.require_time()
         clearance: dict[Pair, tuple[float, float]] = {}
-        for pair, distance, place in _detected(model, data, qpos):
+        pairs, distances, places = _detected(model, data, qpos)
+        for pair, distance, place in zip(map(tuple, pairs.tolist()), distances.tolist(), places, strict=True):
             anywhere, away = clearance.get(pair, (np.inf, np.inf))
             away = away if on_a_pin(pair, place) else min(away, distance)
             clearance[pair] = (min(anywhere, distance), away)
@@ -230,17 +232,15 @@ def _pose_sampler(
     return sample
 
 
-def _detected(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> Iterator[tuple[Pair, float, np.ndarray]]:
-    """Yield each point of contact at a pose: the pair of geoms, their distance [m], its place (3,)."""
+def _detected(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the m points of contact at a pose: pairs of geoms (m, 2), their distances (m,) [m], the places (m, 3)."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
-    contact = data.contact
-    pairs, distances = np.sort(contact.geom, axis=1).tolist(), (contact.dist - contact.includemargin).tolist()
-    for (first, second), distance, place in zip(pairs, distances, contact.pos, strict=True):
-        if first >= 0:  # not a flex, which `audit` reports
-            yield (first, second), distance, place
+    contact, pairs = data.contact, np.sort(data.contact.geom, axis=1)
+    of_geoms = pairs[:, 0] >= 0  # not of a flex, which `audit` reports
+    return pairs[of_geoms], (contact.dist - contact.includemargin)[of_geoms], contact.pos[of_geoms]
 
 
 def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mapping[tuple[int, int], tuple[Point, ...]]:
