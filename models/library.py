@@ -1,9 +1,14 @@
-"""Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
+"""Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text.
+
+Its text is checked before MuJoCo allocates what it asks for, and the compiled model's names and numbers afterwards: MuJoCo's
+compiler warns of NaN but accepts infinite masses, negative armatures and ranges with low above high.
+"""
 
 import itertools
 import os
+import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import mujoco
@@ -12,15 +17,149 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.errors import ModelError, one_line
 from linkplan.models.missing_files import leave_out_missing_files
-from linkplan.models.model_values import MAX_MODEL_BYTES, refuse_oversized, refuse_unusable
-from linkplan.models.mujoco_warnings import mujoco_warnings
 from linkplan.models.names import nearest
-from linkplan.models.one_thread import one_thread_at_a_time
-from linkplan.models.payload import Payload, attach
+from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file, shown
 from linkplan.models.selection import Selection, select
+from linkplan.models.threads import mujoco_warnings, one_thread_at_a_time
 from linkplan.models.urdf import mesh_hint, urdf_root
 from linkplan.models.urdf_loops import complete
+
+# Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
+MAX_MODEL_BYTES = 32_000_000
+
+_COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack|memory)\s*=\s*["']([^"']*)["']""")
+_SDF = re.compile(rb"<sdf[\s>]")
+_UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
+
+MAX_NAME_LENGTH = 500
+# Fields of a compiled model that must not be negative: the element's prefix and the word of MJCF.
+_NOT_NEGATIVE = (
+    "body_mass", "body_inertia", "dof_armature", "dof_frictionloss", "dof_damping", "tendon_frictionloss", "tendon_damping",
+    "tendon_armature", "actuator_armature", "actuator_damping",
+)  # fmt: skip
+# Fields that the compiler derives for its own scaling. They are huge for a nearly massless body.
+_DERIVED = ("oct_coeff", "actuator_acc0", "body_invweight0", "dof_invweight0", "tendon_invweight0")
+# Legal range of the simulator's timestep [s].
+TIMESTEP_RANGE_S = (1e-8, 1.0)
+# The element kind of each field prefix of mjModel.
+_OWNERS = {
+    "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator",
+    "eq": "equality", "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
+}  # fmt: skip
+
+
+def refuse_oversized(content: bytes, what: str) -> None:
+    """Refuse an MJCF text that is too long, contains zero bytes, has a count or size above the limits, or is SDF.
+
+    Args:
+        content: the text.
+        what: name of the text in messages.
+
+    Raises:
+        ModelError: if a limit is exceeded, or with the converter of SDF.
+    """
+    if len(content) > MAX_MODEL_BYTES:
+        raise ModelError(f"{what} has {len(content)} bytes; at most {MAX_MODEL_BYTES} are read")
+    if b"\0" in content:
+        raise ModelError(f"{what} does not parse: it holds zero bytes; a model is MJCF or URDF text")
+    if _SDF.search(content):
+        raise ModelError(
+            f"{what} is SDF, and models are MJCF or URDF: sdf2mjcf (pip install sdformat-mjcf) converts it; then close its"
+            " loops by <connect> elements"
+        )
+    for name, value in _COUNT.findall(content):
+        # Bytes, numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
+        most = {b"memory": 1e9, b"nstack": 1e8}.get(name, 20_000)
+        if any(_number(word) > most for word in value.decode("utf-8", "replace").split()):
+            text = shown(value.decode("utf-8", "replace"), 40)
+            raise ModelError(f'{what} has {name.decode()} = "{text}"; at most {most:g} is read')
+
+
+def _number(word: str) -> float:
+    """Return the number of a word with an optional unit letter, or 0 for another word, which MuJoCo refuses."""
+    try:
+        return float(word.rstrip("KMGTPEkmgtpe")) * _UNITS.get(word[-1:].upper(), 1)
+    except ValueError:
+        return 0.0
+
+
+def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
+    """Refuse a compiled model with invalid names or numbers.
+
+    Raises:
+        ModelError: if a name or number is invalid; the message names the element and the field.
+    """
+    _refuse_names(name, model)
+    step = float(model.opt.timestep)
+    if not TIMESTEP_RANGE_S[0] <= step <= TIMESTEP_RANGE_S[1]:
+        raise ModelError(
+            f"model '{name}' has option timestep = {step:g} s; the simulator's step is from {TIMESTEP_RANGE_S[0]:g} to"
+            f" {TIMESTEP_RANGE_S[1]:g} s"
+        )
+    for field in _NOT_NEGATIVE:
+        value = np.asarray(getattr(model, field))
+        if np.any(bad := value < 0):
+            got = float(value[bad].ravel()[0])
+            raise ModelError(
+                f"model '{name}' has {_where(model, field, bad)} = {got:g}; {field.partition('_')[2]} is at least 0"
+            )
+    for field in ("jnt_range", "tendon_range", "actuator_ctrlrange", "actuator_forcerange", "jnt_actfrcrange"):
+        value = np.asarray(getattr(model, field))
+        bad = value[:, 0] > value[:, 1]
+        if np.any(bad):
+            low, high = value[bad][0]
+            raise ModelError(f"model '{name}' has {_where(model, field, bad)} = {low:g} to {high:g}, which is no range")
+    for what, value in _numbers(model):
+        bad = ~np.isfinite(value) | (np.abs(value) > MAX_SI_VALUE)
+        if np.any(bad):
+            got = float(value[bad].ravel()[0])
+            legal = "not finite (nan or inf)" if not np.isfinite(got) else f"beyond {MAX_SI_VALUE:g}"
+            raise ModelError(f"model '{name}' holds a number that is {legal}: {_where(model, what, bad)} is {got:g}")
+
+
+def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield every array of floats of a model and of its options with its name."""
+    for owner, prefix in ((model, ""), (model.opt, "option ")):
+        for field in dir(owner):
+            if field.startswith("_") or field.endswith(("_user", "_numeric")) or field in _DERIVED:
+                continue
+            value = getattr(owner, field)
+            if isinstance(value, float):
+                yield prefix + field, np.array([value])
+            elif isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.size:
+                yield prefix + field, value
+
+
+def _refuse_names(name: str, model: mujoco.MjModel) -> None:
+    for word in bytes(model.names).split(b"\0"):
+        try:
+            text = word.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise ModelError(f"model '{name}' has a name that is not UTF-8 text: {word[:40]!r}") from error
+        if len(text) > MAX_NAME_LENGTH:
+            raise ModelError(
+                f"model '{name}' has a name of {len(text)} characters, '{one_line(shown(text, 40))}'; names have at most"
+                f" {MAX_NAME_LENGTH}"
+            )
+        if text and not text.isprintable():
+            raise ModelError(
+                f"model '{name}' has a name with characters that cannot be shown: '{one_line(shown(text, 60))}'"
+            )
+
+
+def _where(model: mujoco.MjModel, field: str, bad: np.ndarray) -> str:
+    """Return a field's name, with the name of the first bad element if the field belongs to elements."""
+    prefix, _, rest = field.partition("_")
+    row = int(np.argwhere(bad)[0][0])
+    if prefix == "dof" and row < model.nv:
+        prefix, row = "jnt", int(model.dof_jntid[row])
+    kind = _OWNERS.get(prefix)
+    if kind is None or not rest:
+        return field
+    element = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), row)
+    return f"{rest} of {kind} {element or row}"
+
 
 NOTHING_SELECTED = Selection()
 

@@ -12,13 +12,25 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
-from linkplan.models.closure.closed_pose import home_of, locked_or_singular, with_closed_pose
 from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
-from linkplan.models.closure.initial_assembly import assemble, home_positions, nearby_poses, refuse_singular_assembly
-from linkplan.models.closure.locked import refuse_locked
-from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
+from linkplan.models.closure.initial_assembly import (
+    assemble,
+    home_of,
+    home_positions,
+    locked_or_singular,
+    nearby_poses,
+    refuse_singular_assembly,
+    with_closed_pose,
+)
+from linkplan.models.closure.mobility import (
+    closure_tolerance,
+    find_passive_dofs,
+    judge_mobility,
+    lost_freedoms,
+    refuse_locked,
+    round_spins,
+)
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
 from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
 from linkplan.models.closure.snapping import SHIFT_SHARE, apply_shifts, needless_gaps, refuse_large_gaps, shifts
 from linkplan.models.coordinate_choice import choose_coordinates
@@ -28,12 +40,11 @@ from linkplan.models.errors import LockedError, ModelError, UnassembledError
 from linkplan.models.floating import refuse_many_loose
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
-from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
-from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
-from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
+from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, refuse_singular_inertia, with_numbers
 from linkplan.models.selection import Selection, home_qpos
-from linkplan.models.stiffness import set_softness
+from linkplan.models.threads import one_thread_at_a_time
+from linkplan.models.ties import set_softness
 from linkplan.models.tree.ball_ranges import BallRange, limited_balls
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Tree, build_tree

@@ -22,10 +22,9 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload",
-        "model_values", "kinematics", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings",
-        "one_thread", "ties", "rod_spins", "floating", "selection", "library", "digest", "renamed", "tree",
-        "closure", "reduction", "actuation", "audit", "stiffness", "coordinate_choice", "equations",
-        "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
+        "kinematics", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "threads", "ties", "rod_spins",
+        "floating", "selection", "library", "digest", "renamed", "tree", "closure", "reduction", "actuation", "audit",
+        "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "proof", "solvers", "refinement",

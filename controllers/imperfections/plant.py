@@ -24,8 +24,7 @@ from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.poses.felt_inertia import equality_jacobian
-from linkplan.models.stiffness import make_dry
-from linkplan.models.ties import tied_points
+from linkplan.models.ties import make_dry, tied_points
 
 # Largest accepted residual [m or rad], far below the gap of a soft loop.
 _MAX_RESIDUAL = 1e-9

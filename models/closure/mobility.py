@@ -1,18 +1,113 @@
-"""Mobility: distinguish a mechanism's weak constraints from constraints that only rounding of the file creates.
+"""Mobility: which motions the loops leave, which constraints lock them, and which freedoms are passive.
 
 A small singular value of J may lock a motion, or it may result from joint axes written with seven digits. A finite motion
 decides: it is made with the loops closed by least squares without the weak constraint, and the remaining gap is measured.
 If the gap stays within `closure_tolerance_m` the motion is free, as it is in a machine with bearing play and in a simulator.
+
+A passive freedom is a spin of a body about a line through its centre while all other bodies rest: of a rod between two ball
+joints, or of a rod on a hinge along its own line. In the kernel of the closure it is a motion in which every body rests or
+turns about its own centre of mass, and on which no actuator and no spring acts.
 """
 
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 
 from linkplan.models.closure import newton
+from linkplan.models.closure.equations import Closure
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.rank import RANK_TOLERANCE, ROUNDING_SHARE, WEAK_SHARE
-from linkplan.models.errors import ModelError
+from linkplan.models.closure.rank import (
+    FILE_ROUNDING_SHARE,
+    RANK_TOLERANCE,
+    ROUNDING_SHARE,
+    WEAK_SHARE,
+    numerical_rank,
+    weak_rank,
+)
+from linkplan.models.errors import LockedError, ModelError
+from linkplan.models.kinematics import data_at
+from linkplan.models.tree.coordinates import Coordinates
+from linkplan.models.tree.joints import Joint
+
+# A centre of mass no farther from its body's line of spin, as a share of the mechanism's size, moves other bodies little: a
+# millimetre on a leg. Exported rods are half a millimetre off.
+_OFFSET_SHARE = 1e-3
+
+
+def find_passive_dofs(
+    model: mujoco.MjModel,
+    joints: Sequence[Joint],
+    coordinates: Coordinates,
+    dynamics,
+    independent: np.ndarray,
+    poses: Sequence[np.ndarray],
+    extent_m: float,
+) -> tuple[tuple[int, ...], list[str]]:
+    """Return the independent coordinates that are passive degrees of freedom, and a note on each.
+
+    Args:
+        model: the compiled model.
+        joints: of the mechanism.
+        coordinates: of the mechanism.
+        dynamics: its reduced dynamics.
+        independent: coordinates (n_s,).
+        poses: closed poses (n_q,), one or more.
+        extent_m: the mechanism's size [m].
+    """
+    if not dynamics.closure.size1_out(0):
+        return (), []
+    spins = [_spinning_bodies(model, coordinates, dynamics, q, extent_m) for q in poses]
+    passive = np.flatnonzero(np.logical_and.reduce([one.any(axis=0) for one in spins]))
+    notes = []
+    for column in passive:
+        bodies, chart = np.flatnonzero(spins[0][:, column]), joints[independent[column]].chart
+        ball = chart is not None and len(bodies) == 1 and not any(joint.name == f"{chart}_x" for joint in joints)
+        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name or b}" for b in bodies)
+        notes.append(f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives")
+    return tuple(independent[passive].tolist()), notes
+
+
+def _spinning_bodies(
+    model: mujoco.MjModel, coordinates: Coordinates, dynamics, q: np.ndarray, extent_m: float
+) -> np.ndarray:
+    """Return a mask (n_body, n_s) of the bodies that spin as an independent coordinate moves, if that is a passive spin."""
+    gamma = np.array(dynamics.velocity_map(q))
+    spring = np.array(dynamics.passive(q, np.zeros(len(q)))).reshape(-1, 1)
+    acting = np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), spring])
+    scale = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max()))
+    free = np.abs(acting.T @ gamma).max(axis=0) <= scale * np.abs(gamma).max(axis=0)
+    speeds, turns = _body_rates(model, coordinates, q, gamma * free)
+    moment, whole = model.body_mass @ speeds, model.body_mass[model.body_weldid > 0].sum()
+    # Farther off, a light rod still moves the others little: a bent rod of 10 g in a leg of 10 kg.
+    least = _OFFSET_SHARE * extent_m * turns.max(axis=0)
+    spins = free & ((speeds.max(axis=0) <= least) | (moment <= 0.01 * whole * least))
+    return spins & (turns > ROUNDING_SHARE * turns.max(axis=0))
+
+
+def _body_rates(
+    model: mujoco.MjModel, coordinates: Coordinates, q: np.ndarray, rates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the speeds of centres [m/s] and the turning speeds [rad/s] (n_body, n) at rates (n_q, n); 0 without mass."""
+    data, qvel = data_at(model, coordinates.qpos_of(q)), coordinates.qvel_of(np.broadcast_to(q, rates.T.shape), rates.T).T
+    linear, angular = np.zeros((2, model.nbody, 3, model.nv))
+    for body in np.flatnonzero(model.body_mass > 0):
+        mujoco.mj_jacBodyCom(model, data, linear[body], angular[body], body)
+    return np.linalg.norm(linear @ qvel, axis=1), np.linalg.norm(angular @ qvel, axis=1)
+
+
+def round_spins(dynamics, home: np.ndarray, passive: np.ndarray) -> np.ndarray:
+    """Return a mask (n_s,) of the `passive` coordinates that leave the inertia unchanged one radian from the home pose."""
+    inertia, found = np.array(dynamics.reduced_inertia(home)), np.array(passive)
+    for column in np.flatnonzero(passive):
+        turned = home + np.array(dynamics.velocity_map(home))[:, column]
+        found[column] = (
+            np.abs(np.array(dynamics.reduced_inertia(turned)) - inertia).max() <= FILE_ROUNDING_SHARE * inertia.max()
+        )
+    return found
+
 
 # Length of a trial motion and of its Newton steps [rad; extents on a slide].
 _TRIAL_LENGTH = 0.75
@@ -177,3 +272,87 @@ def _rounding_notes(joints, mobility: Mobility, tolerance_m: float) -> list[str]
             f" open by {gap:.2g} m (closure_tolerance_m = {tolerance_m:g})"
         )
     return notes
+
+
+def refuse_locked(mobility: Mobility, pose: np.ndarray, tolerance_m: float) -> None:
+    """Refuse a mechanism with no degree of freedom at a closed pose (n_q,) with a mobility and an allowed gap [m].
+
+    Raises:
+        LockedError: if the mechanism is locked; the message names the closures that lock it.
+    """
+    loop = mobility.loop
+    rank, n_joints = loop.rank(pose), len(loop.joints)
+    if rank < n_joints:
+        return
+    error = LockedError(
+        f"mechanism '{loop.name}' is locked: {n_joints} joints less {rank} independent closure rows leave 0 degrees of"
+        f" freedom{_hint(weak_rank(loop.jacobian(pose), loop.rank_tolerance), mobility.locked, tolerance_m)}"
+    )
+    raise locked_by(error, loop, pose)
+
+
+def locked_by(error: LockedError, loop: KinematicLoop, pose: np.ndarray) -> LockedError:
+    """Return the error with the closures added that lock the mechanism at a closed pose (n_q,)."""
+    freed = freedoms_without(loop.closures, loop.jacobian(pose), loop.rank_tolerance)
+    return LockedError(f"{error}{_freed_text(freed)}", freed)
+
+
+def freedoms_without(
+    closures: Sequence[Closure], jacobian: np.ndarray, share: float, *, max_size: int = 3, max_listed: int = 8
+) -> dict[str, int]:
+    """Return the degrees of freedom gained by leaving out closures, or orientations of welds, by the names left out.
+
+    A key joins names with " and " if only the set frees the mechanism. Sets of `max_size` closures are tried only if no
+    smaller set frees it. At most `max_listed` sets are returned.
+    """
+    least = numerical_rank(jacobian, share)
+    parts = list(_parts(closures))
+    found: dict[frozenset[str], int] = {}
+    for size in range(1, max_size + 1):
+        if size == max_size and found:
+            break
+        for chosen in itertools.combinations(parts, size):
+            names = frozenset(part for part, _ in chosen)
+            if any(fewer <= names for fewer in found):
+                continue
+            left_out = np.unique([row for _, rows in chosen for row in rows])
+            more = least - numerical_rank(np.delete(jacobian, left_out, axis=0), share)
+            if more:
+                found[names] = more
+    order = [part for part, _ in parts]
+    named = {" and ".join(sorted(names, key=order.index)): more for names, more in found.items()}
+    return dict(itertools.islice(named.items(), max_listed))
+
+
+def _parts(closures: Sequence[Closure]) -> Iterator[tuple[str, list[int]]]:
+    """Yield the names of the closures, and of the orientations of welds, with their rows."""
+    rows: dict[int, list[int]] = {}
+    for gap in closures:
+        rows.setdefault(gap.index, []).extend(range(gap.rows.start, gap.rows.stop))
+    names = {gap.index: gap.name for gap in closures}
+    for index, own in rows.items():
+        yield names[index], own
+    for gap in closures:
+        if gap.kind == "orientation":
+            yield f"weld {gap.name}'s orientation", list(range(gap.rows.start, gap.rows.stop))
+
+
+def _freed_text(freed: dict[str, int]) -> str:
+    """Return the clause that lists the closures which lock a mechanism, empty if there are none."""
+    if not freed:
+        return ""
+    parts = [f"{part} ({more})" for part, more in freed.items()]
+    first = next(iter(freed.values()))
+    parts[0] = parts[0].replace(f"({first})", f"({first} degree{'s' if first > 1 else ''} of freedom)")
+    return f"; it moves without {', '.join(parts)}"
+
+
+def _hint(weak: int, locked, tolerance_m: float) -> str:
+    if not weak:
+        return ""
+    gap = max((gap for _, gap in locked), default=0.0)
+    opens = f" (moved by 0.1 rad the loops open by {gap:.3g} m; closure_tolerance_m = {tolerance_m:g})" if gap else ""
+    return (
+        f"; {weak} of these rows is nearly dependent on the others (1e-4 of the largest singular value): joint axes or"
+        f" points meant to be aligned are slightly off{opens}"
+    )

@@ -1,11 +1,14 @@
-"""Quantities of a mechanism along a motion, sampled: poses q (n, n_q), velocities v and accelerations a (n, n_s)."""
+"""Quantities of a mechanism along a motion, sampled: poses q (n, n_q), velocities v and accelerations a (n, n_s).
+
+They include the angles of ball joints with a range.
+"""
 
 import functools
 
 import casadi as ca
 import numpy as np
 
-from linkplan.models.compiled.on_arrays import on_arrays
+from linkplan.models.compiled.functions import on_arrays
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.friction import frictions_of
 
@@ -99,3 +102,27 @@ def whole_turns(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray:
     """Return the whole turns (n_q,) [rad] nearest to the joints' travel [rad or m]; 0 for joints that do not turn."""
     hinges = np.array([joint.turns for joint in mechanism.joints])
     return np.where(hinges, 2 * np.pi * np.round(travelled / (2 * np.pi)), 0.0)
+
+
+def ball_angles(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return the angles [rad] (n, n_balls) of the ball joints with a range, in the order of `mechanism.balls`."""
+    if not mechanism.balls:
+        return np.empty((len(poses), 0))
+    turns = sampled(mechanism.dynamics.ball_turns, poses)[:, :, 0]
+    return 2 * np.arcsin(np.sqrt(np.clip(turns, 0.0, 1.0)))
+
+
+def beyond_balls(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return how far ball joints are turned beyond their ranges [rad] (n, n_balls); values inside are negative."""
+    return ball_angles(mechanism, poses) - [ball.largest for ball in mechanism.balls]
+
+
+def shut_balls(mechanism: Mechanism) -> str | None:
+    """Return a sentence on the ball joints with a range of 0 deg, as by a default limited="true"; else None."""
+    names = [ball.name for ball in mechanism.balls if ball.largest == 0]
+    if not names:
+        return None
+    return (
+        f'ball joint {", ".join(names)} may not turn: limited="true" with a range of 0 deg, which a default class gives to'
+        ' all joints; limited="false" at the joint, or a range, frees it'
+    )

@@ -9,10 +9,8 @@ import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
-from linkplan.models.poses.assembly import advance, continue_to, step_sizes
-from linkplan.models.poses.ball_angles import beyond_balls
-from linkplan.models.poses.continuation import in_loops
+from linkplan.models.poses.along import beyond_balls, sampled
+from linkplan.models.poses.assembly import advance, continue_to, in_loops, step_sizes
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from linkplan.models.poses.assembly import advance, step_sizes
-from linkplan.models.poses.continuation import strides
+from linkplan.models.poses.assembly import advance, step_sizes, strides
 from linkplan.models.poses.reach import RANGE_ROUNDING
 from linkplan.models.transfer.output_map import OutputMap
 

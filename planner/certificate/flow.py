@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 import casadi as ca
 import numpy as np
 
-from linkplan.models.compiled.on_arrays import on_arrays
+from linkplan.models.compiled.functions import on_arrays
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.interrupts import check
 from linkplan.models.poses.along import evaluated

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from linkplan.models.compiled.on_arrays import on_arrays
+from linkplan.models.compiled.functions import on_arrays
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.proof.walk import Walk, walk_of
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.closure.closed_pose import keyframe_of
+from linkplan.models.closure.initial_assembly import keyframe_of
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.names import listed
+from linkplan.models.poses.along import ball_angles, shut_balls
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.ball_angles import ball_angles, shut_balls
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import RANGE_ROUNDING, Reach, reach, toggles

@@ -22,8 +22,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import least_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
-from linkplan.models.reduction.reduced import ReducedDynamics
-from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
+from linkplan.models.reduction.reduced import ReducedDynamics, is_regular, singular_inertia_text
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, poses_along
 from linkplan.planner.problem.problem import Problem
 

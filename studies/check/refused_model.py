@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from linkplan.models.closure.closed_pose import home_text
+from linkplan.models.closure.initial_assembly import home_text
 from linkplan.models.errors import InertiaError, LockedError, UnassembledError
 from linkplan.studies.output.document import Block, Code, Facts, Text
 from linkplan.studies.output.text import text_of

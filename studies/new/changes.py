@@ -23,11 +23,11 @@ from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import listed
 from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.contacts import Meeting, contact_pairs
-from linkplan.models.poses.continuation import in_loops
 from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
-from linkplan.models.stiffness import STIFF
+from linkplan.models.ties import STIFF
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints

@@ -3,9 +3,8 @@
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, one_line
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import beyond_balls, needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.ball_angles import beyond_balls
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.reach import RANGE_ROUNDING

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.closure.closed_pose import home_of
+from linkplan.models.closure.initial_assembly import home_of
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
 from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import listed
+from linkplan.models.poses.along import shut_balls
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.ball_angles import shut_balls
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint

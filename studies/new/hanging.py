@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import scipy
 
-from linkplan.models.closure.closed_pose import home_of
+from linkplan.models.closure.initial_assembly import home_of
 from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from linkplan.models.closure.closed_pose import home_text
+from linkplan.models.closure.initial_assembly import home_text
 from linkplan.models.errors import UnassembledError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.tables import parse_value

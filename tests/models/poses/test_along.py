@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import advance, follow
-from linkplan.models.poses.continuation import in_loops
+from linkplan.models.poses.assembly import advance, follow, in_loops
 from linkplan.models.poses.reach import reach, toggles
 
 # A parallelogram whose rocker carries an arm: no loop turns with the arm.

@@ -7,8 +7,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses import assembly
 from linkplan.models.poses.along import evaluated
-from linkplan.models.poses.assembly import advance, continue_to, follow, step_sizes
-from linkplan.models.poses.continuation import stride_along
+from linkplan.models.poses.assembly import advance, continue_to, follow, step_sizes, stride_along
 from linkplan.models.poses.reach import is_open, reach
 from linkplan.models.poses.singular_poses import all_regular
 

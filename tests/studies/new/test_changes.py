@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from linkplan.models.closure import closed_pose
+from linkplan.models.closure import initial_assembly
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
@@ -257,8 +257,8 @@ def test_another_home_than_a_singular_pose_is_named():
 
 def test_the_closed_pose_of_a_robot_is_searched_for_once_whatever_is_changed(monkeypatch):
     searched = []
-    search = closed_pose.nearest_closed_pose
-    monkeypatch.setattr(closed_pose, "nearest_closed_pose", lambda *given: searched.append(1) or search(*given))
+    search = initial_assembly.nearest_closed_pose
+    monkeypatch.setattr(initial_assembly, "nearest_closed_pose", lambda *given: searched.append(1) or search(*given))
     base = '<body name="base"><freejoint name="root"/><geom type="sphere" size="0.1" mass="5"/>'
     robot = FLAT.format(before=base, after="</body>").replace('<joint name="O"/>', '<joint name="O" frictionloss="0.1"/>')
     mechanism, notes = changed_mechanism({"model": robot})
