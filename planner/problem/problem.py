@@ -16,6 +16,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.threads import one_thread_at_a_time
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, toml_text
 from linkplan.planner.problem import build, consistency
+from linkplan.planner.problem.consistency import start_pose
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, extras_text, uses
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion
@@ -23,7 +24,6 @@ from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import GuessedPath, Sine
 from linkplan.planner.problem.robust import Robust
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
-from linkplan.planner.problem.start_pose import start_pose
 from linkplan.planner.trajectory import Trajectory
 
 ByName = Mapping[str, float]

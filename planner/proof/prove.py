@@ -11,7 +11,7 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.blocks import Blocks, blocks_of
 from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
-from linkplan.planner.proof.claim import Claim
+from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.claims import claims_of, sampled_findings
 from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings
 from linkplan.planner.proof.existence import (
@@ -23,7 +23,6 @@ from linkplan.planner.proof.existence import (
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.planner.proof.linear import NotSeparatedError
 from linkplan.planner.proof.motion import Piece, State
-from linkplan.planner.proof.record import Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.proof.walk import UnknownOperationError
 from linkplan.planner.trajectory import Trajectory

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flint import arb
 
-from linkplan.planner.proof.pose_claims import site_claims
+from linkplan.planner.proof.claims import site_claims
 from tests.support.arms import LOWER, UPPER, foot_of
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 
