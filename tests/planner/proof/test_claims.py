@@ -248,3 +248,14 @@ def test_a_site_away_from_its_goal_is_refuted():
         position[-1, -1, 0] += moved
         proof = prove(problem, replace(plan.trajectory, position=position), existence=False)
         assert [f.answer for f in proof.findings if "sites are where" in f.name] == [answer]
+
+
+def test_a_motion_without_effort_is_allowed_a_millionth_of_the_effort_of_its_inertia():
+    """The certificate allows the same: rounding of that effort is no effort that the plan lacks."""
+    problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
+    still = replace(motion, effort=np.zeros_like(motion.effort))
+    marks = {claim.marks for claim in claims_of(problem, still) if "that the planned effort lacks" in claim.name}
+    M = np.array(problem.mechanism.dynamics.reduced_inertia(motion.start_pose))
+    peak = np.abs(motion.acceleration_at(motion.dense_times(4))).max(axis=0)
+    allowed = 1e-6 * max(abs(M[0]) @ peak, abs(M[1]) @ peak)
+    assert sorted(marks) == [(pytest.approx(-allowed), pytest.approx(allowed))]

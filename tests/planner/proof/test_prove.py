@@ -130,6 +130,15 @@ def test_a_planned_effort_beyond_its_limit_between_the_nodes_is_refuted():
     assert answers(prove(limited(problem, largest * (1 - 1e-6)), motion), "planned effort of") == {"refuted"}
 
 
+@pytest.mark.parametrize("share", [0.6, 0.9, 0.99])
+def test_a_refuted_claim_names_an_instant_at_which_its_bound_occurs(share):
+    problem, motion = swing(1)
+    largest = np.abs(motion.effort_at(motion.dense_times(400))).max()
+    proof = prove(limited(problem, share * largest), motion)
+    (found,) = [finding for finding in proof.of("refuted") if finding.name.startswith("planned effort of")]
+    assert motion.effort_at(np.array([found.time_s]))[0, 0] == pytest.approx(found.bound, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "at", "by", "words"),
     [
