@@ -301,7 +301,7 @@ def load_mechanism(
     try:
         pose = assemble(loop, reference, held, tolerance)
     except UnassembledError as error:
-        raise with_closed_pose(error, loop, reference) from None
+        raise with_closed_pose(error, loop, reference, extent) from None
     mobility = judge_mobility(loop, pose, tolerance)
     loop = mobility.loop
     refuse_locked(mobility, pose, tolerance)
@@ -313,7 +313,7 @@ def load_mechanism(
     except LockedError as error:
         raise locked_or_singular(error, loop, pose) from None
     except UnassembledError as error:
-        raise with_closed_pose(error, loop, pose) from None
+        raise with_closed_pose(error, loop, pose, extent) from None
     B = effort_matrix(model, tree, actuators)
     noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
     projected = projected_loops(loop, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))

@@ -16,6 +16,7 @@ from linkplan.models.closure import newton
 from linkplan.models.closure.mobility import locked_by
 from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
+from linkplan.models.closure.snapping import SHIFT_SHARE
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint, index_of, where
@@ -55,18 +56,24 @@ def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
-def with_closed_pose(error: UnassembledError, loop: KinematicLoop, reference: np.ndarray) -> UnassembledError:
-    """Return an error that offers the closed pose nearest to `reference` (n_q,), or states why there is none to offer."""
-    return _offering(error, loop, nearest_closed_pose(loop, reference))
+def with_closed_pose(
+    error: UnassembledError, loop: KinematicLoop, reference: np.ndarray, extent_m: float
+) -> UnassembledError:
+    """Return an error that offers the closed pose nearest to `reference` (n_q,), or states why there is none to offer.
+
+    A tolerance is offered only for a gap that rounding may leave in a mechanism of the size `extent_m`.
+    """
+    pose = nearest_closed_pose(loop, reference)
+    if pose is not None:
+        return _offering(error, loop, pose)
+    tolerance = f", or rounded, which mechanism.closure_tolerance_m = {1.01 * error.gap_m:.3g} accepts"
+    hint = f"the links may be too short{tolerance if error.gap_m <= SHIFT_SHARE * extent_m else ''}"
+    return UnassembledError(
+        f"{error}; no closed pose was found near it: {hint}; else name a pose with mechanism.home_deg", error.gap_m
+    )
 
 
-def _offering(error: UnassembledError, loop: KinematicLoop, pose: np.ndarray | None) -> UnassembledError:
-    if pose is None:
-        hint = (
-            "no closed pose was found near it: the links may be too short, or rounded, which"
-            f" mechanism.closure_tolerance_m = {1.01 * error.gap_m:.3g} accepts; else name a pose with mechanism.home_deg"
-        )
-        return UnassembledError(f"{error}; {hint}", error.gap_m)
+def _offering(error: UnassembledError, loop: KinematicLoop, pose: np.ndarray) -> UnassembledError:
     home = home_of(loop.joints, pose)
     if loop.rank(pose) == len(loop.joints):
         hint = "at the nearest closed pose found, the loops lock every joint"

@@ -1,7 +1,5 @@
 """Loops that stand open, or singular, at the model's own pose: the nearest closed pose, to be pasted."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -87,10 +85,22 @@ def test_the_offer_keeps_the_joints_ranges():
 
 
 def test_links_that_are_too_short_get_no_offer():
-    short = re.sub(r'name="hip2" pos="-.1 0 0"', 'name="hip2" pos="-9 0 0"', LEG)
-    error = offered(short)
+    error = offered(replaced(LEG, 'name="hip2" pos="-.1 0 0"', 'name="hip2" pos="-9 0 0"'))
     assert (error.keyframe, error.home) == ("", {})
     assert "no closed pose was found" in str(error)
+
+
+@pytest.mark.parametrize(("gap_m", "is_rounding"), [(0.009, True), (0.2, False)])
+def test_a_tolerance_is_named_only_for_a_gap_that_rounding_may_leave(gap_m, is_rounding):
+    """Two rods of 0.4 m whose tips meet on no pose: their pivots are 0.8 m and a gap apart."""
+    rods = f"""<mujoco model="rods"><worldbody>
+    <body><joint name="a" axis="0 1 0"/><geom size=".01" pos=".2 0 0"/><site name="left" pos=".4 0 0"/></body>
+    <body pos="{0.8 + gap_m} 0 0"><joint name="b" axis="0 1 0"/><geom size=".01" pos="-.2 0 0"/>
+    <site name="right" pos="-.4 0 0"/></body></worldbody>
+    <equality><connect site1="left" site2="right"/></equality></mujoco>"""
+    error = offered(rods)
+    assert error.gap_m == pytest.approx(gap_m, rel=0.01)
+    assert ("mechanism.closure_tolerance_m" in str(error)) == is_rounding
 
 
 def test_a_parallelogram_drawn_flat_is_offered_a_pose_off_the_singular_one():
