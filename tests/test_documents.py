@@ -107,3 +107,27 @@ def test_recipes_are_shorter_than_thirty_lines():
     assert len(recipes) == 5
     for title, body in recipes:
         assert len(body.strip().splitlines()) < 30, title
+
+
+def quoted_in_contributing() -> list[str]:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    return sorted(set(re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))))
+
+
+def test_files_that_the_guide_for_developers_names_exist():
+    files = [quoted for quoted in quoted_in_contributing() if re.fullmatch(r"[a-z_/]+/[a-z_]+\.(py|md|toml)", quoted)]
+    assert len(files) > 20
+    assert [file for file in files if not (ROOT / file).is_file()] == []
+
+
+def test_names_that_the_guide_for_developers_quotes_stand_in_the_code():
+    """Of functions, classes, constants and modules; a name that the code has lost sends a reader astray."""
+    folders = ("models", "planner", "controllers", "studies", "tests")
+    paths = [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+    code = "\n".join(
+        [*(path.read_text(encoding="utf-8") for path in paths), *(str(path.relative_to(ROOT)) for path in paths)]
+    )
+    names = [quoted for quoted in quoted_in_contributing() if re.fullmatch(r"_?[A-Za-z]\w*(\.[a-z_]+)?(\(\))?", quoted)]
+    assert len(names) > 100
+    lost = [name for name in names if not re.search(rf"\b{re.escape(name.removesuffix('()').split('.')[-1])}\b", code)]
+    assert lost == []

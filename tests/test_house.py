@@ -4,6 +4,7 @@ import ast
 import functools
 import graphlib
 import itertools
+import re
 import subprocess
 import sys
 import tomllib
@@ -113,6 +114,14 @@ def test_every_room_is_listed_and_says_what_comes_in_and_what_goes_out():
             if package != "studies" or folder not in ("cli", "demo"):
                 assert "In: " in said, folder
                 assert "Out: " in said, folder
+
+
+def test_the_guide_for_developers_has_every_room_in_its_tables():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for package, rooms in ROOMS.items():
+        (table,) = re.findall(rf"^\| {package}: [^\n]*\n((?:\|[^\n]*\n)+)", text, flags=re.MULTILINE)
+        listed = re.findall(r"`(\w+)`", " ".join(row.split("|")[1] for row in table.splitlines()))
+        assert sorted(listed) == sorted(rooms), package
 
 
 @pytest.mark.parametrize("module", sorted(MODULES))

@@ -7,6 +7,7 @@
 | RaiseDegree | the error is spread evenly over the intervals: the motion is smooth there | Patterson, Hager and Rao 2015 |
 | Halve | the error is large on some intervals, or the needed effort is beyond its limit | Betts and Huffman 1998 |
 | Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
+| ReleaseArcs | the multipliers on a held arc have the wrong sign | Pontryagin's principle; Betts 2010, 4.4 |
 | Loosen | the motion passes within tightened limits | the same, on the finer mesh |
 | Restore | the best motion needs more effort between the nodes than a proof allows | Nocedal and Wright 2006, 18.1 |
 
