@@ -29,7 +29,6 @@ from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.rungs import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
-from linkplan.planner.solvers.solve import OF_TIME
 from linkplan.studies.check.drives import motors_hint
 from linkplan.studies.new.changes import (
     changed_mechanism,
@@ -132,8 +131,8 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 return found
             if rungs is _SMOOTH:
                 tried.append((moving, tables))
-            most = 0.5 * left if rungs is RUNGS else min(0.5 * left, _first_try_s(moving))
-            hurried = tables | {"solver": {"max_time_s": max(_MIN_SOLVE_S, most)}}
+            limit = max(_MIN_SOLVE_S, 0.5 * left if rungs is RUNGS else min(0.5 * left, _first_try_s(moving)))
+            hurried = tables | {"solver": {"max_time_s": limit}}
             try:
                 problem = Problem.from_tables(moving.name, hurried, mechanism=moving)
                 answer = plan_motion(problem, say, rungs, _IN_BRIEF if rungs is _SMOOTH else DIAGNOSES)
@@ -141,7 +140,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
                 found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
             why = "" if answer.passed else answer.message
-            if OF_TIME in why:
+            if why and left - deadline.left_s > 0.95 * limit:  # planning stops a little before its limit
                 why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
             said = changes if moving is mechanism else (*changes, _OTHER_HOME)
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)
