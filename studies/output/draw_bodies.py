@@ -5,6 +5,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import listed
 from linkplan.models.poses.hulls import outline, thickened
 from linkplan.models.poses.skeleton import Stick, body_name, sticks, view
 from linkplan.models.poses.solids import body_frames, cut_pins, solids
@@ -15,6 +16,8 @@ from linkplan.studies.output.drawing import GREY, SERIES
 _PAYLOAD_COLOUR = "#8D8273"
 # A larger legend would leave no space for the lines.
 _MAX_LEGEND_ENTRIES = 12
+# The names of more pins stand in a column beside the drawing.
+_MAX_NAMES_AT_PINS = 6
 
 
 def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
@@ -76,11 +79,16 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
         at = tuple(np.round(np.array([place @ right, place @ up]) / mechanism.extent_m, 3))
         if name not in found.setdefault(at, []):
             found[at].append(name)
+    line = {"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "relpos": (0, 0.5), "shrinkA": 1}
+    beside = {"textcoords": "axes fraction", "va": "center", "arrowprops": line}
     for k, (at, names) in enumerate(sorted(found.items(), key=lambda one: one[0][::-1])):
         x, y = np.array(at) * mechanism.extent_m
         axes.plot([x], [y], marker="o", color="black", markerfacecolor="white", markersize=3.2, linestyle="", zorder=4)
-        words = ", ".join(filter(None, names))
-        axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), textcoords="offset points", fontsize=7.5, zorder=5)
+        words = listed([name for name in names if name], 2)
+        if len(found) > _MAX_NAMES_AT_PINS:  # names at the pins would cover one another
+            axes.annotate(words, (x, y), xytext=(1.02, (k + 0.5) / len(found)), fontsize=7, zorder=5, **beside)
+        else:
+            axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), textcoords="offset points", fontsize=7.5, zorder=5)
 
 
 def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> None:
