@@ -18,9 +18,11 @@ from linkplan.models.actuation.actuators import Actuator, ranged_control
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.joints import own_column
 from linkplan.planner.limits.path_limit import (
+    BETWEEN_NODES_FACTOR,
     RELAXED_FACTOR,
     Bounds,
     Instant,
+    Margin,
     Measured,
     MotionArrays,
     PathLimit,
@@ -254,17 +256,20 @@ class ControlLimit(PathLimit):
 
     @classmethod
     def scaled(cls, problem: Problem, factor: float) -> Problem:
-        wider = tuple(
-            replace(a, control_lower=a.control_lower * factor, control_upper=a.control_upper * factor)
-            if a.limits_control
-            else a
-            for a in problem.mechanism.actuators
-        )
-        return replace(problem, mechanism=replace(problem.mechanism, actuators=wider))
+        """Return a problem whose servos' ranges have both ends further out, by `factor` - 1 of the larger end."""
+        wider = list(problem.mechanism.actuators)
+        for j in (limit.item for limit in cls.of(problem)):
+            low, high, more = wider[j].control_lower, wider[j].control_upper, (factor - 1) * _unit(wider[j])
+            wider[j] = replace(wider[j], control_lower=low - more, control_upper=high + more)
+        return replace(problem, mechanism=replace(problem.mechanism, actuators=tuple(wider)))
 
     @classmethod
     def without(cls, problem: Problem) -> Problem:
         return cls.scaled(problem, RELAXED_FACTOR)
+
+    @classmethod
+    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
+        return 1 + BETWEEN_NODES_FACTOR * max(-m.left / _unit(problem.mechanism.actuators[m.item]) for m in over)
 
 
 def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
