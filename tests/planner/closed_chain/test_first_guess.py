@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.closed_chain.guess import first_guess, swinging_guesses
 from tests.support.bodies import HINGE, body_problem
 
 
@@ -19,3 +19,13 @@ def test_the_path_passes_a_waypoint_at_the_mean_speed_unless_it_turns_there(star
     at_waypoint = 0.0 if turns else np.radians(goal - start) / 1.5
     np.testing.assert_allclose(guess.position(time)[:, 0], np.radians([start, via, goal]), atol=1e-12)
     np.testing.assert_allclose(guess.velocity(time)[:, 0], [0.0, at_waypoint, 0.0], atol=1e-9)
+
+
+def test_swings_go_half_the_way_away_from_the_goal_or_half_the_way_past_it():
+    """From -10 to 30 deg: back to -30 deg at four tenths of the time, or on to 50 deg at six tenths."""
+    motion = 'kind = "reach"\nstart_deg = { J = -10.0 }\ngoal_deg = { J = 30.0 }\nduration_s = 2.0\n'
+    back, past = swinging_guesses(body_problem(HINGE, motion), np.radians([-10.0]))
+    for guess, at, turn in ((back, 0.8, -30.0), (past, 1.2, 50.0)):
+        assert guess.duration_s == 2.0
+        assert np.degrees(guess.position(np.array([0.0, at, 2.0]))[:, 0]) == pytest.approx([-10.0, turn, 30.0])
+        assert guess.velocity(np.array([0.0, at, 2.0])) == pytest.approx(np.zeros((3, 1)), abs=1e-9)

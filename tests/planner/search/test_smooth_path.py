@@ -10,7 +10,9 @@ from linkplan.planner.diagnosis.reasons import nothing_found
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import HURRIED, Rung
+from linkplan.planner.search.smooth_path import _is_carried
 from tests.support.plans import optimal
 
 STRONG = "limits.effort={ act_O1 = [-3.0, 3.0], act_O2 = [-3.0, 3.0] }"
@@ -73,3 +75,11 @@ def test_it_is_no_answer_if_its_efforts_exceed_their_limits():
 
 def test_it_is_no_answer_if_a_joint_has_no_drive():
     assert not unsolved(load_problem("cart-pole-swing-up")).passed
+
+
+@pytest.mark.parametrize(("name", "carried"), [("five-bar-reach", True), ("cart-pole-swing-up", False)])
+def test_a_path_is_carried_where_the_actuators_give_every_effort_that_it_needs(name, carried):
+    """A pole without a motor does not follow the smooth path, though the cart does."""
+    problem = load_problem(name, [STRONG] if name == "five-bar-reach" else [])
+    search = Search(problem=problem, start_pose=problem.start_pose())
+    assert _is_carried(problem, search) is carried
