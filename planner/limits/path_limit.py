@@ -107,11 +107,10 @@ class Margin:
 
     def sentence(self, verb: str = "comes to") -> str:
         """Return a sentence with the worst value, its time and its limit."""
-        signed = self.of.tightened is Tightened.IN_UNITS or self.value * self.limit <= 0
-        value, limit = (self.value, self.limit) if signed else (abs(self.value), abs(self.limit))
-        amount = f"{value:.4g} {self.unit}".rstrip()
+        amount = f"{self.value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
-        return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {self.of.beyond} its limit of {limit:.4g}"
+        at = f"at t = {self.time_s:.4g} s"
+        return f"{self.title} {verb} {amount} {at}, {off} {self.of.beyond} its limit of {self.limit:.4g}"
 
 
 class PathLimit(Protocol):
