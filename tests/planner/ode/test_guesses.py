@@ -1,10 +1,14 @@
 """What a guess lacks, its duration and efforts; and which rows a formulation has where no node stands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from linkplan.planner.ode.formulation import _open_end_path, completed, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.problem.settings import SolverSettings
 from tests.support.ode import squared_effort
 
 
@@ -70,3 +74,11 @@ def test_rows_where_no_node_stands_are_those_of_inequalities_with_an_effort():
         running_cost=squared_effort,
     )
     assert _open_end_path(asked) == (1,)
+
+
+@pytest.mark.parametrize("starts", [1, 3])
+def test_as_many_starts_are_solved_as_are_asked_for(starts):
+    asked = replace(problem(1.0, [[-5.0, 5.0]]), final_cost=None, running_cost=squared_effort)
+    plan = plan_ode(replace(asked, solver=SolverSettings(starts=starts)))
+    assert plan.objective == pytest.approx(1.0, rel=1e-6)
+    assert len([step for step in plan.history if step.what.startswith(("first solve", "start"))]) == starts

@@ -1,11 +1,13 @@
 """Claims on sites' places: their enclosures at a pose against the arm's kinematics by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from flint import arb
 
+from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.claims import site_claims
 from tests.support.arms import LOWER, UPPER, foot_of
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
@@ -29,3 +31,14 @@ def test_a_claim_encloses_the_place_of_a_site(limit, quantity):
     expected = quantity(foot_of(POSE)[0])
     assert abs(float(value.mid()) - expected) < 1e-12
     assert float(value.rad()) < 1e-12
+
+
+@pytest.mark.parametrize("radius_m", [0.05, 3.0])
+def test_a_tube_is_kept_within_its_radius_and_the_rounding_that_a_certificate_allows(radius_m):
+    problem = site_problem(arm_of(UPPER, LOWER), {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}})
+    index = problem.mechanism.model.site("foot").id
+    along = np.array([ABOVE, BELOW])
+    tube = SiteLimit(site="foot", index=index, what="tube", name="foot", low=0.0, high=radius_m, along=along)
+    (claim,) = site_claims(replace(problem, limits=replace(problem.limits, site=(tube,))), None)
+    assert claim.marks[1] == pytest.approx((radius_m + 1e-9 * max(1.0, radius_m)) ** 2, rel=1e-15)
+    assert claim.marks[1] > radius_m**2
