@@ -15,7 +15,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import newton
-from linkplan.planner.proof.claim import rounding_of, share_of
+from linkplan.planner.proof.claim import Record, claim_of, finding_of_claim, rounding_of, share_of
 from linkplan.planner.proof.claims import claims_of
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import TAYLOR_ORDER, prove, states_of
@@ -259,3 +259,15 @@ def test_a_motion_without_effort_is_allowed_a_millionth_of_the_effort_of_its_ine
     peak = np.abs(motion.acceleration_at(motion.dense_times(4))).max(axis=0)
     allowed = 1e-6 * max(abs(M[0]) @ peak, abs(M[1]) @ peak)
     assert sorted(marks) == [(pytest.approx(-allowed), pytest.approx(allowed))]
+
+
+@pytest.mark.parametrize(
+    ("least", "greatest", "margin", "bound", "at"),
+    [(-1.5, 1.0, 0.5, -1.5, 0.1), (-1.0, 4.75, 0.25, 4.75, 0.7), (-2.5, 1.0, -0.5, -2.5, 0.1), (-1.0, 5.5, -0.5, 5.5, 0.7)],
+)
+def test_a_claim_s_margin_is_the_distance_from_its_nearer_mark_at_that_instant(least, greatest, margin, bound, at):
+    claim = claim_of("force", "N", (-2.0, 5.0), lambda _: [], (0.0, 0.0))
+    record = Record(least=least, greatest=greatest, least_at=0.1, greatest_at=0.7, boxes=3)
+    found = finding_of_claim(claim, record)
+    assert (found.margin, found.bound, found.time_s, found.boxes) == (margin, bound, at, 3)
+    assert found.mark == (-2.0 if bound < 0 else 5.0)

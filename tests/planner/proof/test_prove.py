@@ -260,3 +260,15 @@ def test_a_slide_that_stands_still_may_jump_by_the_last_digit_of_its_position():
     plan = body_plan(HINGE_AND_SLIDE, f'kind = "reach"\nduration_s = 1.0\n{ends}')
     assert joins(plan, float(np.spacing(0.11))) == "proved"
     assert joins(plan, 1e-13) == "refuted"
+
+
+@pytest.mark.parametrize("k", [0, 4])
+def test_pieces_that_do_not_join_are_named_with_their_instant(k):
+    problem, motion = knee()
+    position = motion.position.copy()
+    position[-1, k] += 1e-3
+    findings = end_findings(problem, replace(motion, position=position))
+    (found,) = (finding for finding in findings if finding.name == "the pieces of position join")
+    assert found.answer == "refuted"
+    assert found.time_s == motion.breaks_s[k + 1]
+    assert f"t = {motion.breaks_s[k + 1]:.6g} s" in found.reason
