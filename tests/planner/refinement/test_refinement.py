@@ -8,10 +8,14 @@ import pytest
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.actions import ReadSwitches
+from linkplan.planner.refinement.case import attempt, certify_iterate
 from linkplan.planner.refinement.history import recording
+from linkplan.planner.refinement.state import RefinementState
+from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import uniform
+from tests.support.bodies import HINGE, body_problem
 from tests.support.data import KNEE_TABLE
 from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import REFINED_DEG, REFINED_TIME
@@ -88,3 +92,16 @@ def test_what_was_solved_is_not_solved_again_as_it_was(monkeypatch):
     other = attempt(case_of(weaker), guess, uniform(8), np.array([0.16]), "weaker")
     assert len(solved) == 2
     assert other is None or not np.array_equal(other.solution.x, first.solution.x)
+
+
+def test_a_reading_of_switches_counts_as_a_round_and_holds_what_it_read():
+    """A pure inertia's least time: full effort, one switch in the middle, full effort against it."""
+    reach = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 90.0 }\nduration_s = "free"\n'
+    problem = body_problem(HINGE, reach, "objective.minimize=time")
+    case, guess = case_of(problem), first_guess(problem, problem.start_pose())
+    first = attempt(case, guess, *first_mesh(problem, guess), "first solve")
+    state = RefinementState(asked=case, case=case, at=certify_iterate(case, first), warm=False, rounds=5, readings=1)
+    after = ReadSwitches().apply(state)
+    assert (after.rounds, after.readings, after.read_in) == (6, 2, 5)
+    assert after.at.found.fixed.efforts[:, 0].tolist() == problem.limits.effort[0, ::-1].tolist()
+    assert after.at.passed

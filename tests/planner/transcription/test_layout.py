@@ -1,8 +1,11 @@
 """The places of a program's unknowns: each index is used by one of them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.system import _open_end_rows
 
 
 def test_every_unknown_has_one_place_of_its_own():
@@ -23,3 +26,8 @@ def test_every_unknown_has_one_place_of_its_own():
     np.testing.assert_array_equal(layout.states(), [layout.state(k) for k in range(5)])
     np.testing.assert_array_equal(layout.durations(), layout.states().max() + 1 + np.arange(3))
     np.testing.assert_array_equal(layout.extra(), layout.durations().max() + 1 + np.arange(2))
+
+
+def test_rows_at_open_ends_are_those_of_the_closure_and_of_the_path_quantities_that_jump():
+    system = SimpleNamespace(n_equations=4, kinds=("closure", "dynamics", "closure", "work", "power", "speed", "power"))
+    assert _open_end_rows(system, (0, 2)) == (0, 2, 4, 6)
