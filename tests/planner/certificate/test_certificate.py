@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import Certificate, certify, integration_rtol
 from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import HINGE, body_problem
+from tests.support.bodies import HINGE, LIFT, body_problem
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
 from tests.support.plans import planned, problem_of
+from tests.support.random_motions import motion_of
 from tests.support.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
 
 
@@ -50,6 +52,16 @@ def test_an_effort_above_its_limit_in_one_interval_is_found():
     certificate = found(replace(motion(), effort=effort))
     assert certificate.effort_excess == pytest.approx(0.001, rel=EXCESS)
     assert motion().breaks_s[17] <= certificate.worst_time_s["effort_excess"] < motion().breaks_s[18]
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(0.5, False), (-0.9, False), (1.1, True), (-2.0, True)])
+def test_a_slide_may_end_a_hundredth_of_a_millimetre_from_its_plan_when_it_is_integrated(share, is_named):
+    """A constant force d on a mass m for the time T moves it by d T^2 / (2 m)."""
+    problem, motion = motion_of(load_mechanism(LIFT), np.random.default_rng(0))
+    force = share * 1e-5 * 2 * 2.0 / motion.duration_s**2
+    certificate = certify(problem, replace(motion, effort=motion.effort + force))
+    assert certificate.integration_error_m == pytest.approx(abs(share) * 1e-5, rel=1e-4)
+    assert sentence(certificate, "state integrated under the planned effort", "(allowed: 1e-05 m)") == is_named
 
 
 @pytest.mark.parametrize(("tolerance_deg", "rtol"), [(None, 1e-12), (1e-6, 1e-12), (5e-3, 8.7266e-11)])

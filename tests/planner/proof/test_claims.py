@@ -1,6 +1,7 @@
 """Claims of every kind: enclosures against mpmath in 50 digits, and limits of all kinds beside what a motion needs."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import mpmath as mp
@@ -16,7 +17,7 @@ from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.claim import Record, claim_of, finding_of_claim, rounding_of, share_of
-from linkplan.planner.proof.claims import claims_of
+from linkplan.planner.proof.claims import claims_of, reference_claims
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import TAYLOR_ORDER, prove, states_of
 from linkplan.planner.proof.taylor import TaylorForm
@@ -26,7 +27,7 @@ from tests.support.four_bars import random_bars
 from tests.support.linkages import loaded
 from tests.support.mechanisms import doubled_pin, random_quaternion, replaced
 from tests.support.mp_functions import DIGITS, mp_motion, mp_pose, mp_values
-from tests.support.plans import optimal
+from tests.support.plans import optimal, problem_of
 from tests.support.random_motions import motion_of, needed
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 from tests.support.spoilt import answers_beside_limits
@@ -271,3 +272,15 @@ def test_a_claim_s_margin_is_the_distance_from_its_nearer_mark_at_that_instant(l
     found = finding_of_claim(claim, record)
     assert (found.margin, found.bound, found.time_s, found.boxes) == (margin, bound, at, 3)
     assert found.mark == (-2.0 if bound < 0 else 5.0)
+
+
+def test_the_distance_from_a_reference_is_that_of_its_sine():
+    """bias + amplitude sin(2 pi f t + phase), in the joint's own angle."""
+    asked = "reference.frequency_hz=1.5", "reference.phase_deg.O=25.0", "reference.bias_deg.O=-4.0"
+    problem = problem_of("knee-sine", *asked)
+    (claim,) = reference_claims(problem, SimpleNamespace(position=np.array([0.0, 1.0])))
+    reference, time, angle = problem.reference, 0.37, 0.2
+    exact = angle - (reference.bias[0] + reference.amplitude[0] * np.sin(2 * np.pi * 1.5 * time + np.radians(25.0)))
+    (value,) = claim.values(SimpleNamespace(s=[arb(angle)], time=arb(time)))
+    assert float(value.mid()) == pytest.approx(exact, rel=1e-12)
+    assert (reference.bias[0], reference.phase[0]) == pytest.approx(np.radians([-4.0, 25.0]))
