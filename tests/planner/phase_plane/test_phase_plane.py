@@ -10,6 +10,7 @@ from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE
 
@@ -155,3 +156,15 @@ def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(sprin
     plan = plan_motion(spring(10.0, "motion.max_duration_s=10"))
     assert plan.status == "infeasible"
     assert not [step for step in plan.history if step.what.startswith("start from")]
+
+
+def test_the_efforts_of_a_least_time_guess_change_at_its_switch_time_and_not_a_cell_off():
+    """A pure inertia's quarter turn: full effort up to half of 2 sqrt(inertia turn / effort), then against it."""
+    problem = body_problem(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time")
+    guess = least_time_guess(problem, problem.start_pose())
+    least = 2 * np.sqrt(HINGE_INERTIA * TURN / 4.0)
+    assert guess.duration_s == pytest.approx(least, rel=MINIMUM_TIME)
+    (switch,) = guess.switch_times_s
+    assert switch == pytest.approx(least / 2, rel=1e-2)  # of the grid
+    at = switch + 1e-6 * least * np.array([-1.0, 1.0])
+    assert guess.effort(np.array([0.0, *at, 0.999 * least]))[:, 0].tolist() == [4.0, 4.0, -4.0, -4.0]
