@@ -67,7 +67,7 @@ def with_closed_pose(
     if pose is not None:
         return _offering(error, loop, pose)
     tolerance = f", or rounded, which mechanism.closure_tolerance_m = {1.01 * error.gap_m:.3g} accepts"
-    hint = f"the links may be too short{tolerance if error.gap_m <= SHIFT_SHARE * extent_m else ''}"
+    hint = f"the links may be too short{tolerance if error.gap_m <= 0.1 * SHIFT_SHARE * extent_m else ''}"
     return UnassembledError(
         f"{error}; no closed pose was found near it: {hint}; else name a pose with mechanism.home_deg", error.gap_m
     )

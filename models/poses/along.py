@@ -98,6 +98,21 @@ def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
     return np.einsum("kus,ks->ku", inverse, tau)
 
 
+def effort_within(tau: np.ndarray, maps: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Return the efforts (n, n_u) of least norm within limits (n_u, 2) that give tau (n, n_s), in least squares.
+
+    Several actuators of one joint, as cables that only pull, share its effort otherwise than without limits.
+    """
+    import scipy
+
+    effort, (low, high) = least_effort(tau, maps), limit.T
+    for k in np.flatnonzero(np.any((effort < low) | (effort > high), axis=1)):
+        small = 1e-6 * float(np.linalg.norm(maps[k])) * np.eye(len(limit))  # of efforts that give the same, the least
+        rows, wanted = np.vstack([maps[k], small]), np.append(tau[k], np.zeros(len(limit)))
+        effort[k] = scipy.optimize.lsq_linear(rows, wanted, (low, np.nextafter(high, np.inf)), tol=1e-14).x
+    return effort
+
+
 def whole_turns(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray:
     """Return the whole turns (n_q,) [rad] nearest to the joints' travel [rad or m]; 0 for joints that do not turn."""
     hinges = np.array([joint.turns for joint in mechanism.joints])

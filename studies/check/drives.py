@@ -60,7 +60,7 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     gas = any(is_gas_spring(model, a) for a in range(model.nactuator))
     if gas or np.any(model.jnt_stiffness) or weight > 0.01 * np.abs(ends).max():
         return None
-    unit, damped = effort_unit(joint), float(model.dof_damping[index]) > 0
+    unit, damped = effort_unit(joint), bool(model.dof_damping[index] or model.dof_frictionloss[index])
     moves = "turns" if joint.kind == "hinge" else "pushes"
     pushes = " and ".join(
         f"{a.name}, on {a.target}, only {moves} it one way, by {_ends(found)} {unit} at home" for a, found in acting
@@ -90,7 +90,8 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
     along = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
     still = np.zeros(mechanism.n_q)
     drag = [np.array(mechanism.dynamics.passive(mechanism.home, speed)).ravel() @ along for speed in (along, still)]
-    damped = abs(drag[0] - drag[1]) > 0
+    rubs = mechanism.model.dof_frictionloss @ np.abs(mechanism.qvel_of(mechanism.home, along)) > 0
+    damped = abs(drag[0] - drag[1]) > 0 or bool(rubs) or bool(mechanism.model.tendon_frictionloss.any())
     return f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}", True
 
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import mujoco
 import numpy as np
 
+from linkplan.models.audit import audit
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError
 from linkplan.models.floating import floating_joints, floating_words
@@ -22,7 +23,7 @@ from linkplan.models.kinematics import data_at
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import listed
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import demanded, effort_within, needed_effort
 from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.felt_inertia import equality_rows
@@ -148,7 +149,7 @@ def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
     Actuators with the same limits are the same motor, or the same default of an exporter: their limits are raised together.
     """
     still = np.zeros((1, mechanism.dof))
-    hold = needed_effort(mechanism, mechanism.home[None], still, still)[0][0]
+    hold = effort_within(*demanded(mechanism, mechanism.home[None], still, still), 1e3 * mechanism.effort_limit)[0]
     limits = [tuple(float(x) for x in ends) for ends in mechanism.effort_limit]
     factors: dict[tuple[float, ...], float] = {}
     for effort, ends in zip(hold, limits, strict=True):
@@ -173,6 +174,21 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
         if actuator.name in limits
     )
     return [f"actuators are too weak to hold the weight at home: limits.effort takes {said}; put in the motors' own"]
+
+
+def left_out(mechanism: Mechanism) -> list[str]:
+    """Return the forces in a model that plans do not honour, each as a phrase."""
+    return [element.text for element in audit(mechanism.model) if element.falsifies]
+
+
+def left_out_notes(mechanism: Mechanism) -> list[str]:
+    """Return a sentence on the forces that a first motion is planned without, if there are some."""
+    forces = left_out(mechanism)
+    said = f"{len(forces)} kinds of forces" if len(forces) > 1 else "forces"
+    return [
+        f"plans do not honour {said} that act in the simulation, and are made without them: {listed(forces, 3)}"
+        ' (limits.unhonoured = "note"; by default such a problem is refused)'
+    ] * bool(forces)
 
 
 def overlapping_bodies(contacts: Iterable[Meeting]) -> list[list[str]]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, one_line
-from linkplan.models.poses.along import beyond_balls, needed_effort
+from linkplan.models.poses.along import beyond_balls, demanded, effort_within, least_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
@@ -54,13 +54,14 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     Nothing is said of a weight on coordinates that no actuator moves.
     """
     mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
-    hold, missing = needed_effort(mechanism, poses, still, still)
-    limit = problem.limits.effort
-    if np.abs(missing).max() >= 1e-9 * np.abs(limit).max():
+    (tau, maps), limit = demanded(mechanism, poses, still, still), problem.limits.effort
+    free, hold = least_effort(tau, maps), effort_within(tau, maps, limit)
+    missing, lacking = (np.abs(tau - np.einsum("ksu,ku->ks", maps, effort)).max() for effort in (free, hold))
+    if missing >= 1e-9 * np.abs(limit).max():
         return None
     names = [actuator.name for actuator in mechanism.actuators]
-    weak = np.any((hold < limit[:, 0]) | (hold > limit[:, 1]), axis=0)
-    if weak.any():
+    if lacking > 1e-6 * np.abs(tau).max():
+        weak = np.any((free < limit[:, 0]) | (free > limit[:, 1]), axis=0)
         return f"actuator {names[int(np.argmax(weak))]} is too weak to hold the weight"
     servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
     short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)

@@ -32,6 +32,8 @@ from linkplan.planner.search.starts import from_first_starts
 from linkplan.studies.check.drives import motors_hint
 from linkplan.studies.new.changes import (
     changed_mechanism,
+    left_out,
+    left_out_notes,
     overlap_sentence,
     overlapping_bodies,
     raised_limits,
@@ -87,7 +89,7 @@ class FirstMotion:
     @property
     def changed(self) -> list[str]:
         """A sentence on each change of the model."""
-        return [*self.changes, *raised_notes(self.mechanism, self.tables)]
+        return [*self.changes, *raised_notes(self.mechanism, self.tables), *left_out_notes(self.mechanism)]
 
     @property
     def notes(self) -> list[str]:
@@ -120,7 +122,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=_SHUT, changes=changes)
     try:
         Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
-    except ProblemError as error:  # what no motion changes, such as forces that are not honoured
+    except ProblemError as error:  # what no motion changes
         return replace(found, why=one_line(error))
     deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
     tried: list[tuple[Mechanism, dict[str, dict]]] = []
@@ -283,6 +285,8 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
     joint = mechanism.joints[0]  # the first joint is on the world, where drives usually are
     force = "100" if joint.kind == "slide" else "10"
     line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
+    if joint.chart is None and joint.name not in [mechanism.model.joint(j).name for j in range(mechanism.model.njnt)]:
+        line = f'name="{joint.name}" to its first joint, which has no name, and {line}'
     if mechanism.dof == 0:
         raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom: its loops hold it still")
     if (shut := shut_balls(mechanism)) is not None:
@@ -352,12 +356,14 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
             motion.setdefault(f"{name}_{joint.unit}", {})[joint.name] = value + 0.0
     motion["duration_s"] = "free"
     raised = raised_limits(mechanism)
+    limits = {"effort": raised} if raised else {}
+    limits |= {"unhonoured": "note"} if left_out(mechanism) else {}
     gentle = many_hang(mechanism) or bool(sprung_freedoms(mechanism)) or is_large(mechanism)
     return {
         "mechanism": dict(mechanism.source),
         "motion": motion,
         "objective": {"minimize": "effort_rate" if gentle else "effort"},
-        **({"limits": {"effort": raised}} if raised else {}),
+        **({"limits": limits} if limits else {}),
         **({"mesh": dict(_COARSE_MESH)} if is_large(mechanism) else {}),
     }
 

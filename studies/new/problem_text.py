@@ -9,7 +9,7 @@ import numpy as np
 
 from linkplan.models.catalogue import MODELS
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.poses.along import sampled
 from linkplan.models.poses.reach import reach
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.sites import site_names
@@ -129,16 +129,15 @@ def _joint_facts(mechanism: Mechanism) -> dict:
 
 def _place(mechanism: Mechanism) -> tuple[str, str] | None:
     """Return the site that moves most and its position at home, as TOML, with one axis for each degree of freedom."""
-    poses = np.vstack([reach(mechanism, column).poses for column in range(mechanism.dof)])
-    found = []
-    for name in site_names(mechanism.model):
-        index = int(mechanism.model.site(name).id)
-        span = np.ptp(places_of(mechanism, index, poses), axis=0)
-        found.append((float(span.max()), name, index, span))
-    if not found or max(found, key=lambda one: one[0])[0] < _LEAST_SITE_TRAVEL_M:
+    names = site_names(mechanism.model)
+    reaches = [reach(mechanism, column).poses for column in range(mechanism.dof)]
+    poses = np.vstack([mechanism.home, *(one[np.linspace(0, len(one) - 1, 9).astype(int)] for one in reaches)])
+    places = sampled(mechanism.dynamics.site_places, poses)[:, :, [mechanism.model.site(name).id for name in names]]
+    spans = np.ptp(places, axis=0)
+    if spans.max(initial=0.0) < _LEAST_SITE_TRAVEL_M:
         return None
-    _, name, index, span = max(found, key=lambda one: one[0])
-    home = places_of(mechanism, index, mechanism.home)[0]
+    farthest = int(np.argmax(spans.max(axis=0)))
+    name, span, home = names[farthest], spans[:, farthest], places[0, :, farthest]
     chosen = sorted(np.argsort(-span)[: min(mechanism.dof, int(np.sum(span > _LEAST_SITE_TRAVEL_M)))])
     return key_text(name), inline({AXES[k]: round(float(home[k]), 4) + 0.0 for k in chosen})
 

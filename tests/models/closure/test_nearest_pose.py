@@ -90,7 +90,7 @@ def test_links_that_are_too_short_get_no_offer():
     assert "no closed pose was found" in str(error)
 
 
-@pytest.mark.parametrize(("gap_m", "is_rounding"), [(0.009, True), (0.2, False)])
+@pytest.mark.parametrize(("gap_m", "is_rounding"), [(0.003, True), (0.03, False)])
 def test_a_tolerance_is_named_only_for_a_gap_that_rounding_may_leave(gap_m, is_rounding):
     """Two rods of 0.4 m whose tips meet on no pose: their pivots are 0.8 m and a gap apart."""
     rods = f"""<mujoco model="rods"><worldbody>

@@ -283,12 +283,46 @@ def test_a_ball_joint_that_a_default_limits_to_0_deg_is_named(tmp_path, ask):
     assert "ball joint socket may not turn" in err
 
 
-def test_forces_that_are_not_honoured_are_no_shut_way(tmp_path, ask):
+def test_forces_that_are_not_honoured_are_no_shut_way_but_left_out_and_named(tmp_path, ask):
     clamped = ARM.format(effort=30.0).replace('name="arm"', 'name="arm" actuatorfrcrange="-20 20"')
     twice = clamped.replace("</actuator>", '<motor name="second" joint="arm" ctrlrange="-9 9"/></actuator>')
     (tmp_path / "arm.xml").write_text(twice, encoding="utf-8")
-    _, out, _ = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
-    assert "NOT planned: mechanism 'arm' cannot be planned, its model has forces that the planner does not honour" in out
+    code, out, _ = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 0
+    assert (
+        "plans do not honour forces that act in the simulation, and are made without them: actuatorfrcrange of joint arm"
+        in out
+    )
+    written = tomllib.loads((tmp_path / "first.toml").read_text(encoding="utf-8"))
+    assert written["limits"]["unhonoured"] == "note"
+    assert written["motion"]["goal_deg"] != written["motion"]["start_deg"]
+
+
+CABLES = """<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody><body name="arm">
+<joint name="elbow" axis="0 1 0" range="-60 60"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body>
+</worldbody><actuator><motor name="flexor" joint="elbow" gear="-10" ctrlrange="0 {most}"/>
+<motor name="extensor" joint="elbow" gear="10" ctrlrange="0 {most}"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("most", "raised"), [(1.0, None), (0.05, 0.294)])
+def test_of_two_cables_one_pulls_and_the_other_need_not_push(tmp_path, ask, most, raised):
+    """1 kg at 0.15 m needs 1.47 N.m: 0.147 of the flexor, whose limit below that becomes twice as much."""
+    (tmp_path / "arm.xml").write_text(CABLES.format(most=most), encoding="utf-8")
+    code, out, _ = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 0, out
+    limits = tomllib.loads((tmp_path / "first.toml").read_text(encoding="utf-8")).get("limits", {})
+    assert limits.get("effort", {}).get("flexor") == (None if raised is None else [0.0, raised])
+
+
+def test_an_actuator_is_offered_with_a_name_for_a_joint_that_has_none(tmp_path, ask):
+    nameless = ARM.format(effort=30.0).replace('name="arm" ', "")
+    nameless = nameless[: nameless.index("<actuator>")] + "</mujoco>"
+    (tmp_path / "arm.xml").write_text(nameless, encoding="utf-8")
+    code, _, err = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 2
+    assert (
+        'add for example name="joint0" to its first joint, which has no name, and <actuator><motor name="act_joint0"' in err
+    )
 
 
 WAIST = """<mujoco><compiler autolimits="true"/><default><joint axis="0 1 0" range="-90 90"/></default><worldbody>
