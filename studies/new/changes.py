@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError
 from linkplan.models.floating import floating_joints, floating_words
 from linkplan.models.kinematics import data_at
@@ -28,7 +28,7 @@ from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
-from linkplan.models.ties import STIFF
+from linkplan.models.ties import STIFF, rod_line
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
@@ -244,11 +244,23 @@ def _spins(mechanism: Mechanism) -> dict[str, float]:
 
 
 def _rods_on_balls(mechanism: Mechanism) -> list[str]:
-    """Return the ball joints of rods whose undriven spins can be locked, by name."""
-    charts = {joint.chart for joint in np.array(mechanism.independent_joints, dtype=object)[~mechanism.steered]}
-    model = mechanism.model
-    balls = [j for j in range(model.njnt) if joint_label(model, j) in charts]
-    return [joint_label(model, j) for j in balls if spin_refusal(model, j) is None]
+    """Return the ball joints of rods that spin about their own lines and whose spins can be locked, by name.
+
+    The coordinate of a rod's spin may be an angle of another ball joint: what turns is read from the bodies.
+    """
+    model, found = mechanism.model, []
+    data = data_at(model, mechanism.qpos_of(mechanism.home))
+    for column in np.flatnonzero(~mechanism.steered):
+        rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
+        data.qvel[:] = mechanism.qvel_of(mechanism.home, rates)
+        mujoco.mj_comVel(model, data)
+        least = FILE_ROUNDING_SHARE * np.abs(data.cvel[:, :3]).max()
+        for j in (j for j in range(model.njnt) if spin_refusal(model, j) is None):
+            body, line = int(model.jnt_bodyid[j]), rod_line(model, j)
+            turn = data.xmat[body].reshape(3, 3).T @ data.cvel[body, :3]
+            if np.linalg.norm(turn) > least and np.linalg.norm(np.cross(turn, line)) < least:
+                found.append(joint_label(model, j))
+    return list(dict.fromkeys(found))
 
 
 def _is_spin(mechanism: Mechanism, column: int) -> bool:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, one_line
-from linkplan.models.poses.along import beyond_balls, demanded, effort_within, least_effort
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import beyond_balls, demanded, effort_within, least_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
@@ -40,12 +41,21 @@ def obstacle_on_way(problem: Problem) -> str | None:
     turned = np.any(beyond_balls(mechanism, poses) > RANGE_ROUNDING, axis=0)
     if turned.any():
         return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
+    if mechanism.tendons and not (kept := tendons_kept(mechanism, poses)).all():
+        return f"tendon {mechanism.tendons[int(np.argmin(kept.all(axis=0)))].name} is outside its range"
     if np.min(singularity_ratios(problem, poses)) < 0.25:
         return "a singular pose is near"
     if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
         return sentence
     met = new_meetings(meetings(mechanism, shares, poses, position_at))
     return f"{geom_names(met[0])} collide" if met else None
+
+
+def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return a mask (n, n_tendons) of the limited tendons whose lengths are within their ranges at poses (n, n_q)."""
+    low, high = np.array([(tendon.low, tendon.high) for tendon in mechanism.tendons]).reshape(-1, 2).T
+    lengths = sampled(mechanism.dynamics.tendon_length, poses)[:, :, 0]
+    return (lengths >= low - RANGE_ROUNDING) & (lengths <= high + RANGE_ROUNDING)
 
 
 def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
