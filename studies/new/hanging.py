@@ -44,9 +44,10 @@ def at_gravity_equilibrium(mechanism: Mechanism) -> Mechanism | None:
     if not hanging_columns(mechanism):
         return None
     held = mechanism.independent[driven_columns(mechanism)]
-    moved = mechanism.home + 1e-3  # [rad or m], off an unstable equilibrium
-    pose = hanging_pose(mechanism, moved, {int(index): float(mechanism.home[index]) for index in held})
-    if pose is None or np.abs(pose - mechanism.home).max() < 1e-6:
+    off = 1e-3  # [rad or m], from an unstable equilibrium; where the energy is flat, the search ends where it begins
+    pose = hanging_pose(mechanism, mechanism.home + off, {int(index): float(mechanism.home[index]) for index in held})
+    same = 2 * off if is_equilibrium(mechanism, mechanism.home) else 1e-6
+    if pose is None or np.abs(pose - mechanism.home).max() < same:
         return None
     pose = np.array([_rounded(joint, x) for joint, x in zip(mechanism.joints, pose, strict=True)])
     source = {key: value for key, value in mechanism.source.items() if key not in ("home_deg", "home_m")}

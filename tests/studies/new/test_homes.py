@@ -1,0 +1,62 @@
+"""Where first motions begin, and which rods they lock: homes outside tendons' ranges or on flat energies, spins of rods."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.new.changes import changed_mechanism
+from linkplan.studies.new.hanging import at_gravity_equilibrium
+
+# A rod between ball joints whose rocker is pinned at two points: the coordinate of the rod's spin is an angle of ball_b.
+ROD_ON_A_ROCKER = """<mujoco><option gravity="0 0 0"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
+<body><joint name="motor" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .1" size=".01"/>
+<body pos="0 0 .1" quat="0.186517 -0.195973 0.950047 0.155616"><joint name="ball_a" type="ball"/>
+<geom type="capsule" fromto="0 0 0 -0.271799 -0.085388 0.106461" size=".01"/>
+<body pos="-0.271799 -0.085388 0.106461" quat="0.699995 -0.422934 0.293859 0.494753"><joint name="ball_b" type="ball"/>
+<geom type="capsule" fromto="0 0 0 -0.138103 -0.138146 0.042935" size=".01"/>
+<site name="p1" pos="-0.139290 -0.122232 0.090320"/><site name="p2" pos="-0.136915 -0.154060 -0.004450"/></body></body>
+</body>
+<site name="q1" pos=".3 .1 -.1"/><site name="q2" pos=".3 0 -.1"/></worldbody>
+<equality><connect site1="p1" site2="q1"/><connect site1="p2" site2="q2"/></equality>
+<actuator><motor joint="motor" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+def test_the_rod_that_spins_is_locked_also_where_its_spin_is_another_ball_joint_s_angle():
+    free = load_mechanism(ROD_ON_A_ROCKER)
+    assert [joint.chart for joint in np.array(free.independent_joints)[~free.steered]] == ["ball_b"]
+    mechanism, notes = changed_mechanism({"model": ROD_ON_A_ROCKER})
+    assert mechanism.source["lock_spin"] == ["ball_a"]
+    assert (mechanism.dof, mechanism.n_u) == (1, 1)
+    assert any("(mechanism.lock_spin: ball_a)" in note for note in notes)
+
+
+ROPE = """<mujoco><option gravity="0 0 0"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
+<site name="wall" pos=".3 0 0"/><body><joint name="A" axis="0 1 0" range="-150 150"/>
+<geom type="capsule" fromto="0 0 0 0 0 .2" size=".01" mass="1"/><site name="end" pos="0 0 .2"/></body></worldbody>
+<tendon><spatial name="rope" limited="true" range=".4 .6"><site site="wall"/><site site="end"/></spatial></tendon>
+<actuator><motor joint="A" ctrlrange="-2 2"/></actuator></mujoco>"""
+
+
+def test_a_home_outside_a_tendon_s_range_is_left_for_one_that_keeps_it(tmp_path, ask):
+    """The rope from (0.3, 0) to 0.2 (sin A, cos A) has the length sqrt(0.13 - 0.12 sin A): from 0.4 m for A = -14.48 deg."""
+    (tmp_path / "rope.xml").write_text(ROPE, encoding="utf-8")
+    code, out, _ = ask("new", str(tmp_path / "rope.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 0, out
+    motion = tomllib.loads((tmp_path / "first.toml").read_text(encoding="utf-8"))["motion"]
+    angles = np.radians([motion["start_deg"]["A"], motion["goal_deg"]["A"]])
+    lengths = np.sqrt(0.13 - 0.12 * np.sin(angles))
+    assert np.all((lengths >= 0.4) & (lengths <= 0.6))
+    assert abs(np.degrees(angles[1] - angles[0])) > 10
+
+
+def test_a_home_on_a_flat_energy_is_left_as_it_is():
+    """A cart that nothing drives rests anywhere on its rail; off an upright pendulum the search goes."""
+    cart = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-.5 .5"/>
+    <geom size=".05" mass="1"/>
+    <body><joint name="hip" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 {end}" size=".02" mass="1"/></body></body>
+    </worldbody><actuator><motor joint="{driven}" ctrlrange="-20 20"/></actuator></mujoco>"""
+    assert at_gravity_equilibrium(load_mechanism(cart.format(end=-0.3, driven="hip"))) is None
+    hanging = at_gravity_equilibrium(load_mechanism(cart.format(end=0.3, driven="rail")))
+    assert abs(np.degrees(hanging.home[1])) == pytest.approx(180.0)
