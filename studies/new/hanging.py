@@ -63,7 +63,9 @@ def _rounded(joint: Joint, position: float) -> float:
 
 
 def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return positions (n_s,) with the hanging joints moved to equilibrium; unchanged at rest, or if home is no equilibrium.
+    """Return positions (n_s,) with the hanging joints moved to equilibrium; unchanged if home is no equilibrium.
+
+    A hanging joint that rests anywhere, as a cart on a rail, is where its momentum, which stays zero, takes it.
 
     Args:
         mechanism: whose actuators hold the driven coordinates.
@@ -77,7 +79,7 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
     if not hanging or not is_equilibrium(mechanism, mechanism.home):
         return s
     if is_equilibrium(mechanism, close_at(mechanism, s, near)):
-        return s
+        return _carried_along(mechanism, s, near, [k for k in hanging if _keeps_momentum(mechanism, s, near, k)])
     held = {int(mechanism.independent[k]): float(s[k]) for k in driven_columns(mechanism)}
     pose = hanging_pose(mechanism, near, held)
     rest = s.copy()
@@ -86,6 +88,41 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
         raise AssemblyError(f"mechanism '{mechanism.name}' does not hang at rest with its drives at {s}")
     return rest
+
+
+def _keeps_momentum(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, column: int) -> bool:
+    """Tell if nothing acts on a coordinate wherever it is: no potential, no damping, and the same inertia."""
+    slides = mechanism.independent_joints[column].kind == "slide"
+    unit = np.eye(mechanism.dof)[column] * (mechanism.extent_m if slides else 1.0)
+    try:
+        here, there = close_at(mechanism, s, near), close_at(mechanism, s + 0.1 * unit, near)
+    except AssemblyError:
+        return False
+    dynamics, rates = mechanism.dynamics, np.array(mechanism.dynamics.velocity_map(here)) @ unit
+    drag = np.array(dynamics.passive(here, rates) - dynamics.passive(here, 0 * rates)).ravel() @ rates
+    rubs = mechanism.model.dof_frictionloss @ np.abs(mechanism.qvel_of(here, rates)) > 0
+    inertia = [np.array(dynamics.reduced_inertia(pose)) for pose in (here, there)]
+    same = np.abs(inertia[1] - inertia[0]).max() <= 1e-9 * np.abs(inertia[0]).max()
+    return bool(drag == 0 and not rubs and same and is_equilibrium(mechanism, there))
+
+
+def _carried_along(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, loose: list[int]) -> np.ndarray:
+    """Return positions (n_s,) with the `loose` columns moved from a pose by M_ll s_l' + M_lr s_r' = 0, on a straight way."""
+    begin = near[mechanism.independent]
+    rest = np.setdiff1d(np.arange(mechanism.dof), loose)
+    if not loose or np.array_equal(s[rest], begin[rest]):
+        return s
+
+    def rate(share: float, moved: np.ndarray) -> np.ndarray:
+        at = begin + share * (s - begin)
+        at[loose] = moved
+        M = np.array(mechanism.dynamics.reduced_inertia(close_at(mechanism, at, near)))
+        return -np.linalg.solve(M[np.ix_(loose, loose)], M[np.ix_(loose, rest)] @ (s - begin)[rest])
+
+    found = s.copy()
+    solution = scipy.integrate.solve_ivp(rate, (0.0, 1.0), begin[loose], method="DOP853", rtol=1e-10, atol=1e-12)
+    found[loose] = solution.y[:, -1]
+    return found
 
 
 def is_equilibrium(mechanism: Mechanism, pose: np.ndarray) -> bool:

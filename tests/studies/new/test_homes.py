@@ -60,3 +60,18 @@ def test_a_home_on_a_flat_energy_is_left_as_it_is():
     assert at_gravity_equilibrium(load_mechanism(cart.format(end=-0.3, driven="hip"))) is None
     hanging = at_gravity_equilibrium(load_mechanism(cart.format(end=0.3, driven="rail")))
     assert abs(np.degrees(hanging.home[1])) == pytest.approx(180.0)
+
+
+def test_a_cart_that_nothing_drives_ends_where_its_momentum_takes_it(tmp_path, ask):
+    """The centre of mass of cart and leg stays: m l sin(hip) / 2 of 1 kg of 2 kg, back against the leg."""
+    cart = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-.5 .5"/>
+    <geom size=".05" mass="1"/><body><joint name="hip" axis="0 1 0"/><inertial pos="0 0 -.15" mass="1"
+    diaginertia=".01 .01 .01"/></body></body></worldbody>
+    <actuator><motor joint="hip" ctrlrange="-20 20"/></actuator></mujoco>"""
+    (tmp_path / "cart.xml").write_text(cart, encoding="utf-8")
+    code, out, _ = ask("new", str(tmp_path / "cart.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 0, out
+    motion = tomllib.loads((tmp_path / "first.toml").read_text(encoding="utf-8"))["motion"]
+    hip, rail = np.radians(motion["goal_deg"]["hip"]), motion["goal_m"]["rail"]
+    assert abs(hip) > 0.1
+    assert rail == pytest.approx(0.15 * np.sin(hip) / 2, rel=1e-5)
