@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.mujoco_warnings import mujoco_warnings
 from linkplan.models.renamed import RenamedFields
-from linkplan.models.threads import mujoco_warnings
 
 
 @contextlib.contextmanager

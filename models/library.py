@@ -17,11 +17,12 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.errors import ModelError, one_line
 from linkplan.models.missing_files import leave_out_missing_files
+from linkplan.models.mujoco_warnings import mujoco_warnings
 from linkplan.models.names import nearest
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file, shown
 from linkplan.models.selection import Selection, select
-from linkplan.models.threads import mujoco_warnings, one_thread_at_a_time
 from linkplan.models.urdf import mesh_hint, urdf_root
 from linkplan.models.urdf_loops import complete
 

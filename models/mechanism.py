@@ -40,10 +40,10 @@ from linkplan.models.errors import LockedError, ModelError, UnassembledError
 from linkplan.models.floating import refuse_many_loose
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, refuse_singular_inertia, with_numbers
 from linkplan.models.selection import Selection, home_qpos
-from linkplan.models.threads import one_thread_at_a_time
 from linkplan.models.ties import set_softness
 from linkplan.models.tree.ball_ranges import BallRange, limited_balls
 from linkplan.models.tree.coordinates import Coordinates

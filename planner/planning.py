@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from linkplan.models.deadline import OutOfTimeError
-from linkplan.models.threads import one_thread_at_a_time
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.closed_chain.answer import LOCALLY, plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan

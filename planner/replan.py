@@ -20,8 +20,8 @@ from typing import ClassVar
 import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.renamed import RenamedFields
-from linkplan.models.threads import one_thread_at_a_time
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of

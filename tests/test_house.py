@@ -22,8 +22,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload",
-        "kinematics", "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "threads", "ties", "rod_spins",
+        "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload", "kinematics",
+        "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings", "one_thread", "ties", "rod_spins",
         "floating", "selection", "library", "digest", "renamed", "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.threads import one_thread_at_a_time
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.ode.case import FirstSolution, OdeCase
 from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion

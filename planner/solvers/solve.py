@@ -14,7 +14,7 @@ from linkplan.models.compiled.functions import compiler
 from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.interrupts import asked, solving
-from linkplan.models.threads import one_thread_at_a_time
+from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
 from linkplan.planner.transcription.program import Program

@@ -12,6 +12,7 @@ from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
+from linkplan.studies.output.digits import radius_figure
 from linkplan.studies.output.document import (
     Axis,
     Block,
@@ -27,7 +28,7 @@ from linkplan.studies.output.document import (
     table_of,
 )
 from linkplan.studies.output.lines import Line, line_style, plots
-from linkplan.studies.output.numbers import drawn_rows, radius_figure, rounded
+from linkplan.studies.output.numbers import drawn_rows, rounded
 
 # Half the width of the Nyquist plane in units of |L| for stable loops, and the largest gain that is drawn. The critical
 # point is at -1.

@@ -249,16 +249,17 @@ def _rods_on_balls(mechanism: Mechanism) -> list[str]:
     The coordinate of a rod's spin may be an angle of another ball joint: what turns is read from the bodies.
     """
     model, found = mechanism.model, []
+    lines = {j: rod_line(model, j) for j in range(model.njnt) if spin_refusal(model, j) is None}
     data = data_at(model, mechanism.qpos_of(mechanism.home))
     for column in np.flatnonzero(~mechanism.steered):
         rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
         data.qvel[:] = mechanism.qvel_of(mechanism.home, rates)
         mujoco.mj_comVel(model, data)
         least = FILE_ROUNDING_SHARE * np.abs(data.cvel[:, :3]).max()
-        for j in (j for j in range(model.njnt) if spin_refusal(model, j) is None):
-            body, line = int(model.jnt_bodyid[j]), rod_line(model, j)
+        for j, line in lines.items():
+            body = int(model.jnt_bodyid[j])
             turn = data.xmat[body].reshape(3, 3).T @ data.cvel[body, :3]
-            if np.linalg.norm(turn) > least and np.linalg.norm(np.cross(turn, line)) < least:
+            if line is not None and np.linalg.norm(turn) > least > np.linalg.norm(np.cross(turn, line)):
                 found.append(joint_label(model, j))
     return list(dict.fromkeys(found))
 

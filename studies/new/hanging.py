@@ -109,7 +109,7 @@ def _keeps_momentum(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, colum
 def _carried_along(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, loose: list[int]) -> np.ndarray:
     """Return positions (n_s,) with the `loose` columns moved from a pose by M_ll s_l' + M_lr s_r' = 0, on a straight way."""
     begin = near[mechanism.independent]
-    rest = np.setdiff1d(np.arange(mechanism.dof), loose)
+    rest = np.setdiff1d(np.arange(mechanism.dof), loose).tolist()
     if not loose or np.array_equal(s[rest], begin[rest]):
         return s
 

@@ -7,8 +7,8 @@ import numpy as np
 from linkplan.planner.certificate.certificate import Certificate, integration_rtol
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.proof.finding import Finding, Proof
+from linkplan.studies.output.digits import figure, known_digits, objective_unit
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.numbers import figure, known_digits, objective_unit
 
 
 def plan_blocks(plan: Plan) -> list[Block]:
