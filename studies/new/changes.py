@@ -176,9 +176,10 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
     return [f"actuators are too weak to hold the weight at home: limits.effort takes {said}; put in the motors' own"]
 
 
-def left_out(mechanism: Mechanism) -> list[str]:
+@functools.lru_cache(maxsize=4)
+def left_out(mechanism: Mechanism) -> tuple[str, ...]:
     """Return the forces in a model that plans do not honour, each as a phrase."""
-    return [element.text for element in audit(mechanism.model) if element.falsifies]
+    return tuple(element.text for element in audit(mechanism.model) if element.falsifies)
 
 
 def left_out_notes(mechanism: Mechanism) -> list[str]:
