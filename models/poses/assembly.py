@@ -38,7 +38,7 @@ def stride_along(
     step_size: np.ndarray,
     deadline: Deadline = NO_DEADLINE,
 ) -> np.ndarray:
-    """Return the poses (m, n_q) at the first m positions (n, n_s) from pose q on, up to the first irregular stride.
+    """Return the poses (m, n_q) at positions (n, n_s), followed from pose q on until a stride is irregular: the first m.
 
     Positions are at most a step (`step_size`, (n_q,) [rad or m]) apart.
     """

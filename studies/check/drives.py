@@ -60,7 +60,7 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     gas = any(is_gas_spring(model, a) for a in range(model.nactuator))
     if gas or np.any(model.jnt_stiffness) or weight > 0.01 * np.abs(ends).max():
         return None
-    unit, damped = effort_unit(joint), bool(model.dof_damping[index] or model.dof_frictionloss[index])
+    unit, damped = effort_unit(joint), is_damped(mechanism, mechanism.home, column)
     moves = "turns" if joint.kind == "hinge" else "pushes"
     pushes = " and ".join(
         f"{a.name}, on {a.target}, only {moves} it one way, by {_ends(found)} {unit} at home" for a, found in acting
@@ -87,12 +87,16 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
         return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)", False
     if column in sprung_freedoms(mechanism):
         return f"joint {joint.name} has no actuator and is not steered by the others: springs hold it", False
-    along = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
-    still = np.zeros(mechanism.n_q)
-    drag = [np.array(mechanism.dynamics.passive(mechanism.home, speed)).ravel() @ along for speed in (along, still)]
-    rubs = mechanism.model.dof_frictionloss @ np.abs(mechanism.qvel_of(mechanism.home, along)) > 0
-    damped = abs(drag[0] - drag[1]) > 0 or bool(rubs) or bool(mechanism.model.tendon_frictionloss.any())
-    return f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}", True
+    said = "" if is_damped(mechanism, mechanism.home, column) else " and nothing damps it"
+    return f"joint {joint.name} moves freely: no actuator drives it{said}", True
+
+
+def is_damped(mechanism: Mechanism, pose: np.ndarray, column: int) -> bool:
+    """Tell if damping or dry friction acts on an independent coordinate at a pose (n_q,)."""
+    along, model = np.array(mechanism.dynamics.velocity_map(pose))[:, column], mechanism.model
+    drag = [np.array(mechanism.dynamics.passive(pose, speed)).ravel() @ along for speed in (along, 0 * along)]
+    rubs = model.dof_frictionloss @ np.abs(mechanism.qvel_of(pose, along)) > 0
+    return bool(drag[0] != drag[1] or rubs or model.tendon_frictionloss.any())
 
 
 def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:

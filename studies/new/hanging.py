@@ -11,13 +11,15 @@ import numpy as np
 import scipy
 
 from linkplan.models.closure.initial_assembly import home_of
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
-from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.studies.check.drives import is_damped
 
 GRAVITY_M_S2 = 9.81
 
@@ -92,18 +94,14 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
 
 def _keeps_momentum(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, column: int) -> bool:
     """Tell if nothing acts on a coordinate wherever it is: no potential, no damping, and the same inertia."""
-    slides = mechanism.independent_joints[column].kind == "slide"
-    unit = np.eye(mechanism.dof)[column] * (mechanism.extent_m if slides else 1.0)
+    moved = s + 0.1 * np.eye(mechanism.dof)[column] * unit_steps(mechanism.independent_joints, mechanism.extent_m)
     try:
-        here, there = close_at(mechanism, s, near), close_at(mechanism, s + 0.1 * unit, near)
+        here, there = close_at(mechanism, s, near), close_at(mechanism, moved, near)
     except AssemblyError:
         return False
-    dynamics, rates = mechanism.dynamics, np.array(mechanism.dynamics.velocity_map(here)) @ unit
-    drag = np.array(dynamics.passive(here, rates) - dynamics.passive(here, 0 * rates)).ravel() @ rates
-    rubs = mechanism.model.dof_frictionloss @ np.abs(mechanism.qvel_of(here, rates)) > 0
-    inertia = [np.array(dynamics.reduced_inertia(pose)) for pose in (here, there)]
-    same = np.abs(inertia[1] - inertia[0]).max() <= 1e-9 * np.abs(inertia[0]).max()
-    return bool(drag == 0 and not rubs and same and is_equilibrium(mechanism, there))
+    inertia = [np.array(mechanism.dynamics.reduced_inertia(pose)) for pose in (here, there)]
+    same = np.abs(inertia[1] - inertia[0]).max() <= ROUNDING_SHARE * np.abs(inertia[0]).max()
+    return bool(same and not is_damped(mechanism, here, column) and is_equilibrium(mechanism, there))
 
 
 def _carried_along(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, loose: list[int]) -> np.ndarray:
@@ -132,7 +130,7 @@ def is_equilibrium(mechanism: Mechanism, pose: np.ndarray) -> bool:
     """
     still = np.zeros((1, mechanism.dof))
     _, missing = needed_effort(mechanism, np.asarray(pose)[None], still, still)
-    unit = np.array([1.0 if j.kind == "hinge" else mechanism.extent_m for j in mechanism.independent_joints])
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     return bool(np.abs(missing[0] * unit).max(initial=0.0) < 1e-3 * _energy_unit(mechanism))
 
 

@@ -49,7 +49,7 @@ def kept_from(kind: type[PathLimit], problem: Problem, motion: Trajectory) -> fl
 
 
 def check(kind: type[PathLimit], problem: Problem, motion: Trajectory) -> None:
-    """Check that `factor` suffices and is the least relaxation, but for its allowance for instants between nodes."""
+    """Check that a motion keeps limits relaxed by `factor`, and that less would do only by the allowance between nodes."""
     factor, least = kind.factor(problem, motion), kept_from(kind, problem, motion)
     assert factor == pytest.approx(least, rel=1.5 * (BETWEEN_NODES_FACTOR - 1))
     assert abs(np.log(factor)) >= abs(np.log(least))

@@ -159,7 +159,7 @@ def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(sprin
 
 
 def test_the_efforts_of_a_least_time_guess_change_at_its_switch_time_and_not_a_cell_off():
-    """A pure inertia's quarter turn: full effort up to half of 2 sqrt(inertia turn / effort), then against it."""
+    """A pure inertia turns under full effort for half of the least time 2 sqrt(inertia turn / effort), then against it."""
     problem = body_problem(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time")
     guess = least_time_guess(problem, problem.start_pose())
     least = 2 * np.sqrt(HINGE_INERTIA * TURN / 4.0)
