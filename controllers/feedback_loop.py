@@ -13,8 +13,8 @@ import numpy as np
 from linkplan.controllers.imperfections.sensing import Sensing, measure
 from linkplan.controllers.rollout import divergence_expected
 from linkplan.controllers.trackers.tracker import TrackerWithMemory
+from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError, ProblemError, one_line
-from linkplan.models.interrupts import check
 
 # Largest position or velocity that MuJoCo accepts (mjMAXVAL).
 LARGEST_STATE = 1e10

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.controllers.controls import KEYS, Controls, advanced, pressed
+from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError, one_line
-from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 
 # Rows of two columns of text.

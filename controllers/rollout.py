@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from linkplan.models.library import mujoco_warnings
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.mujoco_warnings import mujoco_warnings
 from linkplan.models.renamed import RenamedFields
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 
-from linkplan.models.names import closest
+from linkplan.models.errors import closest
 
 MODELS = {
     "optimus-knee": "the humanoid's knee: a four-bar driven at O within +-100 N.m",

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from linkplan.models.errors import AssemblyError, ModelError, ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import AssemblyError, ModelError, ProblemError, choose
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import Joint
 

@@ -1,10 +1,6 @@
-"""The errors that linkplan raises, all derived from `LinkplanError`.
+"""The errors that linkplan raises, all derived from `LinkplanError`, and names in their messages."""
 
-A message is one line that states what was asked, what is legal and what was got. Errors are pickled between processes, so
-every further argument of a constructor has a default.
-"""
-
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 
 def one_line(text: object, most: int = 4000) -> str:
@@ -98,3 +94,47 @@ class InfeasibleError(LinkplanError):
     def __init__(self, message: str, plan: object = None) -> None:
         LinkplanError.__init__(self, message)
         self.plan = plan
+
+
+# Other units in a key, and the unit that files use.
+_UNITS = {"rad": "deg", "mm": "m", "cm": "m", "ms": "s", "us": "s", "g": "kg", "kw": "w", "khz": "hz", "kn": "n"}
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Return names as text; of more than `most`, the first and the number of the others: "a, b and 3 more"."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def nearest(asked: str, legal: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" for the legal name closest to `asked`, or an empty text if no name is close."""
+    match = closest(asked, legal)
+    return "" if match is None else f" (did you mean '{match}'?)"
+
+
+def closest(asked: str, legal: Iterable[str]) -> str | None:
+    """Return the legal name closest to `asked`, or None if no name is close.
+
+    A name that differs only in its units comes first. Upper and lower case count as equal.
+    """
+    folded: dict[str, str] = {}
+    for name in legal:
+        folded.setdefault(name.casefold(), name)
+    in_our_units = "_".join(_UNITS.get(part, part) for part in str(asked).casefold().split("_"))
+    if in_our_units in folded:
+        return folded[in_our_units]
+    import difflib
+
+    matches = difflib.get_close_matches(str(asked).casefold(), list(folded), n=1, cutoff=0.5)
+    return folded[matches[0]] if matches else None
+
+
+def choose(what: str, asked: str, legal: Iterable[str], error: type[Exception] = ModelError) -> str:
+    """Return `asked` if it is legal.
+
+    Raises:
+        error: if it is not; the message lists the legal values.
+    """
+    legal = list(legal)
+    if asked in legal:
+        return asked
+    raise error(f"unknown {what} '{asked}'{nearest(asked, legal)}; legal: {', '.join(legal) or 'none'}")

@@ -1,7 +1,9 @@
-"""The places of a model's bodies at a pose, by MuJoCo's kinematics, and bodies that stay at such a place."""
+"""The geometry of a model: places of its bodies at a pose, points that its equality constraints tie together, its size."""
 
 import mujoco
 import numpy as np
+
+from linkplan.models.errors import ModelError, nearest
 
 # Kinds of joints, as numbers in a compiled model.
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -52,3 +54,181 @@ def fix_in_parent(part: "mujoco._specs.MjsBody", model: mujoco.MjModel, data: mu
         part.set_frame(part.parent.add_frame())
     part.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     part.pos, part.quat = in_body(data, parent, data.xpos[body]), turn
+
+
+# The only legal value of `mechanism.solref`.
+STIFF = "stiff"
+# The impedance of the built-in models, close to MuJoCo's maximum of 0.9999, as MJCF text and as numbers (MuJoCo, "Solver
+# parameters": d_0, d_width, width [m], midpoint, power).
+STIFF_IMPEDANCE = "0.999 0.999 0.001"
+STIFF_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
+
+
+def stiff_time_constant_s(model: mujoco.MjModel) -> float:
+    """Return the least time constant [s] that MuJoCo admits for constraints, two timesteps."""
+    return 2.0 * float(model.opt.timestep)
+
+
+def set_softness(model: mujoco.MjModel, asked: object) -> None:
+    """Set the stiffest equality constraints and dry friction if `asked` is "stiff"; keep the model's own if it is None.
+
+    Raises:
+        ModelError: if `asked` has another value.
+    """
+    if asked is None:
+        return
+    if asked != STIFF:
+        raise ModelError(
+            f'mechanism.solref is "{STIFF}", the stiffest closures that the timestep admits, or is left out, which keeps the'
+            f" model's own; got {asked!r}{nearest(str(asked), [STIFF])}"
+        )
+    model.eq_solref[:] = stiff_time_constant_s(model), 1.0
+    model.eq_solimp[:] = np.array(STIFF_SOLIMP)
+    make_dry(model, model.dof_frictionloss > 0)
+    dry = model.tendon_frictionloss > 0
+    model.tendon_solref_fri[dry] = stiff_time_constant_s(model), 1.0
+    model.tendon_solimp_fri[dry] = np.array(STIFF_SOLIMP)
+
+
+def make_dry(model: mujoco.MjModel, dofs: np.ndarray) -> None:
+    """Set the stiffest dry friction for the degrees of freedom in the mask `dofs` (nv,).
+
+    MuJoCo's dry friction is viscous below a speed (`models.tree.friction.viscous_below`). With MuJoCo's defaults this speed
+    is 9 rad/s for 0.4 N.m at the knee's coupler, whose inertia is small: the joint would creep where it should stick.
+    """
+    model.dof_solref[dofs] = stiff_time_constant_s(model), 1.0
+    model.dof_solimp[dofs] = np.array(STIFF_SOLIMP)
+
+
+CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+
+
+def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
+    """Return the two points that a connect or weld ties, each as a body and a position (3,) [m] in that body's frame.
+
+    The positions are views of the model's arrays. The list is empty for an equality constraint of another kind.
+    """
+    kind = int(model.eq_type[index])
+    if kind not in (CONNECT, WELD):
+        return []
+    first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        return [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
+    points = [model.eq_data[index, 0:3], model.eq_data[index, 3:6]]
+    if kind == WELD:  # MuJoCo stores the second body's point first
+        points.reverse()
+    return [(first, points[0]), (second, points[1])]
+
+
+def rod_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
+    """Return the line (3,) about which a rod on a ball joint may spin, in its own frame, or None if the body is not a rod.
+
+    A body is a rod if its connects and the ball joints of the bodies that it carries lie on one line through its joint.
+    """
+    points = _held_at(model, joint)
+    if points is None:
+        return None
+    lines = [_unit(point - model.jnt_pos[joint]) for point in points]
+    return lines[0] if lines and _in_line(lines) else None
+
+
+def spin_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
+    """Return the line (3,) about which a body on a ball or free joint may spin, in its own frame, or None.
+
+    For a rod it is the line of `rod_line`. For a floating body, or a body on a rod, it passes through the body's connects.
+    """
+    if int(model.jnt_type[joint]) == BALL and (line := rod_line(model, joint)) is not None:
+        return line
+    carried = int(model.jnt_type[joint]) == BALL and _rod_before(model, joint) is not None
+    points = _held_at(model, joint) if carried or int(model.jnt_type[joint]) == FREE else None
+    if not points:
+        return None
+    lines = [line for point in points[1:] if (line := _unit(point - points[0])) is not None]
+    return lines[0] if lines and _in_line(lines) else None
+
+
+def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> np.ndarray | None:
+    """Return the axis (3,) about which a body's carrier turns, in the body's frame at `reference` (nq,), or None.
+
+    It is the hinge axis, or the rod's line, of the parent. For a floating body it is the hinge axis of a body tied to it.
+    """
+    body = int(model.jnt_bodyid[joint])
+    before = [_moving(model, int(model.body_parentid[body]))]
+    if int(model.jnt_type[joint]) == FREE:
+        ties = [[_moving(model, tied) for tied, _ in tied_points(model, index)] for index in range(model.neq)]
+        before = [other for pair in ties if body in pair for other in pair if other != body]
+    data = data_at(model, reference)
+    frame = data.xmat[body].reshape(3, 3)
+    for carrier in before:
+        for k in reversed(range(int(model.body_jntnum[carrier]))):
+            if int(model.jnt_type[int(model.body_jntadr[carrier]) + k]) == HINGE:
+                return frame.T @ data.xaxis[int(model.body_jntadr[carrier]) + k]
+    line = _rod_before(model, joint)
+    return None if line is None else frame.T @ data.xmat[before[0]].reshape(3, 3) @ line
+
+
+def _rod_before(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
+    """Return the line (3,) of the rod that carries a joint's body, in the rod's frame, or None if the carrier is no rod."""
+    carrier = _moving(model, int(model.body_parentid[int(model.jnt_bodyid[joint])]))
+    first = int(model.body_jntadr[carrier])
+    return rod_line(model, first) if first >= 0 and int(model.jnt_type[first]) == BALL else None
+
+
+def _moving(model: mujoco.MjModel, body: int) -> int:
+    """Return the root of the rigid group that a body belongs to."""
+    return int(model.body_weldid[body])
+
+
+def _held_at(model: mujoco.MjModel, joint: int) -> list[np.ndarray] | None:
+    """Return the points (3,) [m], in the body's frame, of the connects and carried ball joints of a joint's body.
+
+    None if anything else constrains the body, or if it has a second joint.
+    """
+    body, points = int(model.jnt_bodyid[joint]), []
+    if int(model.body_jntnum[body]) != 1:
+        return None
+    for child in np.flatnonzero(model.body_parentid == body).tolist():
+        first = int(model.body_jntadr[child])
+        if int(model.body_jntnum[child]) != 1 or int(model.jnt_type[first]) != BALL:
+            return None
+        turned = np.zeros(3)
+        mujoco.mju_rotVecQuat(turned, model.jnt_pos[first], model.body_quat[child])
+        points.append(model.body_pos[child] + turned)
+    for index in range(model.neq):
+        ends = [point for tied, point in tied_points(model, index) if tied == body]
+        if ends and (not model.eq_active0[index] or int(model.eq_type[index]) == WELD):
+            return None
+        points += ends
+    return points
+
+
+def _unit(v: np.ndarray) -> np.ndarray | None:
+    """Return a vector's direction, or None for the zero vector."""
+    length = float(np.linalg.norm(v))
+    return v / length if length > 0 else None
+
+
+def _in_line(lines: list) -> bool:
+    """Return True if all directions are parallel to 1e-6 rad."""
+    return all(line is not None and np.linalg.norm(np.cross(lines[0], line)) <= 1e-6 for line in lines)
+
+
+def extent_m(model: mujoco.MjModel) -> float:
+    """Return a model's extent [m]: MuJoCo's own, or the size of the moving bodies if the two differ by a factor above 3.
+
+    The size is the largest side of the box around the moving bodies. A floor, or a statistic in the file, can falsify
+    MuJoCo's own extent.
+    """
+    stated = float(model.stat.extent)
+    data = data_at(model)
+    moving = np.flatnonzero(np.asarray(model.body_weldid) != 0)
+    points = [data.xpos[moving], data.xipos[moving], data.xanchor]
+    geoms = np.isin(model.geom_bodyid, moving)
+    for sign in (1.0, -1.0):
+        points.append(data.geom_xpos[geoms] + sign * model.geom_rbound[geoms, None])
+    for index in range(model.neq):
+        for body, place in tied_points(model, index):
+            points.append(in_world(data, body, place)[None])
+    box = np.ptp(np.vstack(points), axis=0)
+    size = float(box.max()) if len(moving) else 0.0
+    return stated if size <= 0 or size / 3.0 <= stated <= size * 3.0 else size

@@ -1,12 +1,15 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text.
 
 Its text is checked before MuJoCo allocates what it asks for, and the compiled model's names and numbers afterwards: MuJoCo's
-compiler warns of NaN but accepts infinite masses, negative armatures and ranges with low above high.
+compiler warns of NaN but accepts infinite masses, negative armatures and ranges with low above high. MuJoCo has one handler
+of warnings for the whole process; its warnings are kept here for each thread.
 """
 
+import contextlib
 import itertools
 import os
 import re
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,16 +18,48 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
-from linkplan.models.errors import ModelError, one_line
+from linkplan.models.errors import ModelError, nearest, one_line
 from linkplan.models.missing_files import leave_out_missing_files
-from linkplan.models.mujoco_warnings import mujoco_warnings
-from linkplan.models.names import nearest
 from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file, shown
 from linkplan.models.selection import Selection, select
 from linkplan.models.urdf import mesh_hint, urdf_root
 from linkplan.models.urdf_loops import complete
+
+
+class _Kept(threading.local):
+    """The warnings of one thread; None where nobody keeps them."""
+
+    messages: list[str] | None = None
+
+
+_KEPT = _Kept()
+_KEEPERS: list[int] = []  # the threads that keep warnings; a thread of MuJoCo's own belongs to one of them
+
+
+def _keep(message: str) -> None:
+    if _KEPT.messages is not None:
+        _KEPT.messages.append(message)
+    elif not _KEEPERS:
+        warnings.warn(message, RuntimeWarning, stacklevel=2)
+
+
+@contextlib.contextmanager
+def mujoco_warnings() -> Iterator[list[str]]:
+    """Keep the warnings that MuJoCo issues in this thread; by default MuJoCo writes a log file to the working folder."""
+    outer, _KEPT.messages = _KEPT.messages, []
+    _KEEPERS.append(threading.get_ident())
+    try:
+        yield _KEPT.messages
+    finally:
+        _KEEPERS.remove(threading.get_ident())
+        _KEPT.messages = outer
+
+
+# Set once for the process: MuJoCo can deadlock when one thread sets the handler while another compiles a model.
+mujoco.set_mju_user_warning(_keep)
+
 
 # Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
 MAX_MODEL_BYTES = 32_000_000

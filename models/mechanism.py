@@ -14,12 +14,17 @@ import numpy as np
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
 from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
 from linkplan.models.closure.initial_assembly import (
+    SHIFT_SHARE,
+    apply_shifts,
     assemble,
     home_of,
     home_positions,
     locked_or_singular,
     nearby_poses,
+    needless_gaps,
+    refuse_large_gaps,
     refuse_singular_assembly,
+    shifts,
     with_closed_pose,
 )
 from linkplan.models.closure.mobility import (
@@ -30,28 +35,23 @@ from linkplan.models.closure.mobility import (
     refuse_locked,
     round_spins,
 )
-from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
-from linkplan.models.closure.snapping import SHIFT_SHARE, apply_shifts, needless_gaps, refuse_large_gaps, shifts
+from linkplan.models.closure.newton import KinematicLoop, ProjectedLoops, projected_loops
 from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import LockedError, ModelError, UnassembledError
-from linkplan.models.floating import refuse_many_loose
+from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, refuse_singular_inertia, with_numbers
-from linkplan.models.selection import Selection, home_qpos
-from linkplan.models.ties import set_softness
-from linkplan.models.tree.ball_ranges import BallRange, limited_balls
+from linkplan.models.selection import Selection, home_qpos, refuse_many_loose
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Tree, build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
-from linkplan.models.tree.joints import Joint, index_of, read_joints, unit_steps
+from linkplan.models.tree.joints import BallRange, Joint, index_of, limited_balls, read_joints, unit_steps
 from linkplan.models.tree.newton_euler import Inertial
-from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import TendonRange, limited_tendons
 from linkplan.models.urdf import conversion_notes
 

@@ -7,8 +7,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import PAYLOADS
-from linkplan.models.errors import ModelError
-from linkplan.models.names import choose
+from linkplan.models.errors import ModelError, choose
 
 BODY_NAME = "linkplan_payload"
 

@@ -10,10 +10,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from linkplan.models.errors import ModelError
-from linkplan.models.kinematics import BALL
-from linkplan.models.names import choose
-from linkplan.models.ties import carrying_axis, rod_line
+from linkplan.models.errors import ModelError, choose
+from linkplan.models.kinematics import BALL, carrying_axis, rod_line
 
 _COPIED = ("damping", "armature", "frictionloss", "solref_friction", "solimp_friction", "group", "userdata")
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import mujoco
 
+from linkplan.models.kinematics import tied_points
 from linkplan.models.library import model_spec
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.ties import tied_points
 
 # Digits that restore a double from its decimal text.
 _EXACT_DIGITS = 17

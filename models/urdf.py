@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from linkplan.models.catalogue import is_text
-from linkplan.models.names import listed
+from linkplan.models.errors import listed
 
 _READ_IN_MUJOCO = ("compiler", "option", "size")
 _READ = ("link", "joint", "material", "mujoco", "transmission", "loop_joint")

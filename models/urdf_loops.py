@@ -14,9 +14,8 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import is_text
-from linkplan.models.errors import ModelError
+from linkplan.models.errors import ModelError, choose
 from linkplan.models.kinematics import data_at, in_body
-from linkplan.models.names import choose
 from linkplan.models.urdf_beside import Beside, CutHinge, LoopClosures, beside, loop_closures
 
 _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD

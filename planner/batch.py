@@ -4,8 +4,8 @@ import copy
 import hashlib
 from collections.abc import Iterator, Sequence
 
+from linkplan.models.deadline import check
 from linkplan.models.errors import ProblemError
-from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import apply_override, read_tables
 from linkplan.planner.keys.sections import BatchFile, CaseSection

@@ -22,9 +22,9 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "extras", "interrupts", "deadline", "compiled", "names", "reading", "catalogue", "payload", "kinematics",
-        "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "mujoco_warnings", "one_thread", "ties", "rod_spins",
-        "floating", "selection", "library", "digest", "renamed", "tree", "closure", "reduction", "actuation", "audit",
+        "errors", "extras", "deadline", "compiled", "reading", "catalogue", "payload", "kinematics",
+        "urdf", "urdf_beside", "urdf_loops", "users", "missing_files", "one_thread", "rod_spins",
+        "selection", "library", "digest", "renamed", "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),
     "planner": (
@@ -52,7 +52,6 @@ TRANSCRIPTION_MAY = {
     "linkplan.models.compiled.functions",
     "linkplan.models.deadline",
     "linkplan.models.errors",
-    "linkplan.models.names",
 }
 
 

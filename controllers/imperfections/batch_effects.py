@@ -17,8 +17,8 @@ from linkplan.controllers.imperfections.imperfections import Imperfections, Push
 from linkplan.controllers.imperfections.plant import Plant, body_index
 from linkplan.controllers.trackers.tracker import added
 from linkplan.models.errors import LinkplanError
+from linkplan.models.kinematics import tied_points
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.ties import tied_points
 
 # All model fields that an imperfection changes, and the fields that MuJoCo derives from them.
 FIELDS = (

@@ -17,14 +17,13 @@ from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.closure.newton import solve
-from linkplan.models.errors import AssemblyError, LinkplanError
+from linkplan.models.errors import AssemblyError, LinkplanError, choose
+from linkplan.models.kinematics import make_dry, tied_points
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
 from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.poses.felt_inertia import equality_jacobian
-from linkplan.models.ties import make_dry, tied_points
 
 # Largest accepted residual [m or rad], far below the gap of a soft loop.
 _MAX_RESIDUAL = 1e-9

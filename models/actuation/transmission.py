@@ -12,9 +12,17 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.tree.coordinates import BALL, FREE, HINGE, SLIDE, joint_label, turned_quaternion
+from linkplan.models.tree.coordinates import (
+    BALL,
+    FREE,
+    HINGE,
+    SLIDE,
+    joint_label,
+    rotation_from_quaternion,
+    rotation_of,
+    turned_quaternion,
+)
 from linkplan.models.tree.dynamics import Tree, common_ancestor
-from linkplan.models.tree.rotations import rotation_from_quaternion, rotation_of
 from linkplan.models.tree.tendons import tendon_label
 
 TRN_JOINT, TRN_IN_PARENT = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT

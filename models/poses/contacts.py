@@ -14,10 +14,9 @@ import numpy as np
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.deadline import NO_DEADLINE, Deadline
-from linkplan.models.kinematics import BALL, HINGE, data_at, in_body, in_world
+from linkplan.models.kinematics import BALL, HINGE, data_at, in_body, in_world, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.ties import tied_points
 from linkplan.models.tree.passive import disabled
 
 # An overlap up to this share deeper than at home is there by construction: the overlap of two links on a pin varies.

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import data_at, fields_at
+from linkplan.models.kinematics import data_at, fields_at, tied_points
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.ties import tied_points
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import data_at, fields_at
+from linkplan.models.kinematics import data_at, fields_at, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.hulls import directions, simplified
 from linkplan.models.poses.skeleton import pins_in_space
-from linkplan.models.ties import tied_points
-from linkplan.models.tree.rotations import rotation_from_quaternion
+from linkplan.models.tree.coordinates import rotation_from_quaternion
 
 _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")

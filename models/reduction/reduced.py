@@ -16,14 +16,12 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.equations import Closure, rows_by_pin
+from linkplan.models.closure.newton import ProjectedLoops, combination, constant_combination, jacobians_at_random
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.closure.redundancy import ProjectedLoops, combination, constant_combination, jacobians_at_random
 from linkplan.models.errors import InertiaError
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
-from linkplan.models.tree.ball_ranges import ball_turns
-from linkplan.models.tree.dynamics import Tree
-from linkplan.models.tree.joints import Joint
-from linkplan.models.tree.sites import site_places
+from linkplan.models.tree.dynamics import Tree, site_places
+from linkplan.models.tree.joints import Joint, ball_turns
 from linkplan.models.tree.tendons import limited_tendons
 
 # M_r, scaled to a unit diagonal, is singular if its least eigenvalue is below this. Accelerations would have less than four

@@ -1,4 +1,4 @@
-"""The internal coordinates q of a mechanism and their conversion to MuJoCo's qpos and qvel.
+"""The internal coordinates q of a mechanism, their conversion to MuJoCo's qpos and qvel, and rotation matrices.
 
 A hinge or slide has one coordinate, its value in qpos. A ball joint has three coordinates, a chart of the rotation group
 centred at the reference orientation (see `models.tree.charts`). They are four times the modified Rodrigues parameters along
@@ -13,9 +13,40 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE
-from linkplan.models.ties import carrying_axis, rod_line, spin_line
+from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, carrying_axis, rod_line, spin_line
 from linkplan.models.tree.charts import RodChart, StereographicChart, conjugate, quaternion_product
+
+
+def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z). Exact zeros stay exact."""
+    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+def product(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return the Hamilton product of two quaternions (4,)."""
+    v = a[0] * b[1:] + b[0] * a[1:] + ca.cross(a[1:], b[1:])
+    return ca.vertcat(a[0] * b[0] - ca.dot(a[1:], b[1:]), v)
+
+
+def rotation_of(quaternion: ca.SX) -> ca.SX:
+    """Return the rotation matrix (3, 3) of a unit quaternion (4,), an expression."""
+    w, v = quaternion[0], quaternion[1:]
+    return ca.SX.eye(3) + 2 * w * ca.skew(v) + 2 * ca.skew(v) @ ca.skew(v)
+
+
+def rotation_about(axis: np.ndarray, angle: ca.SX) -> ca.SX:
+    """Return the rotation matrix (3, 3) about an axis (Rodrigues). A coordinate axis gives exact zeros and ones."""
+    a = np.asarray(axis) / np.linalg.norm(axis)
+    along = np.outer(a, a)
+    cross = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    return ca.DM(along) + ca.cos(angle) * ca.DM(np.eye(3) - along) + ca.sin(angle) * ca.DM(cross)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

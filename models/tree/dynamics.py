@@ -14,7 +14,20 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.tree.coordinates import FREE, HINGE, SLIDE, Coordinates, read_coordinates, turned_quaternion
+from linkplan.models.errors import ModelError, nearest
+from linkplan.models.kinematics import extent_m
+from linkplan.models.tree.coordinates import (
+    FREE,
+    HINGE,
+    SLIDE,
+    Coordinates,
+    product,
+    read_coordinates,
+    rotation_about,
+    rotation_from_quaternion,
+    rotation_of,
+    turned_quaternion,
+)
 from linkplan.models.tree.friction import TRANSITION, dry_friction
 from linkplan.models.tree.newton_euler import Inertial, inertial_of, newton_euler
 from linkplan.models.tree.passive import (
@@ -26,8 +39,6 @@ from linkplan.models.tree.passive import (
     tendon_inertias,
     tendon_passive,
 )
-from linkplan.models.tree.rotations import product, rotation_about, rotation_from_quaternion, rotation_of
-from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import tendon_length
 
 
@@ -214,3 +225,30 @@ def _potential(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM, inert
             frame, own = frames[body], inertials.get(body) or inertial_of(model, body)
             energy -= own.mass * ca.dot(gravity, frame.p_world_B + frame.R_world_B @ own.com)
     return energy
+
+
+def site_places(tree: Tree) -> ca.SX:
+    """Return the world positions (3, n_sites) [m] of a model's sites as expressions of q."""
+    model = tree.model
+    points = [tree.point(int(model.site_bodyid[site]), model.site_pos[site]) for site in range(model.nsite)]
+    return ca.horzcat(ca.SX(3, 0), *points)
+
+
+def site_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the names of a model's named sites in file order."""
+    return tuple(name for name in (model.site(site).name for site in range(model.nsite)) if name)
+
+
+def site_index(model: mujoco.MjModel, name: str, what: str, error: type[Exception] = ModelError) -> int:
+    """Return a site's index by name.
+
+    Raises:
+        error: if there is no such site; the message contains `what` and lists the sites.
+    """
+    names = site_names(model)
+    if name in names:
+        return int(model.site(name).id)
+    known = (
+        f"sites are {', '.join(names)}" if names else "the model names none; a point of a body is <site name=... pos=.../>"
+    )
+    raise error(f"unknown site '{name}' in {what}{nearest(name, names)}; {known}")

@@ -12,8 +12,16 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.tree.coordinates import FREE, HINGE, SLIDE, Coordinates, turned_quaternion
-from linkplan.models.tree.rotations import rotation_about, rotation_from_quaternion, rotation_of
+from linkplan.models.tree.coordinates import (
+    FREE,
+    HINGE,
+    SLIDE,
+    Coordinates,
+    rotation_about,
+    rotation_from_quaternion,
+    rotation_of,
+    turned_quaternion,
+)
 
 # A step from a parent's frame towards a body's frame. It maps the force and moment (3,) after the step to those before it,
 # and returns the generalised forces of the step's degrees of freedom.

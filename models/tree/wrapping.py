@@ -14,7 +14,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.tree.rotations import rotation_from_quaternion
+from linkplan.models.tree.coordinates import rotation_from_quaternion
 
 CYLINDER = int(mujoco.mjtWrap.mjWRAP_CYLINDER)
 SPHERE = int(mujoco.mjtWrap.mjWRAP_SPHERE)

@@ -14,8 +14,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.compiled.functions import on_arrays
-from linkplan.models.deadline import NO_DEADLINE, Deadline
-from linkplan.models.interrupts import check
+from linkplan.models.deadline import NO_DEADLINE, Deadline, check
 from linkplan.models.poses.along import evaluated
 from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 

@@ -17,8 +17,8 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from linkplan.models.deadline import check, shielded
 from linkplan.models.errors import PlanFileError
-from linkplan.models.interrupts import check, shielded
 from linkplan.planner.files.manifest import (
     MANIFEST,
     RECORDS,

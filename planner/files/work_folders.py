@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from linkplan.models.interrupts import check, shielded
+from linkplan.models.deadline import check, shielded
 
 try:
     import fcntl

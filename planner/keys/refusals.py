@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
-from linkplan.models.names import closest
+from linkplan.models.errors import closest
 from linkplan.planner.keys.kinds import MAX_NUMBER, Known, Place
 
 # If a synonym stands for several keys, the one that the table has is suggested.

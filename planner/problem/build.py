@@ -19,11 +19,10 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
-from linkplan.models.errors import ModelError, ProblemError
+from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.names import nearest
 from linkplan.models.selection import Selection
-from linkplan.models.tree.sites import site_index
+from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.tables import Tables, path_beside, set_key
 from linkplan.planner.keys.reading import KEYS, read, refuse_unknown_keys
 from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile

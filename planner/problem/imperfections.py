@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import nearest
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity
 from linkplan.planner.keys.reading import refuse_unknown_keys
 from linkplan.planner.problem.values import number

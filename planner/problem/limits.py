@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
 from linkplan.planner.keys.motion_and_limits import LimitsSection, MotorSection, RobustSection
 from linkplan.planner.problem.robust import Range, Robust
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of

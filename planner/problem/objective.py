@@ -10,8 +10,7 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import nearest
+from linkplan.models.errors import ProblemError, nearest
 from linkplan.planner.keys.kinds import Term as TermName
 from linkplan.planner.problem.extra import ExtraCost, checked_extras, expressed
 from linkplan.planner.problem.instant import Instant, Scales

@@ -13,7 +13,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, places_of, site_pose
-from linkplan.models.tree.sites import site_index
+from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.keys.motion_and_limits import SITE_LIMITS, Box, Tube, Wall
 from linkplan.planner.keys.reading import read
 from linkplan.planner.problem.values import frozen, interval

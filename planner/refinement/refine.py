@@ -1,6 +1,6 @@
 """From a first solution to a certified one: one loop that applies what `decision` decides until it says stop."""
 
-from linkplan.models.interrupts import check
+from linkplan.models.deadline import check
 from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, certify_iterate
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.state import Refined, RefinementState, observed

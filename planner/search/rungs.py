@@ -15,8 +15,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from linkplan.models.deadline import OutOfTimeError
-from linkplan.models.interrupts import check
+from linkplan.models.deadline import OutOfTimeError, check
 from linkplan.planner.problem.settings import SolverSettings
 
 Stage = TypeVar("Stage")

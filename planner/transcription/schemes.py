@@ -22,8 +22,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import nearest
+from linkplan.models.errors import ProblemError, nearest
 from linkplan.planner.transcription.bernstein import bernstein_integral, bernstein_matrix
 from linkplan.planner.transcription.scheme_names import EFFORTS, LOBATTO, MAX_DEGREE, NAMES
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from linkplan.models.errors import listed
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import listed
 from linkplan.models.poses.contacts import ContactPair, contact_pairs, exclusion
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
+from linkplan.models.kinematics import STIFF_IMPEDANCE, STIFF_SOLIMP, stiff_time_constant_s, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.models.ties import STIFF_IMPEDANCE, STIFF_SOLIMP, stiff_time_constant_s, tied_points
 
 # A gap of more than this share of the model's extent gets a note: 0.05 mm for a model of half a metre.
 NOTED_GAP_SHARE = 1e-4

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 
 import mujoco
 
+from linkplan.models.errors import listed
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import listed
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.inspection_blocks import reach_table

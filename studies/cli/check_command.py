@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.models.floating import floating_bodies
+from linkplan.models.selection import floating_bodies
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of

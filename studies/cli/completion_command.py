@@ -7,8 +7,7 @@ import argparse
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.catalogue import MODELS
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.keys.reading import KEYS
 from linkplan.studies.cli.command_line import SHELLS, build_parser

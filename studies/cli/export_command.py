@@ -3,8 +3,7 @@
 import argparse
 from pathlib import Path
 
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import ProblemError, choose
 from linkplan.studies.cli.common import new_file, output_folder, plan_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.controllers.trackers.names import LINEAR
-from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables, tracking_from_tables
 from linkplan.planner.problem.problem import Problem

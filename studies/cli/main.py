@@ -13,8 +13,8 @@ import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from linkplan.models.deadline import check, ended_by, listening
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
-from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, NoMotionError
 from linkplan.studies.cli.faults import is_of_memory, saved_fault_report

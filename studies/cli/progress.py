@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from linkplan.models.interrupts import check
+from linkplan.models.deadline import check
 from linkplan.models.reading import shown
 from linkplan.studies.cli.streams import put, rewrites
 

@@ -5,8 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import PlanFileError, ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import PlanFileError, ProblemError, choose
 from linkplan.planner.files.single_file import check_file_target
 from linkplan.studies.cli.common import plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO

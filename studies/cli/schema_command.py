@@ -4,8 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.files.single_file import write_over
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show

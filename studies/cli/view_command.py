@@ -7,8 +7,7 @@ import os
 from linkplan.controllers.controls import Controls, keys_said
 from linkplan.controllers.playback import has_screen, play
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import ProblemError, choose
 from linkplan.studies.cli.common import plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show

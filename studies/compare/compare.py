@@ -18,9 +18,8 @@ from linkplan.controllers.trackers.mpc import mpc
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.controllers.trackers.pd import pd, scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, Tracker
-from linkplan.models.errors import GainError, ProblemError
+from linkplan.models.errors import GainError, ProblemError, choose, listed
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose, listed
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.plan import Plan

@@ -16,9 +16,8 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWithMemory
-from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.errors import ProblemError, choose, one_line
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
 from linkplan.studies.compare.tracker_source import ENTRY_POINTS, look_here, module_of, source_files
 
 # A built-in name, a law, or a function from the reference to a law.

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.models.kinematics import tied_points
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.skeleton import view
 from linkplan.models.poses.solids import body_frames
-from linkplan.models.ties import tied_points
 from linkplan.studies.demo.draw_gallery import FOLDER
 from linkplan.studies.output.draw_bodies import draw_bodies
 from linkplan.studies.output.drawing import page

@@ -14,8 +14,7 @@ from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import versions

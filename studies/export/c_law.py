@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
 from linkplan.planner.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
 from linkplan.studies.export.c_files import sizes

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 
-from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.plan import Plan
 from linkplan.studies.export.formats import FORMATS

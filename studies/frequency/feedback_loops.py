@@ -22,10 +22,9 @@ from linkplan.controllers.sampling import Sampling, augmented, closed, exact, si
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.controllers.trackers.pd import pd
-from linkplan.models.errors import LinkplanError
-from linkplan.models.interrupts import check
+from linkplan.models.deadline import check
+from linkplan.models.errors import LinkplanError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.settings import Tracking

@@ -17,18 +17,16 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
-from linkplan.models.errors import LinkplanError, UnassembledError
-from linkplan.models.floating import floating_joints, floating_words
-from linkplan.models.kinematics import data_at
+from linkplan.models.errors import LinkplanError, UnassembledError, listed
+from linkplan.models.kinematics import STIFF, data_at, rod_line
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import listed
 from linkplan.models.poses.along import demanded, effort_within, needed_effort
 from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.contacts import Meeting, contact_pairs
 from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
-from linkplan.models.ties import STIFF, rod_line
+from linkplan.models.selection import floating_joints, floating_words
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints

@@ -12,14 +12,13 @@ import numpy as np
 from linkplan.models.audit import audit
 from linkplan.models.closure.initial_assembly import home_of
 from linkplan.models.deadline import Deadline
-from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
-from linkplan.models.floating import floating_sentence
+from linkplan.models.errors import LinkplanError, ModelError, ProblemError, listed, one_line
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import listed
 from linkplan.models.poses.along import shut_balls
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import contact_notes
 from linkplan.planner.diagnosis.reasons import nothing_found, solver_stopped

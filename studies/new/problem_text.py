@@ -11,8 +11,8 @@ from linkplan.models.catalogue import MODELS
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.reach import reach
+from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import Joint
-from linkplan.models.tree.sites import site_names
 from linkplan.planner.files.tables import inline, key_text
 from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES

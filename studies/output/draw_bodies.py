@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 
+from linkplan.models.errors import listed
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import listed
 from linkplan.models.poses.hulls import outline, thickened
 from linkplan.models.poses.skeleton import Stick, body_name, sticks, view
 from linkplan.models.poses.solids import body_frames, cut_pins, solids

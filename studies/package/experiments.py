@@ -12,8 +12,7 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import ProblemError
-from linkplan.models.names import choose
+from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn, path_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import whole

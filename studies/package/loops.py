@@ -11,9 +11,8 @@ import numpy as np
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS, sampling
 from linkplan.controllers.trackers.names import LINEAR
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
 from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import tracking_from_tables

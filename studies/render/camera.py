@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import nearest
 from linkplan.studies.render.framing import own_direction
 from linkplan.studies.render.scenes import place_bodies
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.models.deadline import check
 from linkplan.models.errors import ProblemError
-from linkplan.models.interrupts import check
 from linkplan.planner.files.single_file import write_file_whole
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TypeVar
 
+from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError
-from linkplan.models.interrupts import check
 from linkplan.planner.plan_folder import versions
 from linkplan.studies.tasks.engine import Engine, Pool, Say
 from linkplan.studies.tasks.site import Refused, at_site

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from linkplan.models.deadline import shielded
 from linkplan.models.errors import PlanFileError
-from linkplan.models.interrupts import shielded
 from linkplan.planner.files.folders import plain_record, remove_result, write_json, write_whole
 from linkplan.planner.files.json_record import read_record
 from linkplan.planner.files.manifest import identity_at

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.models.kinematics import tied_points
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.reach import reach
-from linkplan.models.ties import tied_points
 from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem, load_problem

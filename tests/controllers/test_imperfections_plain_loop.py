@@ -234,7 +234,7 @@ def test_a_late_phase_starts_the_machine_on_the_path_between_two_samples():
 
 
 def test_dry_friction_is_mujoco_s_stiffest():
-    from linkplan.models.ties import STIFF_SOLIMP
+    from linkplan.models.kinematics import STIFF_SOLIMP
 
     plain = Plain(text=mjcf(friction=DRY.format(*STIFF_SOLIMP))).run()
     found = simulated(Imperfections(machine=Machine(coulomb=1.2)))

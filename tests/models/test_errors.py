@@ -10,9 +10,8 @@ import linkplan
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.closure.newton import CLOSED_M
-from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
+from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.names import choose
 from linkplan.models.payload import SHANK
 from linkplan.models.poses.assembly import close_at
 from tests.support.mechanisms import CRANK_ROCKER, PENDULUM, TRUSS, replaced, simulated

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import casadi as ca
 import pytest
 
-from linkplan.models.interrupts import asked, check, ended_by, listening, shielded
+from linkplan.models.deadline import asked, check, ended_by, listening, shielded
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.solvers import solve
@@ -149,7 +149,7 @@ def test_in_a_program_of_the_users_their_handler_is_called_when_the_solver_has_s
 
 TWICE = """
 import os, signal
-from linkplan.models.interrupts import listening
+from linkplan.models.deadline import listening
 
 with listening():
     try:

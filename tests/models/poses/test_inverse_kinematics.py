@@ -8,7 +8,7 @@ from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, off_m, places_of, site_pose
-from linkplan.models.tree.sites import site_index, site_names
+from linkplan.models.tree.dynamics import site_index, site_names
 from tests.support.arms import LOWER, UPPER, angles_at, arm, foot_of
 from tests.support.mechanisms import random_tree
 from tests.support.refusals import assert_names, refusal

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from linkplan.models.interrupts import ended_by
+from linkplan.models.deadline import ended_by
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan
 from linkplan.planner.problem.problem import Problem

@@ -2,7 +2,7 @@
 
 import pytest
 
-from linkplan.models.names import closest
+from linkplan.models.errors import closest
 from linkplan.studies.cli.main import main
 
 # command line, the word that is meant
