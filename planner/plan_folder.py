@@ -17,10 +17,9 @@ from linkplan.models.reading import shown
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.saved import disagreements
-from linkplan.planner.files.columns import csv_bytes, parquet_bytes
+from linkplan.planner.files.columns import ARRAYS, csv_bytes, parquet_bytes, read_trajectory
 from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.tables import apply_override
-from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
 from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.plan import Plan, motion_table, not_honoured
 from linkplan.planner.plan_record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct, structs
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.json_record import read_record
+from linkplan.planner.files.manifest import read_record
 from linkplan.planner.plan import STATUSES
 from linkplan.planner.problem.extra import Extra
 from linkplan.planner.refinement.history import Step

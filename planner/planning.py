@@ -1,4 +1,4 @@
-"""From a planning problem to a certified plan: a sequence of attempts, then the reason if none gives a motion.
+"""From a planning problem to a certified plan: attempts, then the reason if none gives a motion; a plan's robustness.
 
 The three tables below are the whole strategy, in order. A rung is tried if its condition holds, within its budget. The first
 plan that passes ends the search, unless the phase plane knows a motion that may be better. Repairs are applied to a motion
@@ -8,16 +8,17 @@ rung is one function, `(Search, Budget) -> Plan | None`, and one row.
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.one_thread import one_thread_at_a_time
-from linkplan.planner.closed_chain.answer import LOCALLY, plan_prescribed
+from linkplan.planner.closed_chain.case import LOCALLY, plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
-from linkplan.planner.search import attempts, continuations, margins, starts, waiting
+from linkplan.planner.search import attempts, continuations, starts, waiting
 from linkplan.planner.search.ladder import Repair, Search, climb
 from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
 from linkplan.planner.search.smooth_path import along_smooth_path
@@ -91,8 +92,8 @@ RUNGS: tuple[Rung, ...] = (
     *_FIRST,
     Rung(
         name="at a distance from singular poses",
-        tried=margins.may_near_singular,
-        climb=lambda search, budget: margins.at_a_distance(search, budget, (*_FIRST, _SWINGS, _LONGER)),
+        tried=starts.may_near_singular,
+        climb=lambda search, budget: starts.at_a_distance(search, budget, (*_FIRST, _SWINGS, _LONGER)),
         budget=PATIENT,
     ),
     _SWINGS,
@@ -205,3 +206,74 @@ def _diagnosed(search: Search, diagnoses: Sequence[Diagnosis]) -> Plan:
     """Return the plan with the reason why no motion was found."""
     progress("no motion found; looking for the limit that forbids one")
     return next(plan for diagnosis in diagnoses if (plan := diagnosis(search)) is not None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Price:
+    """The objectives of a plan with a reserve or corners and of the nominal plan, in the objective's unit."""
+
+    objective: float
+    nominal: float
+    unit: str
+    name: str
+
+    @property
+    def share(self) -> float:
+        """The relative increase of the objective over the nominal one."""
+        return self.objective / self.nominal - 1 if self.nominal else float("inf")
+
+    def sentence(self) -> str:
+        """Return the price as a sentence."""
+        unit = f" {self.unit}" if self.unit else ""
+        dearer = f"{100 * self.share:+.3g} %" if self.share < 2.0 else f"{1 + self.share:.3g} times as much"
+        return (
+            f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the machine as"
+            f" modelled within its whole limits, {dearer}"
+        )
+
+
+# The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
+_DETAIL = "objective_as_modelled"
+
+
+def nominal_of(problem: Problem) -> Problem | None:
+    """Return a problem without its ranges and its reserve; None if it has neither."""
+    limits = problem.limits
+    if not problem.robust.corners and not limits.reserve:
+        return None
+    source = {section: table for section, table in problem.source.items() if section != "robust"}
+    return replace(
+        problem, robust=Robust(), limits=replace(limits, effort=limits.actuators_effort, reserve=0.0), source=source
+    )
+
+
+def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
+    """Return the price of a plan's ranges and reserve; None if it has none, or one of the two plans has no motion."""
+    nominal = nominal_of(plan.problem) if plan.trajectory is not None else None
+    if nominal is None:
+        return None
+    say("the machine as modelled, for the price")
+    cheaper = plan_motion(nominal, say)
+    if cheaper.trajectory is None or cheaper.objective is None or plan.objective is None:
+        return None
+    # The plan itself is a motion of the nominal machine, so the nominal optimum cannot be dearer.
+    return _price(plan, min(cheaper.objective, plan.objective))
+
+
+def with_price(plan: Plan, price: Price | None) -> Plan:
+    """Return a plan with its price in the details, which are saved."""
+    return plan if price is None else replace(plan, details={**plan.details, _DETAIL: price.nominal})
+
+
+def saved_price(plan: Plan) -> Price | None:
+    """Return the price in a plan's details; None if there is none."""
+    nominal = plan.details.get(_DETAIL)
+    if plan.objective is None or not isinstance(nominal, int | float):
+        return None
+    return _price(plan, float(nominal))
+
+
+def _price(plan: Plan, nominal: float) -> Price:
+    objective = plan.problem.objective
+    assert plan.objective is not None  # that of a motion that passes
+    return Price(objective=plan.objective, nominal=nominal, unit=objective.unit, name=objective.name)

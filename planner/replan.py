@@ -23,8 +23,7 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
-from linkplan.planner.closed_chain.answer import finished
-from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.case import case_of, finished
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
 from linkplan.planner.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.planning import plan_motion

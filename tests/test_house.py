@@ -29,7 +29,7 @@ ROOMS = {
     ),
     "planner": (
         "transcription", "trajectory", "keys", "files", "problem", "limits", "certificate", "proof", "solvers", "refinement",
-        "plan", "closed_chain", "phase_plane", "search", "ode", "diagnosis", "planning", "robustness",
+        "plan", "closed_chain", "phase_plane", "search", "ode", "diagnosis", "planning",
         "plan_record", "plan_folder", "replan", "batch",
     ),
     "controllers": (

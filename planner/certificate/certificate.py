@@ -15,16 +15,16 @@ from linkplan.models.poses.along import demanded, joint_rates, least_effort, sam
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.renamed import RenamedFields
-from linkplan.planner.certificate.boundary import (
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL
+from linkplan.planner.certificate.integration import (
     BOUNDARY_SHARE,
     ends_off_m,
     exact_bounds,
+    integrate,
     relative_violation,
     waypoint_off_m,
     waypoint_times,
 )
-from linkplan.planner.certificate.flow import INTEGRATION_RTOL
-from linkplan.planner.certificate.integration import integrate
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.path_limit import Margin

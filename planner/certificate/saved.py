@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.boundary import BOUNDARY_SHARE, exact_bounds, relative_violation
+from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
 from linkplan.planner.limits.actuators import effort_rates
 from linkplan.planner.problem.instant import Scales, free_instant
 from linkplan.planner.problem.objective import motor_losses

@@ -17,7 +17,7 @@ from linkplan.planner.limits.site import site_at_home
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
+from linkplan.planner.refinement.marking import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
 from linkplan.planner.transcription.interval import COSTS, IntervalRows
 from linkplan.planner.transcription.system import Endpoint

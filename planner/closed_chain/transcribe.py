@@ -13,7 +13,7 @@ from linkplan.planner.closed_chain.mechanics import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.problem.instant import Scales, position_units
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.tightening import Tightening
+from linkplan.planner.refinement.marking import Tightening
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with

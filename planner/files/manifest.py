@@ -1,4 +1,4 @@
-"""The manifest of a result folder: the files that linkplan wrote there, with the hashes of their contents.
+"""JSON records read back as typed values, and the manifest of a result folder: its files with their contents' hashes.
 
 A file belongs to linkplan as long as it is listed and its content has the listed hash. A file that has changed since, a file
 that is not listed, and a folder without a manifest belong to the user.
@@ -10,13 +10,47 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Literal, TypeVar
 
 import msgspec
 from msgspec import Struct
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.reading import MAX_FILE_BYTES
+from linkplan.models.reading import MAX_FILE_BYTES, read_file, too_deep
+
+# The records of plans, experiments and reports have some hundred kilobytes.
+MAX_RECORD_BYTES = 8_000_000
+Record = TypeVar("Record")
+
+
+def read_record(path: Path, kind: type[Record], max_bytes: int = MAX_RECORD_BYTES) -> Record:
+    """Return the record in a JSON file as a value of one type.
+
+    Args:
+        path: the file.
+        kind: a msgspec type; keys that it does not name are ignored.
+        max_bytes: the file's largest size.
+
+    Raises:
+        PlanFileError: when the file is missing, too large, truncated, nested more than a hundred levels deep, or has values
+            of
+            other types.
+    """
+    content = read_file(path, f"'{path}'", max_bytes, PlanFileError)
+    # In memory, a table takes thirty times its size in JSON. Records have a table or a list for every forty bytes.
+    containers, most = content.count(b"{") + content.count(b"["), max_bytes // 20
+    if containers > most:
+        raise PlanFileError(f"'{path}' has {containers} tables and lists; at most {most} are read")
+    try:
+        record = msgspec.json.decode(content, type=kind)
+    except msgspec.ValidationError as error:
+        raise PlanFileError(f"'{path}' is not a record that linkplan wrote: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise PlanFileError(f"'{path}' is truncated or not JSON: {error}") from error
+    if too_deep(msgspec.structs.asdict(record) if isinstance(record, msgspec.Struct) else record):
+        raise PlanFileError(f"'{path}' is nested too deeply")
+    return record
+
 
 MANIFEST = ".linkplan.json"
 # A manifest of 10,000 cases lists some 40,000 files. The limit protects memory from other files.

@@ -33,7 +33,7 @@ from linkplan.planner.limits.path_limit import (
     with_limits,
 )
 from linkplan.planner.limits.samples import samples_of
-from linkplan.planner.problem.robust import Corner, Robust
+from linkplan.planner.problem.instant import Corner, Robust
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from linkplan.models.poses.along import joint_rates, sampled
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.instant import corner_efforts_along
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.robust import corner_efforts_along
 from linkplan.planner.trajectory import Trajectory
 
 

@@ -17,7 +17,7 @@ from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget
-from linkplan.planner.refinement.tightening import Tightening, tightened_share
+from linkplan.planner.refinement.marking import Tightening, tightened_share
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
 from linkplan.planner.transcription.formulation import Start, Units

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.planner.certificate.boundary import relative_violation
+from linkplan.planner.certificate.integration import relative_violation
 from linkplan.planner.limits.samples import least_between, sample_points
 from linkplan.planner.ode.integration import integrate
 from linkplan.planner.ode.problem import OdeProblem

@@ -7,7 +7,7 @@ from scipy.interpolate import PchipInterpolator
 from linkplan.planner.limits.path_limit import Tightened
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
+from linkplan.planner.refinement.marking import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Start, Units
 from linkplan.planner.transcription.interval import IntervalRows
 from linkplan.planner.transcription.system import Endpoint, System, node_symbols

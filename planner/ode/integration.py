@@ -14,9 +14,8 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from linkplan.planner.certificate.boundary import relative_violation
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL, Rate, called, flows, side_by_side
-from linkplan.planner.certificate.integration import RESTART_GROWTH
+from linkplan.planner.certificate.integration import RESTART_GROWTH, relative_violation
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.bernstein import bernstein_value

@@ -12,8 +12,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.planner.problem.limits import free_bounds
-from linkplan.planner.problem.settings import MeshSettings, SolverSettings
-from linkplan.planner.problem.values import DERIVED, frozen
+from linkplan.planner.problem.settings import DERIVED, MeshSettings, SolverSettings, frozen
 
 # (x, u, p, t) -> a column; x (n_x,), u (n_u,), p (n_p,) and t are CasADi SX.
 AtInstant = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]

@@ -20,9 +20,9 @@ from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.switches import has_arcs, is_affine, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.perturbation import perturbation
-from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
 from linkplan.planner.search.rungs import Budget

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.planner.problem.values import frozen
+from linkplan.planner.problem.settings import frozen
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 

@@ -32,8 +32,16 @@ from linkplan.planner.problem.limits import actuator_index, closure_index, limit
 from linkplan.planner.problem.motion import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine, guess_of, guess_place, sine_of
-from linkplan.planner.problem.settings import DEFAULT_PERIOD_S, MeshSettings, SolverSettings, Tracking
-from linkplan.planner.problem.values import coordinates_note, joint_values, other_coordinates, plain
+from linkplan.planner.problem.settings import (
+    DEFAULT_PERIOD_S,
+    MeshSettings,
+    SolverSettings,
+    Tracking,
+    coordinates_note,
+    joint_values,
+    other_coordinates,
+    plain,
+)
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
 _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")

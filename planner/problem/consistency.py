@@ -13,11 +13,11 @@ from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import Reach, is_open, reach
 from linkplan.planner.keys.kinds import MAX_INTERVALS
+from linkplan.planner.problem.instant import Robust, corner_out_of_reach
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective
 from linkplan.planner.problem.reference import GuessedPath, Sine
-from linkplan.planner.problem.robust import Robust, corner_out_of_reach
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.trajectory import Trajectory
 

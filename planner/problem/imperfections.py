@@ -11,7 +11,7 @@ from linkplan.models.errors import ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity
 from linkplan.planner.keys.reading import refuse_unknown_keys
-from linkplan.planner.problem.values import number
+from linkplan.planner.problem.settings import number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,8 +1,16 @@
-"""One instant of a motion as CasADi expressions in SI, and a program's units.
+"""One instant of a motion as CasADi expressions in SI, a program's units, and ranges of a machine's parameters.
 
 Limits and running costs are written in these expressions.
+
+All machines within the ranges of `Robust` follow one motion. Each needs its own efforts, by inverse dynamics, which are
+affine in the payload factor, the viscous friction d and the Coulomb friction c, and monotone in the torque constant's factor
+k. Limits that hold at the corners therefore hold throughout the ranges. With more actuators than degrees of freedom the same
+holds for the plan's efforts plus the least compensating ones, u_c = u + (Gamma^T B)^+ (... / k - Gamma^T B u). With fewer
+actuators it holds for ranges that actuators can compensate: torque constants, friction at driven joints.
 """
 
+import functools
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,9 +19,183 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import unit_steps
-from linkplan.planner.problem.robust import Corner, corner_efforts
+
+# More corners would give too many rows at every node.
+MAX_CORNERS = 64
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Corner:
+    """A machine at a corner of the ranges: factors, and frictions (joint, viscous [N.m.s/rad], signed Coulomb [N.m])."""
+
+    payload_factor: float = 1.0
+    torque_factor: float = 1.0
+    friction: tuple[tuple[int, float, float], ...] = ()
+
+    def description(self, joints: tuple[str, ...]) -> str:
+        """Return a phrase that describes the corner."""
+        words = []
+        if self.payload_factor != 1:
+            words.append(f"payload {self.payload_factor:g}")
+        if self.torque_factor != 1:
+            words.append(f"torque constant {self.torque_factor:g}")
+        for joint, viscous, coulomb in self.friction:
+            words.append(f"{joints[joint]} rubbing {viscous:g} v {coulomb:+g}")
+        return ", ".join(words) or "as modelled"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Robust:
+    """Ranges [low, high]: factors on payload and torque constant; viscous and Coulomb friction by joint index.
+
+    Friction is [N.m.s/rad or N.s/m] and [N.m or N].
+    """
+
+    payload_factor: Range = (1.0, 1.0)
+    torque_factor: Range = (1.0, 1.0)
+    viscous: Mapping[int, Range] = field(default_factory=dict)
+    coulomb: Mapping[int, Range] = field(default_factory=dict)
+    room: float = 1.0  # a factor on effort limits at the corners, which a diagnosis increases
+
+    def __post_init__(self) -> None:
+        for name in ("payload_factor", "torque_factor"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high < np.inf:
+                raise ProblemError(f"robust.{name} is [low, high] of positive factors, got [{low:g}, {high:g}]")
+        for name in ("viscous", "coulomb"):
+            for low, high in getattr(self, name).values():
+                if not 0 <= low <= high < np.inf:
+                    raise ProblemError(f"robust.{name} is [low, high] from zero on, got [{low:g}, {high:g}]")
+        if len(self.corners) > MAX_CORNERS:
+            raise ProblemError(f"[robust] has {len(self.corners)} corners; at most {MAX_CORNERS} are kept")
+
+    @property
+    def corners(self) -> tuple[Corner, ...]:
+        """All corners except the nominal machine, whose efforts are the plan's own."""
+        choices = []
+        for joint in sorted({*self.viscous, *self.coulomb}):
+            most = self.coulomb.get(joint, (0.0, 0.0))[1]  # of either sign
+            signs = sorted({-most, most})
+            choices.append([(joint, d, c) for d in sorted({*self.viscous.get(joint, (0.0, 0.0))}) for c in signs])
+        rubbing = itertools.product(*choices)
+        found = itertools.product(sorted({*self.payload_factor}), sorted({*self.torque_factor}), rubbing)
+        corners = (Corner(payload_factor=p, torque_factor=k, friction=tuple(one)) for p, k, one in found)
+        return tuple(one for one in corners if (one.payload_factor, one.torque_factor) != (1.0, 1.0) or _rubs(one))
+
+
+def _rubs(corner: Corner) -> bool:
+    return any(d or c for _, d, c in corner.friction)
+
+
+def corner_efforts(
+    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
+) -> list[ca.SX]:
+    """Return the efforts (n_u,) that a motion (q, v, a) needs at each corner.
+
+    With more actuators than degrees of freedom, many efforts give one motion. A corner then needs the plan's efforts plus
+    the least efforts that compensate the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). With fewer
+    actuators, the corner must differ only by what actuators can compensate: friction at driven joints and the torque
+    constant (`corner_out_of_reach`). The same expression gives these efforts, since (Gamma^T B)^+ Gamma^T B = 1.
+
+    Args:
+        mechanism: its actuators move every degree of freedom, or are independent of one another.
+        corners: of the ranges.
+        call: calls a function of the nominal reduced dynamics by name.
+        payload: its numbers (7,); empty without a payload.
+        motion: q (n_q,), v and a (n_s,), and the plan's efforts u (n_u,).
+    """
+    q, v, a, u = motion
+    effort_map = call("effort_map", q)
+    found = []
+    for corner, tau in zip(corners, _needed(mechanism, corners, call, payload, (q, v, a)), strict=True):
+        if mechanism.n_u == mechanism.dof:
+            found.append(ca.solve(effort_map, tau) / corner.torque_factor)
+        else:
+            found.append(u + ca.pinv(effort_map) @ (tau / corner.torque_factor - effort_map @ u))
+    return found
+
+
+def _needed(
+    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
+) -> list[ca.SX]:
+    """Return the generalised efforts (n_s,) of a motion (q, v, a) at each corner, before division by the torque factor."""
+    q, v, a = motion
+    gamma = call("velocity_map", q)
+    rates = gamma @ v
+    modelled: dict[float, ca.SX] = {}
+    found = []
+    for corner in corners:
+        factor = corner.payload_factor
+        if factor not in modelled:
+            if factor == 1:
+                modelled[factor] = call("inverse_dynamics", q, v, a)
+            else:
+                scaled = ca.vertcat(factor * payload[0], payload[1:4], factor * payload[4:7])
+                modelled[factor] = mechanism.parametric_dynamics().inverse_dynamics(q, v, a, scaled)
+        tau = modelled[factor]
+        for joint, viscous, coulomb in corner.friction:
+            tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
+        found.append(tau)
+    return found
+
+
+def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corner | None:
+    """Return the first corner whose difference actuators cannot compensate; None if they can compensate all.
+
+    The criterion is (1 - P P^+) (tau_c - tau) = 0 with P = Gamma^T B, for random motions at home and at a pose close to it.
+    """
+    function = _needed_function(mechanism, (Corner(), *corners))
+    rng = np.random.default_rng(0)
+    beside = mechanism.home[mechanism.independent] + 0.05 * rng.normal(size=mechanism.dof)
+    try:
+        poses = [mechanism.home, close_at(mechanism, beside, mechanism.home)]
+    except AssemblyError:
+        poses = [mechanism.home]
+    for q in poses:
+        P = np.array(mechanism.dynamics.effort_map(q))
+        needed = np.array(function(q, *rng.normal(size=(2, mechanism.dof))))
+        added = needed[:, 1:] - needed[:, :1]
+        left = added - P @ (np.linalg.pinv(P) @ added)
+        for column, corner in enumerate(corners):
+            if np.abs(left[:, column]).max() > 1e-9 * np.abs(needed).max():
+                return corner
+    return None
+
+
+def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, u) -> np.ndarray:
+    """Return each corner's efforts (n, n_corners, n_u) [N.m or N] along samples q (n, n_q), v, a (n, n_s), u (n, n_u)."""
+    found = sampled(_function(mechanism, corners), q, v, a, u)
+    return found.reshape(len(q), len(corners), mechanism.n_u)
+
+
+@functools.lru_cache(maxsize=16)
+def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
+    motion, payload = _symbols(mechanism)
+    efforts = corner_efforts(mechanism, corners, _calls(mechanism), payload, motion)
+    return ca.Function("corners", list(motion), [ca.densify(ca.vertcat(*efforts))])
+
+
+def _needed_function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
+    motion, payload = _symbols(mechanism)
+    needed = _needed(mechanism, corners, _calls(mechanism), payload, motion[:3])
+    return ca.Function("needed", list(motion[:3]), [ca.densify(ca.horzcat(*needed))])
+
+
+def _symbols(mechanism: Mechanism) -> tuple[tuple[ca.SX, ...], ca.SX]:
+    """Return q, v, a, u as symbols, and the payload's numbers."""
+    sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
+    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
+    return tuple(ca.SX.sym(name, size) for name, size in sizes.items()), payload
+
+
+def _calls(mechanism: Mechanism) -> Callable[..., ca.SX]:
+    return lambda name, *x: getattr(mechanism.dynamics, name)(*x)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

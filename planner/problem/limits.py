@@ -7,9 +7,9 @@ import numpy as np
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.motion_and_limits import LimitsSection, MotorSection, RobustSection
-from linkplan.planner.problem.robust import Range, Robust
+from linkplan.planner.problem.instant import Range, Robust
+from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
-from linkplan.planner.problem.values import DERIVED, frozen, interval, joint_values
 
 
 def free_bounds(n: int) -> np.ndarray:

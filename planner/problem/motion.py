@@ -12,8 +12,8 @@ from linkplan.models.poses.equilibrium import rests_on_stops, spring_equilibrium
 from linkplan.planner.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
+from linkplan.planner.problem.settings import DERIVED, frozen, joint_values
 from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
-from linkplan.planner.problem.values import DERIVED, frozen, joint_values
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -18,11 +18,11 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables, t
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, extras_text, uses
+from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import GuessedPath, Sine
-from linkplan.planner.problem.robust import Robust
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.trajectory import Trajectory
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.columns import read_trajectory
 from linkplan.planner.files.tables import path_beside
-from linkplan.planner.files.trajectory_file import read_trajectory
 from linkplan.planner.keys.motion_and_limits import ReferenceSection
 from linkplan.planner.keys.sections import GuessSection
-from linkplan.planner.problem.values import frozen, joint_values
+from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.trajectory import Trajectory
 
 

@@ -16,7 +16,7 @@ from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_ro
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.keys.motion_and_limits import SITE_LIMITS, Box, Tube, Wall
 from linkplan.planner.keys.reading import read
-from linkplan.planner.problem.values import frozen, interval
+from linkplan.planner.problem.settings import frozen, interval
 
 AXES = Box.__struct_fields__
 

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from flint import arb, arb_mat, arb_series, ctx
 
-from linkplan.planner.proof.blocks import Blocks
-from linkplan.planner.proof.linear import NotSeparatedError, solve
-from linkplan.planner.proof.walk import Ball, dense
+from linkplan.planner.proof.taylor import NotSeparatedError, solve
+from linkplan.planner.proof.walk import Ball, Blocks, dense
 
 # Krawczyk's trial ball is enlarged up to so often by half, until the operator maps it into itself.
 _MOST_INFLATIONS = 6

@@ -13,8 +13,8 @@ from flint import arb
 
 from linkplan.models.actuation.actuators import Actuator, ranged_control
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.planner.certificate.boundary import BOUNDARY_SHARE
 from linkplan.planner.certificate.certificate import CLOSURE_M, DYNAMICS_SHARE, INVERSE_DYNAMICS_SHARE, RANGE_SLACK
+from linkplan.planner.certificate.integration import BOUNDARY_SHARE
 from linkplan.planner.limits.actuators import clamped_allowance
 from linkplan.planner.problem.extra import ExtraLimit, expressed
 from linkplan.planner.problem.instant import free_instant

@@ -33,9 +33,8 @@ from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.proof.branch import krawczyk, pose_of, series_of
 from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
 from linkplan.planner.proof.finding import OWN_MOTION, Finding
-from linkplan.planner.proof.linear import NotSeparatedError, solve
 from linkplan.planner.proof.motion import Piece, State
-from linkplan.planner.proof.taylor import TaylorForm, above
+from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve
 from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, walk_of
 from linkplan.planner.trajectory import Trajectory
 

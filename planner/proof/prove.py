@@ -9,11 +9,9 @@ from flint import arb, arb_poly, arb_series, ctx
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.blocks import Blocks, blocks_of
 from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
 from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.claims import claims_of, sampled_findings
-from linkplan.planner.proof.ends import JOIN_SHARE, START_POSE_ERROR, end_findings
 from linkplan.planner.proof.existence import (
     EXISTENCE_SECONDS,
     Neighbourhood,
@@ -21,10 +19,9 @@ from linkplan.planner.proof.existence import (
     no_motion,
 )
 from linkplan.planner.proof.finding import Finding, Proof
-from linkplan.planner.proof.linear import NotSeparatedError
-from linkplan.planner.proof.motion import Piece, State
-from linkplan.planner.proof.taylor import TaylorForm
-from linkplan.planner.proof.walk import UnknownOperationError
+from linkplan.planner.proof.motion import JOIN_SHARE, START_POSE_ERROR, Piece, State, end_findings
+from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm
+from linkplan.planner.proof.walk import Blocks, UnknownOperationError, blocks_of
 from linkplan.planner.trajectory import Trajectory
 
 # Bits of the balls' midpoints: 27 more than the coefficients have.

@@ -8,10 +8,9 @@ import numpy as np
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.refinement.case import Iterate, attempt, certify_iterate
-from linkplan.planner.refinement.constrained_arcs import FixedArcs
+from linkplan.planner.refinement.constrained_arcs import FixedArcs, interval_breaks, released
 from linkplan.planner.refinement.history import progress, record, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
-from linkplan.planner.refinement.pontryagin import interval_breaks, released
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
 from linkplan.planner.solvers.newton import nearest_feasible

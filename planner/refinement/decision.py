@@ -1,4 +1,4 @@
-"""The decision on the next action of a refinement: a pure function of its state.
+"""The refinement: one loop that applies the next action until it is "stop", and the decision on it, a pure function.
 
 | action | when | source |
 |---|---|---|
@@ -16,6 +16,7 @@ The first row that holds counts; a mesh is halved before limits are tightened.
 
 import numpy as np
 
+from linkplan.models.deadline import check
 from linkplan.planner.refinement.actions import (
     Action,
     Halve,
@@ -27,6 +28,8 @@ from linkplan.planner.refinement.actions import (
     Restore,
     Tighten,
 )
+from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, certify_iterate
+from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits
 from linkplan.planner.refinement.marking import (
     EVEN_SHARE,
     MARKED_SHARE,
@@ -42,9 +45,8 @@ from linkplan.planner.refinement.marking import (
     rough_of,
     uneven_of,
 )
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
-from linkplan.planner.refinement.state import RefinementState
-from linkplan.planner.refinement.switch_search import is_bang_bang
+from linkplan.planner.refinement.state import Refined, RefinementState, observed
+from linkplan.planner.refinement.switch_search import is_bang_bang, settle_switch_times
 
 # A boundary layer a ten-thousandth of the motion long takes eight halvings; no refinement of the record took more rounds.
 MAX_ROUNDS = 24
@@ -228,3 +230,33 @@ def _most_intervals(state: RefinementState, *, held: bool = False) -> int:
     wanders = wanders and not state.target.enclosed and not overrunning(state.at).any()
     most = MAX_GROWTH * state.asked.problem.mesh.intervals
     return _comfortable(state) if (state.best is not None or wanders) and not held else most
+
+
+def refine(
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], *, warm: bool = False
+) -> Refined[MotionT, CertificateT] | None:
+    """Return the best motion towards the tolerance, or None without a certificate.
+
+    The certificate may not pass: then the motion is the last one tried.
+
+    Args:
+        case: what is refined, with the limits as they are asked.
+        found: the first solution.
+        warm: whether finer meshes are solved from next to the coarser one's answer: less exact, but an unstable motion is
+            not lost on the way.
+    """
+    state = first_state(case, found, warm=warm)
+    while (action := next_action(state)) is not None:
+        check()
+        state = action.apply(state)
+    return state.result
+
+
+def first_state(
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], *, warm: bool
+) -> RefinementState[MotionT, CertificateT]:
+    """Return the state that a first solution leads to: with switch times as unknowns where efforts jump."""
+    if case.target.switches:
+        found = settle_switch_times(case, found)
+    at = certify_iterate(case, found)
+    return observed(RefinementState(asked=case, case=case, at=at, warm=warm), at)

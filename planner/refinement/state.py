@@ -14,8 +14,7 @@ from linkplan.planner.refinement.case import (
     RefinementTarget,
     error_of,
 )
-from linkplan.planner.refinement.constrained_arcs import standing_off
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, limits_bind
+from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind, standing_off
 from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED, Solution
 

@@ -11,12 +11,12 @@ from linkplan.planner.refinement.case import Case, CertificateT, Iterate, Motion
 from linkplan.planner.refinement.constrained_arcs import (
     FixedArcs,
     arc_ends,
+    arcs_against_their_limits,
     find_constrained_paths,
     free_ends,
     own_arcs,
     path_arcs,
 )
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed

@@ -11,16 +11,15 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.collisions import surely_collides, unavoidable
-from linkplan.planner.closed_chain.answer import finished, optimality
-from linkplan.planner.closed_chain.case import MechanismCase, case_of
+from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished, optimality
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
-from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import Budget, Steps, followed

@@ -18,9 +18,9 @@ from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.joints import POSITION_ROUNDING
-from linkplan.planner.certificate.boundary import POSE_SLACK
+from linkplan.planner.certificate.integration import POSE_SLACK
+from linkplan.planner.limits.joints import SingularMarginLimit
 from linkplan.planner.limits.kinds import limits_of
-from linkplan.planner.limits.loops import SingularMarginLimit
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.limits.samples import Poses
 from linkplan.planner.limits.site import SitePathLimit

@@ -1,10 +1,15 @@
 """Rungs that begin anew: the user's guess, the smooth path, the phase plane, swings, perturbed paths, several at once.
 
 The motion of least time is looked for once, and shared by rungs and diagnoses.
+
+A rung keeps a distance from singular poses that was not asked for. A linkage may swing up to a dead centre, where its
+actuator holds or turns it the more easily the nearer it comes. No motion is the best then: its cost falls with the margin,
+down to a motion that leaves the branch. A crank that turns fully may pass a pose that is nearly singular: a coarse mesh
+steps over it onto the other branch. In both cases solvers are lost, and within a margin they find the best motion.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +17,7 @@ import numpy as np
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
 from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
+from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
@@ -19,9 +25,10 @@ from linkplan.planner.phase_plane.power_legs import knows_pins
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
-from linkplan.planner.search.attempts import certified, plan_from, without_solving
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.rungs import HURRIED, Budget
+from linkplan.planner.search.attempts import certified, only_feasible, plan_from, without_solving
+from linkplan.planner.search.ladder import Search, climb
+from linkplan.planner.search.presolve import only_way
+from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
@@ -262,3 +269,78 @@ def _every_start(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
         yield from _of_the_phase_plane(search, budget)
     yield from (("a swing", swing) for swing in swinging_guesses(search.problem, search.start_pose))
     yield from itertools.islice(perturbed_guesses(search.problem, search.start_pose), _FIRST_PERTURBED_GUESSES)
+
+
+def may_near_singular(search: Search) -> bool:
+    """True if no plan passes, though the phase plane knows a motion and loops may come near a singular pose."""
+    problem = search.problem
+    # Plans that failed do not exclude this rung: they may have left the branch at a nearly singular pose.
+    if search.solved or problem.solver.starts > 1 or problem.limits.singular_margin or problem.guess is not None:
+        return False
+    if search.quickest is None or other_limits(problem) or no_time(search):
+        return False
+    return len(problem.mechanism.dependent) > 0
+
+
+def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]]) -> Plan | None:
+    """Return the best plan that keeps a margin to singular poses; None if the rungs find none.
+
+    One that is optimal within the margin is "feasible" where it is next to it.
+    """
+    problem = search.within(budget)
+    way = only_way(problem)
+    if way is None:
+        return None
+    # The least |det J_z| relative to home: a quarter of it may lose the motion, more of it costs more. All poses between
+    # start and goal keep half of what they have.
+    margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
+    limits = replace(problem.limits, singular_margin=margin)
+    plan = climb(search.of_another(replace(problem, limits=limits)), rungs)
+    if plan is None or not plan.passed:
+        return None
+    found = replace(plan, problem=search.problem)
+    # A margin is met within a hundredth of it.
+    if plan.status == "feasible" or plan.certificate.singularity_ratio > 1.01 * margin:
+        return found
+    why = f"; it keeps {margin:.3g} of the home pose's distance from singular poses, nearer to them it may cost less"
+    return only_feasible(found, why)
+
+
+_FIRST = (
+    Rung(
+        name="the phase plane along limits on power and pin force", tried=is_along_power, climb=along_power, budget=HURRIED
+    ),
+    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=PATIENT),
+    Rung(name="the phase plane", tried=phase_plane_may_help, climb=from_the_phase_plane, budget=HURRIED),
+)
+_RUNGS = (
+    *_FIRST,
+    Rung(
+        name="at a distance from singular poses",
+        tried=may_near_singular,
+        climb=lambda search, budget: at_a_distance(search, budget, _FIRST),
+        budget=PATIENT,
+    ),
+)
+
+
+def shortest_motion(search: Search) -> Plan | None:
+    """Return the certified plan of least time within a reach's limits; None where it was not found."""
+    if not np.all(np.isfinite(search.problem.limits.effort)):  # no time is the least then, and none may be asked for
+        return None
+    plan = search.known.sought.get(PHASE_PLANE_LEAST_TIME)
+    if plan is None or not plan.passed:
+        plan = search.known.once("least time by the ladder", lambda: _by_the_ladder(search))
+    return plan if plan is not None and plan.passed else None
+
+
+def _by_the_ladder(search: Search) -> Plan | None:
+    motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
+    # Efforts constant over intervals, as least work has them, would be late.
+    mesh = replace(search.problem.mesh, effort="polynomial")
+    # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
+    hurried = search.within(replace(PATIENT, share_of_time=0.5))
+    free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
+    progress("looking for the shortest feasible duration")
+    with recording():
+        return climb(search.of_another(free), _RUNGS)

@@ -20,8 +20,8 @@ from linkplan.planner.search.attempts import certified, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.rungs import Budget
-from linkplan.planner.search.shortest import shortest_motion
 from linkplan.planner.search.solving import solve_from
+from linkplan.planner.search.starts import shortest_motion
 from linkplan.planner.trajectory import Trajectory
 
 # Terms of an objective that a rest adds to by its effort and its length alone.

@@ -14,8 +14,7 @@ import numpy as np
 
 from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.interval import IntervalFunctions
-from linkplan.planner.transcription.layout import Layout, Triplets, no_rows
-from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.mesh import Layout, Mesh, Triplets, no_rows
 from linkplan.planner.transcription.schemes import Scheme
 
 

@@ -17,7 +17,6 @@ from linkplan.planner.transcription.bounds import (
     linear_rows,
     row_bounds,
 )
-from linkplan.planner.transcription.compiled import chain_key, node_key, without_numbers
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, stretched_durations
 from linkplan.planner.transcription.interval import (
     ChainFunctions,
@@ -26,9 +25,8 @@ from linkplan.planner.transcription.interval import (
     interval_of,
     open_end_path,
 )
-from linkplan.planner.transcription.layout import Layout, Triplets
-from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.program import Program, build_program
+from linkplan.planner.transcription.mesh import Layout, Mesh, Triplets
+from linkplan.planner.transcription.program import Program, build_program, chain_key, node_key, without_numbers
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import NodeFunctions, build_node
 

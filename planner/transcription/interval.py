@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram, bernstein_matrix, bernstein_product
-from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.mesh import Layout
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import (
     NodeFunctions,

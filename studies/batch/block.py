@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.batch import plan_cases
-from linkplan.planner.files.trajectory_file import read_member, read_trajectory
+from linkplan.planner.files.columns import read_member, read_trajectory
 from linkplan.planner.keys.sections import BatchFile, CaseSection
 from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.plan_record import read_plan_record

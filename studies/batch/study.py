@@ -12,7 +12,7 @@ from msgspec import Struct
 from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.batch import check_batch
 from linkplan.planner.files.folders import check_target, write_json
-from linkplan.planner.files.json_record import read_record
+from linkplan.planner.files.manifest import read_record
 from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.keys.sections import BatchFile
 from linkplan.planner.plan_folder import versions

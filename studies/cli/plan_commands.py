@@ -8,9 +8,8 @@ from pathlib import Path
 from linkplan.models.deadline import NO_DEADLINE
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.planning import plan_motion, price_of, with_price
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.robustness import price_of, with_price
 from linkplan.studies.cli.common import PROVING, engine_asked, output_folder, plan_of, set_all, with_motion
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show

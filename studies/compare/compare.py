@@ -24,8 +24,7 @@ from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.collisions import geom_names
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.settings import Tracking
-from linkplan.planner.problem.values import number
+from linkplan.planner.problem.settings import Tracking, number
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time

@@ -11,7 +11,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.values import whole
+from linkplan.planner.problem.settings import whole
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose.ladder import RUNGS, run_ladder
 from linkplan.studies.decompose.shares import Shares, shares_of

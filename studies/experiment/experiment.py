@@ -19,7 +19,7 @@ from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import versions
 from linkplan.planner.problem.imperfections import ImperfectionFactors, imperfections_of
-from linkplan.planner.problem.values import number, whole
+from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare.compare import tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.experiment.defaults import default_imperfections

@@ -12,7 +12,7 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.planner.files.folders import check_target, plain_record, write_json
-from linkplan.planner.files.json_record import read_record
+from linkplan.planner.files.manifest import read_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import write_plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash

@@ -11,7 +11,7 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.values import number
+from linkplan.planner.problem.settings import number
 from linkplan.planner.replan import Replanner
 from linkplan.studies.compare.compare import Comparison, compare
 from linkplan.studies.output.document import Report

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.paths import drawn
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.values import whole
+from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study

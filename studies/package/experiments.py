@@ -15,7 +15,7 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn, path_of
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.values import whole
+from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
 from linkplan.studies.experiment.block import replay

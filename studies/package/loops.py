@@ -16,8 +16,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import tracking_from_tables
-from linkplan.planner.problem.settings import Tracking
-from linkplan.planner.problem.values import number, plain
+from linkplan.planner.problem.settings import Tracking, number, plain
 from linkplan.reporting import Progress, listener
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, bode_study
 from linkplan.studies.bode.poses import loop_poses

@@ -9,7 +9,7 @@ from pathlib import Path
 from linkplan.models.errors import ProblemError
 from linkplan.paths import path_of
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.problem.values import plain, whole
+from linkplan.planner.problem.settings import plain, whole
 from linkplan.reporting import Progress, listener
 from linkplan.studies.batch.study import Outcome, run_batch
 from linkplan.studies.output.batch_table import batch_blocks

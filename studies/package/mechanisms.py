@@ -13,7 +13,7 @@ from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.build import mechanism_from_tables
-from linkplan.planner.problem.values import plain
+from linkplan.planner.problem.settings import plain
 from linkplan.subjects import Subject, is_problem, poses_of, subject_of
 
 if TYPE_CHECKING:

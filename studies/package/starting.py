@@ -10,7 +10,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.paths import path_of
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.values import plain
+from linkplan.planner.problem.settings import plain
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 

@@ -13,7 +13,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.values import joint_values, plain
+from linkplan.planner.problem.settings import joint_values, plain
 
 Subject = Mechanism | Problem | str | Path
 

@@ -14,7 +14,7 @@ from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn, path_of
 from linkplan.planner.files.folders import plain_record, write_json, write_whole
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.values import plain
+from linkplan.planner.problem.settings import plain
 from linkplan.reporting import Progress, listener
 from linkplan.studies.transfer.columns import arrays_of
 from linkplan.studies.transfer.serial_study import Serial

@@ -8,8 +8,7 @@ from typing import Any
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import complete
-from linkplan.planner.files.json_record import read_record
-from linkplan.planner.files.manifest import RECORDS
+from linkplan.planner.files.manifest import RECORDS, read_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan, unchecked
 from linkplan.planner.plan_record import read_plan_record

@@ -14,7 +14,7 @@ import msgspec
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import MAX_FILE_BYTES, read_head
-from linkplan.planner.files.json_record import read_record
+from linkplan.planner.files.manifest import read_record
 from linkplan.planner.files.single_file import write_over
 from linkplan.studies.output.document import Report
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.robust import corner_efforts_along
-from linkplan.planner.robustness import saved_price
+from linkplan.planner.planning import saved_price
+from linkplan.planner.problem.instant import corner_efforts_along
 from linkplan.studies.output.document import Block, Facts, Plot, Section, Table, Text
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.motion import Motion

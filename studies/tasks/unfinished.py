@@ -15,8 +15,7 @@ from typing import Any
 from linkplan.models.deadline import shielded
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import plain_record, remove_result, write_json, write_whole
-from linkplan.planner.files.json_record import read_record
-from linkplan.planner.files.manifest import identity_at
+from linkplan.planner.files.manifest import identity_at, read_record
 from linkplan.planner.files.work_folders import replace_file, sweep
 
 try:

@@ -13,7 +13,7 @@ from linkplan.models.transfer.table import REFINED, TransferTable, transfer_tabl
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.values import number
+from linkplan.planner.problem.settings import number
 from linkplan.studies.export.output_joints import with_outputs
 from linkplan.studies.transfer.serial_study import Serial, motion_of_plan, serial_of
 

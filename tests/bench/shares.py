@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem

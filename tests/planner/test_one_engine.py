@@ -7,8 +7,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.boundary import exact_bounds, relative_violation
 from linkplan.planner.certificate.flow import flow, flows
+from linkplan.planner.certificate.integration import exact_bounds, relative_violation
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
 from linkplan.planner.ode.case import OdeCase

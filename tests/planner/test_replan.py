@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner import replan
-from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.replan import Replanner, structure

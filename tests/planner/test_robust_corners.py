@@ -12,7 +12,7 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import SHANK
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.robust import Corner, corner_efforts_along
+from linkplan.planner.problem.instant import Corner, corner_efforts_along
 from tests.support.plans import optimal
 
 # A knee with a second motor, at the rocker's pin: one more than its degree of freedom.

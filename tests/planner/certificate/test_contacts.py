@@ -13,7 +13,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import meetings
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan, record, write_plan
 from linkplan.planner.planning import plan_motion

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.boundary import ends_off_m
+from linkplan.planner.certificate.integration import ends_off_m
 from linkplan.planner.trajectory import Trajectory
 from tests.support.arms import LOWER, UPPER, angles_at, foot_of
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem

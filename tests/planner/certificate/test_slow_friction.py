@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.planner.closed_chain.answer import slow_share
+from linkplan.planner.closed_chain.case import slow_share
 from linkplan.planner.trajectory import Trajectory
 
 RUBBING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 1 0"{friction}/>

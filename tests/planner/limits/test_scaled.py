@@ -7,8 +7,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, RobustLimit
-from linkplan.planner.limits.joints import RangeLimit, SpeedLimit, TendonLimit
-from linkplan.planner.limits.loops import ClosureForceLimit, SingularMarginLimit
+from linkplan.planner.limits.joints import ClosureForceLimit, RangeLimit, SingularMarginLimit, SpeedLimit, TendonLimit
 from linkplan.planner.limits.path_limit import BETWEEN_NODES_FACTOR, PathLimit
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem

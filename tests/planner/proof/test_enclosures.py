@@ -6,12 +6,11 @@ import pytest
 from flint import arb, arb_mat, ctx
 
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.blocks import blocks_of
 from linkplan.planner.proof.branch import krawczyk, newton
-from linkplan.planner.proof.linear import NotSeparatedError, solve
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import TAYLOR_ORDER, states_of
-from linkplan.planner.proof.taylor import TaylorForm
+from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, solve
+from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.mp_functions import DIGITS, mp_effort, mp_motion, mp_pose, mp_values
 from tests.support.plans import optimal

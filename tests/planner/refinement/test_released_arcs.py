@@ -5,8 +5,8 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, released
-from linkplan.planner.refinement.refine import refine
+from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, released
+from linkplan.planner.refinement.decision import refine
 from tests.support.bodies import HINGE_INERTIA, TURN
 from tests.support.held_arcs import held, held_case
 from tests.support.sites import site_problem

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement.tightening import evened, tightened_share, tightenings_of
+from linkplan.planner.refinement.marking import evened, tightened_share, tightenings_of
 
 
 @pytest.mark.parametrize("begin_s", [0.0, 2.0])

@@ -11,8 +11,8 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search import attempts
 from linkplan.planner.search.ladder import Search, climb
 from linkplan.planner.search.rungs import Budget, Rung, Steps, followed

@@ -1,7 +1,7 @@
 """No time is the least where efforts have no limits: what asks for it on the way to another answer hears of none."""
 
 from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.shortest import shortest_motion
+from linkplan.planner.search.starts import shortest_motion
 from tests.support.plans import problem_of
 
 

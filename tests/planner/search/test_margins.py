@@ -10,8 +10,8 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
-from linkplan.planner.search.margins import at_a_distance, may_near_singular
 from linkplan.planner.search.rungs import PATIENT, Rung
+from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
 
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.joints import RangeLimit
+from linkplan.planner.limits.joints import RangeLimit, SingularMarginLimit
 from linkplan.planner.limits.kinds import limits_of
-from linkplan.planner.limits.loops import SingularMarginLimit
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond

@@ -15,8 +15,8 @@ from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.limits.actuators import PowerLimit
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.transcription.compiled import chain_key, node_key
 from linkplan.planner.transcription.interval import ChainFunctions, IntervalRows, build_chain
+from linkplan.planner.transcription.program import chain_key, node_key
 from linkplan.planner.transcription.schemes import scheme
 from linkplan.planner.transcription.system import NodeFunctions, build_node
 from tests.support.tolerances_planner import COMPILED

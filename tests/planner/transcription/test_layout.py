@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.mesh import Layout
 from linkplan.planner.transcription.system import _open_end_rows
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.transcription.compiled import node_key, without_numbers
+from linkplan.planner.transcription.program import node_key, without_numbers
 from linkplan.planner.transcription.system import System
 from tests.support.fourbar_problems import random_case
 
