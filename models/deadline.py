@@ -1,4 +1,4 @@
-"""What ends a long computation: a deadline in processor time, Ctrl-C and SIGTERM. Every loop that may take long asks.
+"""What long computations share: a deadline in processor time, Ctrl-C and SIGTERM, and one lock of the process.
 
 A KeyboardInterrupt during CasADi's conversion of a number is swallowed, becomes a SystemError or ends the process. While
 `listening`, the first signal therefore sets a flag. KeyboardInterrupt is raised at once if no frame of CasADi and no
@@ -7,6 +7,7 @@ flag. A second Ctrl-C ends the process at once. This loses no file, because file
 """
 
 import contextlib
+import functools
 import os
 import signal
 import threading
@@ -14,9 +15,30 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from types import FrameType
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 from linkplan.models.errors import LinkplanError
+
+_LOCK = threading.RLock()
+Asked = ParamSpec("Asked")
+Answer = TypeVar("Answer")
+
+
+def one_thread_at_a_time(function: Callable[Asked, Answer]) -> Callable[Asked, Answer]:
+    """Return a function that waits until no other thread is in it, or in any other function with this decorator.
+
+    Its calls may be nested. Three libraries need it: CasADi 3.8 gives up Python's own lock in symbolic calls while it enters
+    their constants in one table of the process; msgspec 0.22 prepares a type at its first conversion; and MuJoCo's warnings
+    become Python warnings, whose filters belong to the process.
+    """
+
+    @functools.wraps(function)
+    def alone(*args: Asked.args, **kwargs: Asked.kwargs) -> Answer:
+        with _LOCK:
+            return function(*args, **kwargs)
+
+    return alone
+
 
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 

@@ -14,6 +14,12 @@ def escaped(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in text)
 
 
+def shown(text: object, most: int = 200) -> str:
+    """Return `text` with control characters and surrogates escaped, shortened to about `most` characters."""
+    line = escaped(str(text))
+    return line if len(line) <= most else f"{line[: most // 2]}...{line[-most // 4 :]}"
+
+
 class LinkplanError(Exception):
     """The base of all errors that linkplan raises. Its text is one line for the user.
 

@@ -37,13 +37,13 @@ from linkplan.models.closure.mobility import (
 )
 from linkplan.models.closure.newton import KinematicLoop, ProjectedLoops, projected_loops
 from linkplan.models.coordinate_choice import choose_coordinates
+from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import LockedError, ModelError, UnassembledError
 from linkplan.models.kinematics import extent_m, set_softness
-from linkplan.models.library import NOTHING_SELECTED, compile_model
+from linkplan.models.library import NOTHING_SELECTED, compile_model, conversion_notes
 from linkplan.models.mechanism_html import mechanism_html
-from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, refuse_singular_inertia, with_numbers
 from linkplan.models.selection import Selection, home_qpos, refuse_many_loose
@@ -53,7 +53,6 @@ from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import BallRange, Joint, index_of, limited_balls, read_joints, unit_steps
 from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.tendons import TendonRange, limited_tendons
-from linkplan.models.urdf import conversion_notes
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

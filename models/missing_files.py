@@ -9,8 +9,7 @@ from pathlib import Path
 
 import mujoco
 
-from linkplan.models.errors import ModelError, listed
-from linkplan.models.reading import shown
+from linkplan.models.errors import ModelError, listed, shown
 from linkplan.models.users import delete_geoms
 
 _OPENING = "opening file"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from linkplan.models.errors import LinkplanError, ProblemError, escaped, one_line
+from linkplan.models.errors import LinkplanError, ProblemError, one_line
 
 # Largest result that is read back: a trajectory of 20,000 intervals x 10 x 40 joints x 8 bytes, a record of 10,000 cases.
 MAX_FILE_BYTES = 64_000_000
@@ -19,12 +19,6 @@ MOST_TOML_BYTES = 16_000_000
 _MAX_DEPTH = 100
 # A key with more parts than that. The parser's memory grows with the square of the number of parts.
 _LONG_KEY = re.compile(rf"""(?<![\w."'-])(?:(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_MAX_DEPTH}}}""")
-
-
-def shown(text: object, most: int = 200) -> str:
-    """Return `text` with control characters and surrogates escaped, shortened to about `most` characters."""
-    line = escaped(str(text))
-    return line if len(line) <= most else f"{line[: most // 2]}...{line[-most // 4 :]}"
 
 
 def read_file(path: Path, what: str, most_bytes: int, error: type[LinkplanError] = ProblemError) -> bytes:

@@ -18,7 +18,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
-from linkplan.planner.certificate.collisions import contact_notes
+from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import AXES
 from linkplan.planner.proof.finding import Proof

@@ -11,12 +11,10 @@ import numpy as np
 from msgspec.structs import asdict
 
 from linkplan.models.digest import part_hashes
-from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError
+from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError, shown
 from linkplan.models.poses.contacts import Meeting
-from linkplan.models.reading import shown
 from linkplan.planner.certificate.certificate import Certificate, certify
-from linkplan.planner.certificate.collisions import with_contacts
-from linkplan.planner.certificate.saved import disagreements
+from linkplan.planner.certificate.further_checks import disagreements, with_contacts
 from linkplan.planner.files.columns import ARRAYS, csv_bytes, parquet_bytes, read_trajectory
 from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.tables import apply_override

@@ -10,8 +10,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from linkplan.models.deadline import OutOfTimeError
-from linkplan.models.one_thread import one_thread_at_a_time
+from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
 from linkplan.planner.closed_chain.case import LOCALLY, plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
@@ -19,8 +18,7 @@ from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.search import attempts, continuations, starts, waiting
-from linkplan.planner.search.ladder import Repair, Search, climb
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
+from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.smooth_path import along_smooth_path
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 

@@ -19,8 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from linkplan.models.deadline import OutOfTimeError
-from linkplan.models.one_thread import one_thread_at_a_time
+from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.case import case_of, finished

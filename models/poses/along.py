@@ -12,6 +12,8 @@ from linkplan.models.compiled.functions import on_arrays
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.friction import frictions_of
 
+# Violations of a joint's range below this are rounding of the assembly [rad or m].
+RANGE_ROUNDING = 1e-8
 # Moment arms below this share of the largest are zero to rounding, at an actuator's dead centre.
 _ZERO_ARM_SHARE = 1e-12
 # Efforts that miss no more than this share of the largest effort give the whole: above rounding, far below what is felt.

@@ -9,7 +9,7 @@ import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import beyond_balls, sampled
+from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled
 from linkplan.models.poses.assembly import advance, continue_to, in_loops, step_sizes
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
@@ -22,8 +22,6 @@ from linkplan.models.poses.singular_poses import (
 )
 from linkplan.models.tree.joints import Joint
 
-# Violations of a joint's range below this are rounding of the assembly [rad or m].
-RANGE_ROUNDING = 1e-8
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
 
@@ -84,21 +82,6 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
         branching=tuple((float(pose[index]), closure_rank(mechanism, pose)) for pose in lost),
         single=tuple(float(pose[index]) for pose in lost if has_single_motion(mechanism, pose)),
     )
-
-
-def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
-    """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a range.
-
-    The steps are those of `reach`, but the check is much faster.
-    """
-    first = mechanism.home[mechanism.independent]
-    n = int(np.ceil(2 * np.max(np.abs(s - first) / step_sizes(mechanism)[mechanism.independent], initial=0.0)))
-    if not n < 361:  # about a full turn
-        return False
-    poses, arrived = continue_to(mechanism, mechanism.home, np.linspace(first, s, n + 1))
-    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
-    kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
-    return bool(arrived == n + 1 and np.all(kept) and np.all(beyond_balls(mechanism, poses) <= RANGE_ROUNDING))
 
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import advance, step_sizes, strides
-from linkplan.models.poses.reach import RANGE_ROUNDING
 from linkplan.models.transfer.output_map import OutputMap
 
 # Status of a point: on the map; the loops do not close there; next to a singular pose; or 100 plus the index of the joint

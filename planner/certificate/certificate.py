@@ -88,7 +88,7 @@ class Certificate(RenamedFields):
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
     unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts
-    contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.collisions
+    contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
 
     @property
     def passed(self) -> bool:

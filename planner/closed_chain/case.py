@@ -12,7 +12,7 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
-from linkplan.planner.certificate.collisions import with_contacts
+from linkplan.planner.certificate.further_checks import with_contacts
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.prescribed import highest_frequency, prescribe, reference_demand, rounded_down

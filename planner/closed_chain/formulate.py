@@ -11,9 +11,8 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system, n_algebraic, n_lifted, node_numbers
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import limits_of, site_at_home
 from linkplan.planner.limits.path_limit import PathLimit
-from linkplan.planner.limits.site import site_at_home
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem

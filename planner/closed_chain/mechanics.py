@@ -25,8 +25,8 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.limits.kinds import SitePathLimit
 from linkplan.planner.limits.path_limit import PathLimit
-from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem

@@ -19,10 +19,9 @@ from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, record, recorded, step_of
-from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
-from linkplan.planner.search.rungs import HURRIED
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
 from linkplan.planner.search.starts import enough_time, shortest_motion
 from linkplan.planner.solvers.solve import build_solver, run_solver, solve, why_stopped

@@ -14,8 +14,8 @@ from typing import Any
 
 from linkplan.models.catalogue import PAYLOADS, nearest_source
 from linkplan.models.errors import ProblemError
+from linkplan.models.errors import shown as shown_name
 from linkplan.models.reading import parse_toml, read_toml
-from linkplan.models.reading import shown as shown_name
 
 # Keys that need no quotes (TOML 1.0, "Keys").
 _BARE = re.compile(r"[A-Za-z0-9_-]+")

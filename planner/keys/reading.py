@@ -5,8 +5,8 @@ from typing import Any, TypeVar, get_args
 
 import msgspec
 
+from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.keys.kinds import Known
 from linkplan.planner.keys.sections import ProblemFile
 

@@ -10,9 +10,8 @@ from msgspec import Meta, defstruct
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
-from linkplan.planner.keys.kinds import ABSENT, Section, Settings, key
+from linkplan.planner.keys.kinds import ABSENT, FORMS, QUANTITIES, WORDS, Quantity, Section, Settings, key, spread_schema
 from linkplan.planner.keys.motion_and_limits import LimitsSection, MotionSection, MotorTable, ReferenceSection, RobustSection
-from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
 
 # Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or
 # unprintable characters, and do not end in .json.

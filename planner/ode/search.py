@@ -25,7 +25,7 @@ from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
-from linkplan.planner.search.rungs import Budget
+from linkplan.planner.search.ladder import Budget
 from linkplan.planner.solvers.solve import INVALID, SOLVER_TOLERANCE
 from linkplan.planner.transcription.formulation import Start
 from linkplan.planner.transcription.mesh import Mesh, broken, uniform

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.one_thread import one_thread_at_a_time
+from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.planner.ode.case import FirstSolution, OdeCase
 from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion
@@ -34,7 +34,7 @@ from linkplan.planner.ode.switches import is_affine
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, progress, record, recorded, recording, silent, step_of
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung, Steps, followed, try_in_turn
+from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Rung, Steps, followed, try_in_turn
 from linkplan.planner.solvers.solve import OUT_OF_TIME, solve, why_stopped
 from linkplan.planner.transcription.mesh import broken
 

@@ -7,9 +7,8 @@ from typing import ClassVar, Literal
 import casadi as ca
 import numpy as np
 
-from linkplan.models.errors import ProblemError, choose, one_line
+from linkplan.models.errors import ProblemError, choose, one_line, shown
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.reading import shown
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.problem.instant import Instant, free_instant
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.audit import audit
+from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, toml_text
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose

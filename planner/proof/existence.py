@@ -32,7 +32,7 @@ from linkplan.planner.certificate.certificate import INTEGRATION_M, VELOCITY_SHA
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.proof.branch import krawczyk, pose_of, series_of
 from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
-from linkplan.planner.proof.finding import OWN_MOTION, Finding
+from linkplan.planner.proof.finding import OWN_MOTION, Finding, no_motion
 from linkplan.planner.proof.motion import Piece, State
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve
 from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, walk_of
@@ -76,11 +76,6 @@ class Tube:
 def first_tube(trajectory: Trajectory) -> Tube:
     """Return a tube of one width around a motion."""
     return Tube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None])
-
-
-def no_motion(why: str) -> Finding:
-    """Return the finding that no motion is proved near a plan."""
-    return Finding(name=OWN_MOTION, answer="sampled", reason=f"by an integration with error control: {why}")
 
 
 class Neighbourhood:

@@ -85,3 +85,8 @@ def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | 
     margin = mark - value if math.isfinite(value) else None
     answer = "proved" if kept else "refuted"
     return Finding(name=name, answer=answer, unit=unit, bound=value, mark=mark, margin=margin, time_s=time_s, reason=reason)
+
+
+def no_motion(why: str) -> Finding:
+    """Return the finding that no motion is proved near a plan."""
+    return Finding(name=OWN_MOTION, answer="sampled", reason=f"by an integration with error control: {why}")

@@ -16,9 +16,8 @@ from linkplan.planner.proof.existence import (
     EXISTENCE_SECONDS,
     Neighbourhood,
     first_tube,
-    no_motion,
 )
-from linkplan.planner.proof.finding import Finding, Proof
+from linkplan.planner.proof.finding import Finding, Proof, no_motion
 from linkplan.planner.proof.motion import JOIN_SHARE, START_POSE_ERROR, Piece, State, end_findings
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm
 from linkplan.planner.proof.walk import Blocks, UnknownOperationError, blocks_of

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.certificate.collisions import surely_collides, unavoidable
+from linkplan.planner.certificate.further_checks import surely_collides, unavoidable
 from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished, optimality
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess
@@ -21,8 +21,7 @@ from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import Refined
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.rungs import Budget, Steps, followed
+from linkplan.planner.search.ladder import Budget, Search, Steps, followed
 from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, solve_from, with_longer_durations
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory

@@ -19,8 +19,7 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.search.attempts import certified, only_feasible
-from linkplan.planner.search.ladder import KnownMotions, Search
-from linkplan.planner.search.rungs import Budget, Steps, followed
+from linkplan.planner.search.ladder import Budget, KnownMotions, Search, Steps, followed
 from linkplan.planner.search.solving import INTERVALS_PER_SWING, graded_mesh, longest, solve_from
 from linkplan.planner.search.starts import least_time_motion, no_time, shortest_motion, with_switch_times
 from linkplan.planner.trajectory import Trajectory

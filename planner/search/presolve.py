@@ -20,10 +20,9 @@ from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.joints import POSITION_ROUNDING
 from linkplan.planner.certificate.integration import POSE_SLACK
 from linkplan.planner.limits.joints import SingularMarginLimit
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import SitePathLimit, limits_of
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.limits.samples import Poses
-from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.phase_plane.grid import plane_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SitePoint

@@ -11,7 +11,7 @@ import numpy as np
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
-from linkplan.planner.certificate.saved import objective_value
+from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.guess import even_poses
 from linkplan.planner.closed_chain.prescribed import motion_along
 from linkplan.planner.plan import Plan

@@ -26,9 +26,8 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import certified, only_feasible, plan_from, without_solving
-from linkplan.planner.search.ladder import Search, climb
+from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Rung, Search, climb
 from linkplan.planner.search.presolve import only_way
-from linkplan.planner.search.rungs import HURRIED, PATIENT, Budget, Rung
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,

@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.certificate.saved import objective_value
+from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.phase_plane.bang_bang_motions import stretched
@@ -18,8 +18,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import certified, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.rungs import Budget
+from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import shortest_motion
 from linkplan.planner.trajectory import Trajectory

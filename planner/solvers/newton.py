@@ -34,7 +34,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.compiled.functions import on_arrays
-from linkplan.models.one_thread import one_thread_at_a_time
+from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program

@@ -11,9 +11,8 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.compiled.functions import compiler
-from linkplan.models.deadline import NO_DEADLINE, asked, solving
+from linkplan.models.deadline import NO_DEADLINE, asked, one_thread_at_a_time, solving
 from linkplan.models.errors import ProblemError, one_line
-from linkplan.models.one_thread import one_thread_at_a_time
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
 from linkplan.planner.transcription.program import Program

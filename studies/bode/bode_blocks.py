@@ -12,7 +12,6 @@ from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
-from linkplan.studies.output.digits import radius_figure
 from linkplan.studies.output.document import (
     Axis,
     Block,
@@ -29,6 +28,7 @@ from linkplan.studies.output.document import (
 )
 from linkplan.studies.output.lines import Line, line_style, plots
 from linkplan.studies.output.numbers import drawn_rows, rounded
+from linkplan.studies.output.plan_blocks import radius_figure
 
 # Half the width of the Nyquist plane in units of |L| for stable loops, and the largest gain that is drawn. The critical
 # point is at -1.

@@ -11,10 +11,10 @@ from linkplan.studies.bode.map_study import TRIAL_GAIN_SHARE, MapStudy, agreemen
 from linkplan.studies.bode.scan import bounds_text
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES
 from linkplan.studies.frequency.floquet import floquet_text
-from linkplan.studies.output.digits import radius_figure
 from linkplan.studies.output.document import MEASURED, Axis, Block, Curve, Facts, Heat, Plane, Plot, Series, Text, table_of
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.numbers import rounded
+from linkplan.studies.output.plan_blocks import radius_figure
 
 # Smaller shares of a disturbance are drawn at this share: they are rounding errors of the simulator.
 _LEAST_SHARE = 1e-12

@@ -12,7 +12,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
-from linkplan.studies.output.digits import radius_figure
+from linkplan.studies.output.plan_blocks import radius_figure
 
 # A parameter below this share of its line is shown as zero: a minimum is only found to the square root of rounding.
 _ZERO_SHARE = 1e-6

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair, Meeting, exclusion, meetings
-from linkplan.planner.certificate.collisions import contact_notes, geom_names
+from linkplan.planner.certificate.further_checks import contact_notes, geom_names
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
-from linkplan.models.poses.reach import RANGE_ROUNDING
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint

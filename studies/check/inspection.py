@@ -9,11 +9,11 @@ from linkplan.models.closure.initial_assembly import keyframe_of
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError, listed
 from linkplan.models.mechanism import Joint, Mechanism
-from linkplan.models.poses.along import ball_angles, shut_balls
+from linkplan.models.poses.along import RANGE_ROUNDING, ball_angles, shut_balls
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.reach import RANGE_ROUNDING, Reach, reach, toggles
+from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.reduction.reduced import linearised
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.dynamics import site_names

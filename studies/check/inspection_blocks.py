@@ -7,8 +7,8 @@ import numpy as np
 from linkplan.models.poses.reach import Reach
 from linkplan.studies.check.check_report import effort_unit, inertia_unit
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
-from linkplan.studies.output.digits import figure
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.output.plan_blocks import figure
 
 
 def inspection_blocks(found: Inspection) -> list[Block]:

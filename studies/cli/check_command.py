@@ -33,8 +33,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     found = whole.found
 
     def draw(place: Path) -> None:
+        from linkplan.models.library import urdf_root
         from linkplan.models.selected_model import whole_model_text
-        from linkplan.models.urdf import urdf_root
         from linkplan.studies.check.path_plots import MAX_COORDINATES_DRAWN, MAX_FIGURES, inspection_figure, path_figure
 
         inspection_figure(found, place / "mechanism.png")

@@ -7,7 +7,7 @@ from typing import NoReturn
 from linkplan.controllers.controls import keys_said
 from linkplan.models.errors import one_line
 from linkplan.studies.cli.exit_codes import BAD_INPUT
-from linkplan.studies.cli.streams import put
+from linkplan.studies.cli.printing import put
 from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
 
 # The shells with completion.

@@ -20,8 +20,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.exit_codes import NoMotionError
-from linkplan.studies.cli.printing import show
-from linkplan.studies.cli.progress import Progress
+from linkplan.studies.cli.printing import Progress, show
 
 if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report

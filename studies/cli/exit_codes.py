@@ -1,6 +1,41 @@
-"""Exit codes of the command line."""
+"""Exit codes of the command line, and errors that a command's input did not cause: too little memory, unexpected errors."""
 
+import errno
+import sys
 from enum import IntEnum
+
+from linkplan.models.errors import one_line
+
+# The words of libraries for too little memory; each library has another kind of error.
+_WORDS = ("failed to map segment", "bad_alloc", "cannot allocate memory", "could not allocate", "unable to allocate")
+
+
+def is_of_memory(error: BaseException) -> bool:
+    """Tell if an error of any kind means that there is not enough memory."""
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+        return True
+    return any(word in str(error).lower() for word in _WORDS)
+
+
+def saved_fault_report(error: BaseException) -> str:
+    """Write a report on an unexpected error into a file, and return one line with the name of the file."""
+    import tempfile
+    import traceback
+    from importlib.metadata import version
+
+    if is_of_memory(error):
+        what = "there is not enough memory for it"
+    else:
+        what = f"a fault of linkplan's own ({type(error).__name__}: {one_line(error)[:200]})"
+    said = "".join(traceback.format_exception(error)).encode("utf-8", "backslashreplace")
+    about = f"linkplan {version('linkplan')}, Python {sys.version}\narguments: {sys.argv[1:]!r}\n\n"
+    head = about.encode("utf-8", "backslashreplace")
+    try:
+        with tempfile.NamedTemporaryFile(prefix="linkplan-fault-", suffix=".txt", delete=False) as file:
+            file.write(head + said)
+    except OSError:
+        return what
+    return f"{what}; please send '{file.name}' to linkplan's makers"
 
 
 class ExitCode(IntEnum):

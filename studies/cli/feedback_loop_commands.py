@@ -14,8 +14,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import progress
-from linkplan.studies.cli.progress import Progress
+from linkplan.studies.cli.printing import Progress, progress
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.output.document import Block, Section, Text
 

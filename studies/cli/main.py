@@ -16,10 +16,8 @@ from pathlib import Path
 from linkplan.models.deadline import check, ended_by, listening
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.studies.cli.command_line import build_parser
-from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, NoMotionError
-from linkplan.studies.cli.faults import is_of_memory, saved_fault_report
-from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, quiet, refuse, show
-from linkplan.studies.cli.streams import put
+from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, NoMotionError, is_of_memory, saved_fault_report
+from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, put, quiet, refuse, show
 
 # The modules of commands that share one; each other command has a module of its own, loaded when the command runs.
 _SHARED = {

@@ -12,8 +12,7 @@ from linkplan.planner.planning import plan_motion, price_of, with_price
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.common import PROVING, engine_asked, output_folder, plan_of, set_all, with_motion
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import progress, show
-from linkplan.studies.cli.progress import Progress
+from linkplan.studies.cli.printing import Progress, progress, show
 
 # A plan is proved without being asked if that takes at most this share of the plan's time, or this many seconds.
 _PROOF_SHARE, _PROOF_SECONDS = 0.25, 1.0

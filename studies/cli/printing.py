@@ -1,23 +1,117 @@
-"""Printing: a result on stdout, progress on stderr. This file has no heavy imports.
+"""Printing: a result on stdout, messages and progress on stderr. This file has no heavy imports.
 
-A failure to print never ends a command. If the result itself could not be printed, `arguments.lost` is the reason.
+Streams may be closed, on a full disk, or in another encoding. A failure to print never ends a command. If the result itself
+could not be printed, `arguments.lost` is the reason. Progress is plain lines, or on a terminal one line that is updated with
+the seconds.
 """
 
 import argparse
-import contextlib
 import errno
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from contextlib import suppress
+from typing import TYPE_CHECKING, TextIO
 
+from linkplan.models.deadline import check
+from linkplan.models.errors import shown
 from linkplan.studies.cli.exit_codes import BAD_INPUT, ExitCode
-from linkplan.studies.cli.progress import Progress
-from linkplan.studies.cli.streams import is_terminal, put, rewrites
 
 if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.text import Text
+
     from linkplan.studies.output.document import Block
+
+
+def is_terminal(stream: TextIO | None) -> bool:
+    """Tell if a stream is a terminal."""
+    try:
+        return stream is not None and stream.isatty()
+    except (OSError, ValueError):  # closed
+        return False
+
+
+def rewrites(stream: TextIO | None) -> bool:
+    """Tell if a stream is a terminal on which a line can be overwritten."""
+    return is_terminal(stream) and os.environ.get("TERM", "dumb") not in ("", "dumb")
+
+
+def put(stream: TextIO | None, text: str) -> OSError | None:
+    """Write a text and return the error, if any: a closed stream, a broken pipe, a full disk.
+
+    Characters that the stream's encoding lacks are escaped.
+    """
+    if stream is None or stream.closed:
+        return OSError(errno.EBADF, os.strerror(errno.EBADF))
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    try:
+        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+        stream.flush()
+    except OSError as error:
+        return error
+    return None
+
+
+def _live(drawn: Callable[[], "Text"]) -> "Live":
+    """Return the line of a terminal that shows what `drawn` returns."""
+    from rich.live import Live
+
+    from linkplan.studies.output.terminal import console_of
+
+    console = console_of(sys.stderr)
+    return Live(console=console, get_renderable=drawn, transient=True, redirect_stdout=False, redirect_stderr=False)
+
+
+class Progress:
+    """Displays the progress of a command, one line at a time, with the seconds since its construction.
+
+    Mutable: it keeps the current line of the terminal. After `close`, further text is printed as plain lines.
+    """
+
+    def __init__(self, command: str) -> None:
+        self._command = command
+        self._begin = time.monotonic()
+        self._text = ""
+        self._live = _live(self._drawn) if rewrites(sys.stderr) else None
+
+    def __call__(self, text: str) -> None:
+        """Show the current work; on a terminal it replaces the last text."""
+        if self._live is None:
+            put(sys.stderr, f"{self._line(text)}\n")
+        else:
+            self._text = text
+            with suppress(OSError):  # the terminal is gone
+                self._live.start()
+                self._live.refresh()
+        check()
+
+    def keep(self, text: str) -> None:
+        """Print a line that stays on the terminal."""
+        self._erase()
+        put(sys.stderr, f"{self._line(text)}\n")
+        check()
+
+    def close(self) -> None:
+        """Erase the updated line and stop the updates."""
+        self._erase()
+        self._live = None
+
+    def _erase(self) -> None:
+        if self._live is not None:
+            with suppress(OSError):
+                self._live.stop()
+
+    def _line(self, text: str) -> str:
+        return f"  {self._command} {time.monotonic() - self._begin:5.1f} s: {shown(text, 5000)}"
+
+    def _drawn(self) -> "Text":
+        from rich.text import Text
+
+        return Text(self._line(self._text), style="dim", no_wrap=True, overflow="ellipsis")
+
 
 # ECMA-48, "Select graphic rendition": written here, because a refusal may be one for want of memory.
 _RED, _PLAIN = "\x1b[31m", "\x1b[0m"
@@ -92,7 +186,7 @@ def flush_streams() -> None:
     """Flush stdout and stderr for the last time; a stream that fails is redirected to the null device, without an error."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and put(stream, "") is not None:
-            with contextlib.suppress(OSError, ValueError):
+            with suppress(OSError, ValueError):
                 nowhere = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(nowhere, stream.fileno())
                 os.close(nowhere)

@@ -21,7 +21,7 @@ from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, Track
 from linkplan.models.errors import GainError, ProblemError, choose, listed
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import exclusion
-from linkplan.planner.certificate.collisions import geom_names
+from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking, number

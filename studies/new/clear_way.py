@@ -4,12 +4,11 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, one_line
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import beyond_balls, demanded, effort_within, least_effort, sampled
+from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, demanded, effort_within, least_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
-from linkplan.models.poses.reach import RANGE_ROUNDING
-from linkplan.planner.certificate.collisions import geom_names
+from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 

@@ -20,13 +20,13 @@ from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.certificate.collisions import contact_notes
+from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.diagnosis.reasons import nothing_found, solver_stopped
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.rungs import HURRIED, Rung
+from linkplan.planner.search.ladder import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.studies.check.drives import motors_hint
 from linkplan.studies.new.changes import (

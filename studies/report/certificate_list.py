@@ -11,7 +11,7 @@ from linkplan.planner.certificate.certificate import (
     VELOCITY_SHARE,
     Certificate,
 )
-from linkplan.planner.certificate.collisions import geom_names
+from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Checklist, Item

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 
-from linkplan.planner.keys.quantities import QUANTITIES
+from linkplan.planner.keys.kinds import QUANTITIES
 from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.experiment.distributions import SHOWN, distributions
 from linkplan.studies.experiment.experiment import Experiment

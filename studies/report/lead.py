@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from linkplan.planner.plan import Plan
-from linkplan.studies.output.digits import figure, known_digits, objective_unit
 from linkplan.studies.output.document import Facts
 from linkplan.studies.output.motion import Motion
+from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit
 
 
 def verdict_sentence(plan: Plan) -> str:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from linkplan.models.library import conversion_notes
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.urdf import conversion_notes
 
 LINK = (
     '<link name="{}"><inertial><mass value="1"/><origin xyz="0 0 -0.1"/>'

@@ -5,7 +5,8 @@ import numpy as np
 
 import linkplan
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.reach import is_open, reach
+from linkplan.models.poses.reach import reach
+from linkplan.planner.problem.consistency import is_open
 from linkplan.studies.new.clear_way import obstacle_on_way
 from tests.support.hexapod import hexapod
 from tests.support.linkages import RSSR

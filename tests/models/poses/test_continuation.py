@@ -8,8 +8,9 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses import assembly
 from linkplan.models.poses.along import evaluated
 from linkplan.models.poses.assembly import advance, continue_to, follow, step_sizes, stride_along
-from linkplan.models.poses.reach import is_open, reach
+from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
+from linkplan.planner.problem.consistency import is_open
 
 # Rounding of poses [rad or m].
 ASSEMBLY = 1e-12

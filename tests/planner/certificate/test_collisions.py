@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.contacts import Meeting
-from linkplan.planner.certificate.collisions import unavoidable
+from linkplan.planner.certificate.further_checks import unavoidable
 
 
 def meeting(since: float | None) -> Meeting:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from linkplan.models.errors import CertificateError
-from linkplan.planner.certificate.saved import negligible_objective
+from linkplan.planner.certificate.further_checks import negligible_objective
 from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.certificate.saved import disagreements
+from linkplan.planner.certificate.further_checks import disagreements
 from tests.support.bodies import HINGE, body_plan
 
 SINE = ("reference.amplitude_deg.J=10", "reference.frequency_hz=1")

@@ -16,8 +16,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import continuations
 from linkplan.planner.search.continuations import MIN_SAVING, continued, from_continuation
-from linkplan.planner.search.ladder import KnownMotions, Search
-from linkplan.planner.search.rungs import PATIENT, Path
+from linkplan.planner.search.ladder import PATIENT, KnownMotions, Path, Search
 from linkplan.planner.search.starts import least_time_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case

@@ -14,7 +14,7 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.limits.site import SitePathLimit
+from linkplan.planner.limits.kinds import SitePathLimit
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.planner.planning import plan_motion

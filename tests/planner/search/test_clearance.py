@@ -9,8 +9,7 @@ from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import plan_from
 from linkplan.planner.search.continuations import nears_singular
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.rungs import PATIENT
+from linkplan.planner.search.ladder import PATIENT, Search
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import PHASE_PLANE_TIME
 

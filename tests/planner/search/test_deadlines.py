@@ -15,7 +15,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.replan import Replanner
-from linkplan.planner.search.rungs import PATIENT, Rung
+from linkplan.planner.search.ladder import PATIENT, Rung
 from linkplan.planner.solvers.solve import OF_TIME
 
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]

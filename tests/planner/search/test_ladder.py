@@ -14,8 +14,7 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import attempts
-from linkplan.planner.search.ladder import Search, climb
-from linkplan.planner.search.rungs import Budget, Rung, Steps, followed
+from linkplan.planner.search.ladder import Budget, Rung, Search, Steps, climb, followed
 from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.search.starts import from_first_starts, no_time
 from linkplan.planner.solvers.solve import OUT_OF_TIME

@@ -8,9 +8,8 @@ import pytest
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.ladder import PATIENT, Rung, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
-from linkplan.planner.search.rungs import PATIENT, Rung
 from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
 

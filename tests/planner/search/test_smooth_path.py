@@ -10,8 +10,7 @@ from linkplan.planner.diagnosis.reasons import nothing_found
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.rungs import HURRIED, Rung
+from linkplan.planner.search.ladder import HURRIED, Rung, Search
 from linkplan.planner.search.smooth_path import _is_carried
 from tests.support.plans import optimal
 

@@ -11,8 +11,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.planning import REPAIRS, plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.rungs import PATIENT
+from linkplan.planner.search.ladder import PATIENT, Search
 from tests.support.bodies import PENDULUM, body_problem
 
 DURATION_S = 0.8

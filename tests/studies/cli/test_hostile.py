@@ -12,7 +12,7 @@ from linkplan.models.catalogue import built_in_text
 from linkplan.models.compiled import functions
 from linkplan.models.errors import CertificateError, LinkplanError, ModelError, PlanFileError, ProblemError, one_line
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.certificate.saved import objective_value
+from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.files import tables
 from linkplan.planner.plan_folder import read_plan
 from linkplan.planner.problem.problem import load_problem

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from linkplan.planner.plan_folder import read_plan
-from linkplan.studies.cli.streams import put
+from linkplan.studies.cli.printing import put
 
 FULL = Path("/dev/full")
 needs_shell = pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")

@@ -9,7 +9,7 @@ import pytest
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.problem.problem import load_problem
-from linkplan.studies.cli import faults
+from linkplan.studies.cli import exit_codes
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.drawing import page
 from tests.support.refusals import refusal
@@ -44,7 +44,7 @@ def test_a_check_is_drawn_whatever_matplotlib_is_set_to(tmp_path):
     [MemoryError(), OSError(12, "Cannot allocate memory"), ImportError("x.so: failed to map segment from shared object")],
 )
 def test_memory_that_there_is_not_is_named_whatever_kind_of_error_says_so(error):
-    assert "not enough memory" in faults.saved_fault_report(error)
+    assert "not enough memory" in exit_codes.saved_fault_report(error)
 
 
 def test_an_error_that_cannot_even_be_told_is_a_line(monkeypatch, capsys):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from linkplan.studies.cli.progress import Progress
+from linkplan.studies.cli.printing import Progress
 
 pty = pytest.importorskip("pty")
 SEQUENCE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")

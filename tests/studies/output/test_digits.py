@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.studies.output.digits import figure, known_digits, objective_unit, radius_figure
-from linkplan.studies.output.plan_blocks import plan_blocks
+from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit, plan_blocks, radius_figure
 from linkplan.studies.output.text import text_of
 from tests.support.plans import optimal, problem_of
 
