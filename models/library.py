@@ -22,8 +22,8 @@ import numpy as np
 
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.deadline import one_thread_at_a_time
+from linkplan.models.deletion import leave_out_missing_files
 from linkplan.models.errors import ModelError, listed, nearest, one_line, shown
-from linkplan.models.missing_files import leave_out_missing_files
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
 from linkplan.models.selection import Selection, select

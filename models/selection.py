@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from linkplan.models.deletion import delete_users, leave_the_ground
 from linkplan.models.errors import ModelError, choose, listed
 from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, WELD, data_at, fix_in_parent, in_body, tied_points
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
-from linkplan.models.users import delete_users, leave_the_ground
 
 # Slides of an undriven base that moves in a plane.
 _PLANAR_SLIDES = 2

@@ -20,8 +20,7 @@ import numpy as np
 from linkplan.models.closure import newton
 from linkplan.models.closure.equations import Closure, earlier_pin
 from linkplan.models.closure.mobility import locked_by
-from linkplan.models.closure.nearest_pose import nearest_closed_pose
-from linkplan.models.closure.newton import KinematicLoop
+from linkplan.models.closure.newton import KinematicLoop, nearest_closed_pose
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.kinematics import data_at, tied_points
 from linkplan.models.tree.coordinates import Coordinates

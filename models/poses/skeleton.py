@@ -1,5 +1,6 @@
-"""A stick drawing of a mechanism: each body as the polygon of its pins."""
+"""A stick drawing of a mechanism: each body as the polygon of its pins; and the lines along which tendons run."""
 
+import itertools
 from dataclasses import dataclass
 
 import mujoco
@@ -8,6 +9,18 @@ import numpy as np
 from linkplan.models.kinematics import data_at, fields_at, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
+
+# MuJoCo's value of `wrap_obj` for a pulley, which has no place.
+_PULLEY_OBJECT = -2
+
+
+def tendon_lines(data: mujoco.MjData, tendon: int) -> list[np.ndarray]:
+    """Return the points (n, 3) [m] of a spatial tendon's branches, after `mj_tendon`."""
+    first, n = int(data.ten_wrapadr[tendon]), int(data.ten_wrapnum[tendon])
+    points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
+    pulleys = np.flatnonzero(np.array(data.wrap_obj).ravel()[first : first + n] == _PULLEY_OBJECT)
+    ends = [-1, *pulleys.tolist(), n]
+    return [points[a + 1 : b] for a, b in itertools.pairwise(ends) if b - a > 2]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

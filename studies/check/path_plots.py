@@ -16,7 +16,7 @@ from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure, thinned
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
-from linkplan.studies.output.drawing import GREY, RED
+from linkplan.studies.output.figure import GREY, RED
 from linkplan.studies.output.lines import TIME, Line, plots
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from linkplan.models.poses.skeleton import view
 from linkplan.models.poses.solids import body_frames
 from linkplan.studies.demo.draw_gallery import FOLDER
 from linkplan.studies.output.draw_bodies import draw_bodies
-from linkplan.studies.output.drawing import page
+from linkplan.studies.output.figure import page
 
 PICTURE = FOLDER / "cut-loop.png"
 _INDEPENDENT, _DEPENDENT, _GAP = "#0b7a3b", "#b8860b", "#c0392b"

@@ -10,7 +10,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.output.draw_bodies import draw_poses
-from linkplan.studies.output.drawing import outside_legend, page
+from linkplan.studies.output.figure import outside_legend, page
 
 # A built-in problem for every built-in mechanism that has one.
 SHOWN = (

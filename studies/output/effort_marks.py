@@ -5,7 +5,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN_JOINT, TRN_SITE, TRN_TENDON, gear_of
-from linkplan.models.poses.tendon_lines import tendon_lines
+from linkplan.models.poses.skeleton import tendon_lines
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 from linkplan.models.tree.tendons import is_fixed, path_of
 

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle, Polygon
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.hulls import outline, thickened
-from linkplan.models.poses.solids import geom_solids
+from linkplan.models.poses.solids import geom_solids, outline, thickened
 from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of
 from linkplan.studies.render.scenes import Figure, Scene, body_colours, place_bodies
 from linkplan.studies.render.shapes import GHOST, Shape

@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.skeleton import pins_in_space
+from linkplan.models.poses.skeleton import pins_in_space, tendon_lines
 from linkplan.models.poses.solids import Solid, body_frames, solids, visible_geoms
-from linkplan.models.poses.tendon_lines import tendon_lines
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
 from linkplan.studies.render.motion import Motion

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.studies.output.drawing import SERIES
+from linkplan.studies.output.figure import SERIES
 
 # The colours of zero effort and of an effort at its limit; they also differ in lightness.
 _IDLE, _AT_LIMIT = np.array([0.62, 0.62, 0.62]), np.array([0.78, 0.02, 0.09])

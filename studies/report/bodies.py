@@ -8,9 +8,8 @@ import numpy as np
 
 from linkplan.models.kinematics import data_at
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.hulls import faces, outline
 from linkplan.models.poses.skeleton import Stick, body_name, sticks
-from linkplan.models.poses.solids import Solid, body_frames, cut_pins, solids, visible_sites
+from linkplan.models.poses.solids import Solid, body_frames, cut_pins, faces, outline, solids, visible_sites
 from linkplan.studies.output.document import Body, Numbers, Shape
 from linkplan.studies.output.numbers import rounded
 

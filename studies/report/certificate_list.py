@@ -15,7 +15,7 @@ from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Checklist, Item
-from linkplan.studies.output.motion import Motion
+from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.numbers import significant
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the

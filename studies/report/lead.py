@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Facts
-from linkplan.studies.output.motion import Motion
+from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit
 
 

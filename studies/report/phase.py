@@ -7,7 +7,7 @@ from linkplan.planner.phase_plane.grid import Plane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Axis, Curve, Plane
-from linkplan.studies.output.motion import Motion
+from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.numbers import drawn_rows, rounded, times
 
 

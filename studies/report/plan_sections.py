@@ -10,9 +10,8 @@ from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import file_text
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, Text
-from linkplan.studies.output.draw_plan import force_plots, time_plots
+from linkplan.studies.output.draw_plan import force_plots, motion_of, time_plots
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.output.motion import motion_of
 from linkplan.studies.output.plan_blocks import facts, proof_blocks, solves
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list

@@ -8,8 +8,8 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import saved_price
 from linkplan.planner.problem.instant import corner_efforts_along
 from linkplan.studies.output.document import Block, Facts, Plot, Section, Table, Text
+from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.output.motion import Motion
 
 
 def robust_section(plan: Plan, motion: Motion, group: str, period: float | None) -> Section | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from linkplan.studies.output.drawing import BLUE, GREY, RED, outside_legend, page
+from linkplan.studies.output.figure import BLUE, GREY, RED, outside_legend, page
 from linkplan.studies.tune.judged import JudgedLoop
 from linkplan.studies.tune.tune import Tuning
 from linkplan.studies.tune.tune_report import places, tuned_joints

@@ -22,7 +22,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from linkplan.planner.transcription.schemes import MAX_DEGREE, NAMES, scheme
-from linkplan.studies.output.drawing import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, page
+from linkplan.studies.output.figure import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, page
 from linkplan.studies.output.text import table
 from tests.bench.opti_peer import build_peer, drift
 from tests.bench.timing import EXACT_TIME, GOAL, START, first_program, say

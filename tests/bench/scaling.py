@@ -12,7 +12,7 @@ import numpy as np
 
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.solvers.solve import build_solver, run_solver
-from linkplan.studies.output.drawing import BLUE, GREEN, GREY, PURPLE, page
+from linkplan.studies.output.figure import BLUE, GREEN, GREY, PURPLE, page
 from linkplan.studies.output.text import table
 from tests.bench.timing import first_program, first_solve, own_cache, say
 

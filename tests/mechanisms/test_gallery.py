@@ -15,7 +15,7 @@ from linkplan.planner.files.tables import read_tables
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.demo.draw_cut_loop import PICTURE, cut_loop_figure
 from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
-from linkplan.studies.output.drawing import SERIES
+from linkplan.studies.output.figure import SERIES
 from tests.support.data import ROOT
 from tests.support.figures import pixels_of, saved_figures
 from tests.support.mechanism_checks import mechanism_of, plan_of

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.hulls import faces, outline
-from linkplan.models.poses.solids import body_frames, cut_pins, geom_solids, payload_rod, solids
+from linkplan.models.poses.solids import body_frames, cut_pins, faces, geom_solids, outline, payload_rod, solids
 from tests.support.linkages import loaded
 
 # Rounding of double precision, in metres or cubic metres.

@@ -17,7 +17,7 @@ from linkplan.planner.files import tables
 from linkplan.planner.plan_folder import read_plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli import main as program
-from linkplan.studies.output.drawing import page
+from linkplan.studies.output.figure import page
 from tests.bench.fuzz import fuzz
 from tests.support.plans import optimal, saved_plan
 

@@ -11,7 +11,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli import exit_codes
 from linkplan.studies.cli import main as program
-from linkplan.studies.output.drawing import page
+from linkplan.studies.output.figure import page
 from tests.support.refusals import refusal
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from linkplan.studies.decompose.shares import Shares, shares_of
+from linkplan.studies.decompose.decompose import Shares, shares_of
 from tests.support.tolerances_planner import ROUNDING
 
 SIZES = st.tuples(st.integers(1, 7), st.integers(1, 9), st.integers(1, 4), st.integers(1, 3))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.studies.output.directions import direction_name
+from linkplan.studies.output.numbers import direction_name
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
-from linkplan.studies.output.draw_plan import plan_figure, time_plots
-from linkplan.studies.output.motion import motion_of
+from linkplan.studies.output.draw_plan import motion_of, plan_figure, time_plots
 from tests.support.arms import LOWER, UPPER
 from tests.support.figures import curves, saved_figures
 from tests.support.plans import optimal
@@ -116,7 +115,7 @@ def test_more_coordinates_than_colours_are_told_apart_by_their_styles():
 
 
 def test_an_axis_of_a_constant_shows_no_rounding_errors():
-    from linkplan.studies.output.drawing import page
+    from linkplan.studies.output.figure import page
 
     with page(None) as axes:
         axes[0, 0].plot([0.0, 1.0, 2.0], [3.79e-4, 3.79e-4 * (1 + 1e-15), 3.79e-4])
@@ -128,7 +127,7 @@ def test_an_axis_of_a_constant_shows_no_rounding_errors():
 def test_the_names_of_pins_are_those_of_joints_and_closures():
     from linkplan.models.mechanism import load_mechanism
     from linkplan.studies.output.draw_bodies import draw_poses
-    from linkplan.studies.output.drawing import page
+    from linkplan.studies.output.figure import page
 
     mechanism = load_mechanism("optimus-knee", payload="shank")
     with page(None) as axes:
