@@ -234,6 +234,14 @@ def test_all_data_files_are_listed_in_the_project_file():
         assert shipped == {path for path in folder.iterdir() if path.is_file() and path.suffix != ".py"}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "most"), [("plan", 110), ("compare", 140)])
+def test_a_reader_who_follows_a_command_meets_few_files(command, most):
+    asked = [sys.executable, "-m", "tests.bench.entered", command, "knee-reach"]
+    run = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert 60 < int(run.stderr.splitlines()[-1]) <= most, run.stderr
+
+
 def test_help_loads_nothing_heavy():
     code = (
         "import sys; from linkplan.studies.cli.main import main; main(['plan', '--help']);"
