@@ -36,7 +36,7 @@ def report_html(report: Report, served: str = "") -> str:
     """
     said = document_json(report).decode()
     program = '"use strict";\n' + "\n".join(_resource(f"{name}.js") for name in _PROGRAM) + served
-    uplot = _resource("uplot.min.js")
+    uplot = _resource("locale.js") + _resource("uplot.min.js")
     scripts = {"uplot": uplot, "program": program}
     allowed = " ".join(f"'sha256-{_hash(f'{chr(10)}{text}{chr(10)}')}'" for text in scripts.values())
     allowed += "; connect-src 'self'" if served else ""
