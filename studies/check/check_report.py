@@ -28,7 +28,7 @@ class Column:
 
     def cell(self, k: int) -> float | str:
         """Return the entry of sample k, with rounding errors as zero."""
-        value = np.where(np.abs(self.values[k]) > 1e-12 * self.scale, self.values[k], 0.0)
+        value = np.where(np.abs(self.values[k]) > ROUNDING_SHARE * self.scale, self.values[k], 0.0)
         return float(value) if self.values.ndim == 1 else f"{value[0]:.4g} to {value[1]:.4g}"
 
     def said(self) -> str:

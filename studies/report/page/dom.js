@@ -31,7 +31,10 @@ function labelled(axis) {
   return axis.unit && axis.unit !== "1" ? `${axis.label} [${axis.unit}]` : axis.label;
 }
 
-/** Call `build` once, when an element first comes near the window or the page is printed. */
+/** Call `build` once: when an element first comes near the window, when the browser is idle, or before the page is printed.
+ *
+ * What is folded waits until it is opened. A picture of the whole page, as tools take it without scrolling, has every plot.
+ */
 function whenSeen(element, build) {
   let built = false;
   const once = () => {
@@ -45,6 +48,8 @@ function whenSeen(element, build) {
   });
   watcher.observe(element);
   whenSeen.all.push(once);
+  const whenIdle = window.requestIdleCallback ?? setTimeout;
+  whenIdle(() => element.isConnected && !element.closest("details:not([open])") && once());
 }
 whenSeen.all = [];
 

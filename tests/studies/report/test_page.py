@@ -212,13 +212,21 @@ def test_the_switch_and_the_system_choose_light_or_dark(browser, path):
 
 def test_what_is_printed_is_whole_and_without_controls(browser, path):
     opened = Opened(browser, path)
-    assert opened.page.locator(".uplot").count() < 8  # those far below are not built yet
     opened.ask("dispatchEvent(new Event('beforeprint'))")
     opened.page.emulate_media(media="print")
     opened.settle()
     assert opened.page.locator(".uplot").count() > 10
     assert not opened.page.locator("nav").is_visible()
     assert not opened.page.locator(".controls").first.is_visible()
+    assert opened.errors == []
+
+
+def test_plots_far_below_the_window_are_drawn_without_scrolling(browser, path):
+    opened = Opened(browser, path)
+    opened.page.wait_for_function("document.querySelectorAll('.uplot').length > 10")
+    lowest = opened.ask("Math.max(...[...document.querySelectorAll('.uplot')].map((x) => x.getBoundingClientRect().top))")
+    assert lowest > 3 * 900
+    assert opened.ask("scrollY") == 0
     assert opened.errors == []
 
 
@@ -231,8 +239,11 @@ def test_a_folded_section_opens_from_the_contents_and_is_open_on_paper(browser, 
     opened.page.get_by_role("link", name="folded away").click()
     opened.page.locator("details .uplot").wait_for()
     again = Opened(browser, tmp_path / "folded.html")
+    again.page.locator(".uplot").wait_for()
+    assert again.page.locator("details .uplot").count() == 0  # it is not built before it is opened or printed
     again.ask("dispatchEvent(new Event('beforeprint'))")
     assert again.page.locator("details figure").is_visible()
+    assert again.page.locator("details .uplot").count() == 1
     again.ask("dispatchEvent(new Event('afterprint'))")
     assert not again.page.locator("details figure").is_visible()
     assert opened.errors == again.errors == []
