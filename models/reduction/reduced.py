@@ -5,7 +5,7 @@
 
 v = s' and a = s'' belong to the independent joints, z are the dependent joints, and J = dphi/dq has the independent rows
 (Wehage & Haug, J. Mech. Design 104, 1982). The multipliers follow from the dependent rows, J_z^T lambda = (...)_z.
-Overconstrained loops have no rows that are independent at every pose: there E J replaces J, see `models.closure.redundancy`.
+Overconstrained loops have no rows that are independent at every pose: there E J replaces J, see `models.closure.newton`.
 """
 
 import functools
