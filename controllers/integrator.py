@@ -154,7 +154,7 @@ def _discrete_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -
     if int(mechanism.model.opt.solver) == int(mujoco.mjtSolver.mjSOL_PGS):
         return -sampled(_slope(mechanism, "joint dampers"), pose, rates), K
     D = _servo_terms(mechanism, pose, 2) - sampled(_slope(mechanism, "dampers"), pose, rates)
-    K = K + _tendon_stiffness(mechanism, pose) + _gas_stiffness(mechanism, pose)
+    K = K + _spring_stiffness(mechanism, pose)
     return D, K + _servo_terms(mechanism, pose, 1)
 
 
@@ -171,42 +171,34 @@ def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarr
     return (moments * own) @ moments.swapaxes(1, 2)
 
 
-def _gas_stiffness(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
-    """Return the contribution of actuators without gain to K (n, n_q, n_q), as `_servo_terms` does for servos."""
-    model, n_q = mechanism.model, mechanism.n_q
-    springs = [a for a in range(model.nactuator) if is_gas_spring(model, a)]
-    K = np.zeros((len(pose), n_q, n_q))
-    if not springs:
-        return K
-    data, outputs = mujoco.MjData(model), model.actuator_outadr[springs]
-    stiffness = np.maximum(-model.actuator_biasprm[springs, 1], 0.0)
-    for k, q in enumerate(pose):
-        data.qpos[:], arms = mechanism.qpos_of(q), np.zeros((len(data.moment_rownnz), model.nv))
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mju_sparse2dense(arms, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-        arms = arms[outputs] @ np.array([mechanism.qvel_of(q, unit) for unit in np.eye(n_q)]).T
-        K[k] = arms.T @ (stiffness[:, None] * arms)
-    return K
-
-
-def _tendon_stiffness(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
-    """Return the contribution of tendon springs to K (n, n_q, n_q) at poses (n, n_q)."""
+def _spring_stiffness(mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
+    """Return the contribution of tendons' springs, and of actuators without gain, to K (n, n_q, n_q) at poses (n, n_q)."""
     model, n_q = mechanism.model, mechanism.n_q
     K = np.zeros((len(pose), n_q, n_q))
-    springs = np.any(model.tendon_stiffness) or np.any(model.tendon_stiffnesspoly)
-    if not springs or model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SPRING):
+    gas = [a for a in range(model.nactuator) if is_gas_spring(model, a)]
+    sprung = bool(np.any(model.tendon_stiffness) or np.any(model.tendon_stiffnesspoly))
+    sprung &= not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SPRING)
+    if not gas and not sprung:
         return K
-    data = mujoco.MjData(model)
+    data, low, high = mujoco.MjData(model), *model.tendon_lengthspring.T
+    a, (b, c) = model.tendon_stiffness, model.tendon_stiffnesspoly.T
     for k, q in enumerate(pose):
-        data.qpos[:], arms = mechanism.qpos_of(q), np.zeros((model.ntendon, model.nv))
+        data.qpos[:] = mechanism.qpos_of(q)
         mujoco.mj_fwdPosition(model, data)
-        mujoco.mju_sparse2dense(arms, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
-        arms = arms @ np.array([mechanism.qvel_of(q, unit) for unit in np.eye(n_q)]).T
-        low, high = model.tendon_lengthspring.T
-        x = np.maximum(data.ten_length - high, 0.0) + np.minimum(data.ten_length - low, 0.0)
-        a, (b, c) = model.tendon_stiffness, model.tendon_stiffnesspoly.T
-        taut = (low >= data.ten_length) | (data.ten_length >= high)
-        K[k] = arms.T @ (np.where(taut, np.maximum(a + 2 * b * x + 3 * c * x**2, 0.0), 0.0)[:, None] * arms)
+        turned = np.array([mechanism.qvel_of(q, unit) for unit in np.eye(n_q)]).T
+        if gas:
+            moments = np.zeros((len(data.moment_rownnz), model.nv))
+            rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+            mujoco.mju_sparse2dense(moments, data.actuator_moment, *rows)
+            arms = moments[model.actuator_outadr[gas]] @ turned
+            K[k] += arms.T @ (np.maximum(-model.actuator_biasprm[gas, 1], 0.0)[:, None] * arms)
+        if sprung:
+            moments = np.zeros((model.ntendon, model.nv))
+            mujoco.mju_sparse2dense(moments, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+            arms = moments @ turned
+            x = np.maximum(data.ten_length - high, 0.0) + np.minimum(data.ten_length - low, 0.0)
+            taut = (low >= data.ten_length) | (data.ten_length >= high)
+            K[k] += arms.T @ (np.where(taut, np.maximum(a + 2 * b * x + 3 * c * x**2, 0.0), 0.0)[:, None] * arms)
     return K
 
 
