@@ -91,6 +91,15 @@ def test_a_push_on_a_joint_gives_its_impulse_over_the_inertia():
     assert found.velocity[-1, 0, 0] == pytest.approx(3.0 * 0.0134 / HINGE_INERTIA, rel=1e-9)
 
 
+def test_a_push_is_at_its_time_whatever_the_phase_of_the_clock():
+    """Instant k of a clock half a period late is at (k + 0.5) T: only the time until the push's end is shorter."""
+    push = Push(start_s=0.0203, duration_s=0.0134, joint="J", effort=3.0)
+    found = turned(clock=Clock(phase_periods=0.5), pushes=(push,))
+    acting = np.clip(found.time_s[:, 0] - 0.0203, 0.0, 0.0134)
+    assert found.time_s[0, 0] == pytest.approx(0.5 * PERIOD)
+    assert found.velocity[:, 0, 0] == pytest.approx(3.0 * acting / HINGE_INERTIA, abs=1e-9)
+
+
 def test_a_push_on_a_body_acts_at_its_centre_of_mass_in_the_world_s_axes():
     """About +y a force along -z on what lies along +x turns forwards: r x F / (m r^2), the arm turned by a thousandth."""
     push = Push(start_s=0.01, duration_s=0.004, body="arm", force=np.array([7.0, 0.0, -5.0]))
