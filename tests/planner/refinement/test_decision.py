@@ -13,6 +13,7 @@ from linkplan.planner.refinement.actions import (
     ImposeRanges,
     Loosen,
     RaiseDegree,
+    ReadSwitches,
     ReleaseArcs,
     Restore,
     Tighten,
@@ -286,3 +287,39 @@ def test_where_efforts_jump_a_change_of_the_objective_by_a_ten_thousandth_is_wor
     target = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
     action = next_action(state(at, target=target, change=change))
     assert isinstance(action, Halve) == finer
+
+
+@pytest.mark.parametrize(
+    ("rounds", "readings", "read"), [(0, 0, False), (1, 0, False), (2, 0, True), (3, 0, False), (4, 1, True), (4, 2, False)]
+)
+def test_switches_of_a_motion_that_overruns_its_limits_are_read_twice_after_halvings(rounds, readings, read):
+    at = iterate(passed=False, exact=False, overrun=1e-3 * ONE_OF_TEN)
+    action = next_action(state(at, target=replace(AIMS, switches=True), rounds=rounds, readings=readings))
+    assert (action == ReadSwitches()) == read
+
+
+@pytest.mark.parametrize(("readings", "read"), [(0, True), (2, True), (3, False), (4, False)])
+def test_switches_of_an_exact_motion_of_bang_arcs_are_read_at_most_three_times(readings, read):
+    target = replace(AIMS, switches=True, bang_bang=True)
+    assert (next_action(state(iterate(), target=target, readings=readings)) == ReadSwitches()) == read
+
+
+def test_a_changed_motion_is_halved_where_it_still_needs_half_of_what_a_proof_allows():
+    at = iterate(effort_overrun=np.array([0.7, 0.3, *np.zeros(8)]))
+    action = next_action(state(at, restored=1))
+    assert isinstance(action, Restore)
+    assert np.flatnonzero(action.marked).tolist() == [0]
+
+
+@pytest.mark.parametrize(("n", "expected"), [(10, Halve), (250, Tighten)])
+def test_where_efforts_jump_limits_are_tightened_once_the_mesh_is_crowded(n, expected):
+    at = iterate(passed=False, exact=False, growth=9.0 * np.eye(n)[3], overrun=1e-3 * np.eye(n)[3], n=n)
+    assert isinstance(next_action(state(at, target=replace(AIMS, enclosed=True))), expected)
+
+
+@pytest.mark.parametrize(("read_in", "tightens"), [(0, True), (3, False)])
+def test_limits_are_tightened_so_many_rounds_after_the_last_reading_of_switches(read_in, tightens):
+    at = iterate(passed=False, exact=False, growth=9.0 * ONE_OF_TEN, overrun=5e-8 * ONE_OF_TEN)
+    action = next_action(state(at, rounds=5, read_in=read_in))
+    assert isinstance(action, Halve)
+    assert action.tightens == tightens

@@ -98,7 +98,8 @@ def test_unknowns_at_nodes_are_those_of_the_polynomials(name):
     (s0, v0, x0), end = draw.normal(size=3), draw.normal(size=3)
     a, r, u = draw.normal(size=m), draw.normal(size=m), draw.normal(size=chosen.effort_at.shape[1])
     w = np.concatenate([[s0, v0, x0], a, r, u, end, [DURATION]])
-    found = np.array(build_chain(one, chosen, IntervalRows(), build_node(one)).nodes(w, SHARE))
+    chain = build_chain(one, chosen, IntervalRows(state_columns=(0,)), build_node(one))
+    found, own = np.array(chain.nodes(w, SHARE)), np.array(chain.own(w, SHARE, [])[0]).ravel()
 
     def through(values: np.ndarray) -> np.polynomial.Polynomial:
         return np.polynomial.Polynomial(np.polynomial.polynomial.polyfit(chosen.nodes, values, m - 1))
@@ -112,3 +113,14 @@ def test_unknowns_at_nodes_are_those_of_the_polynomials(name):
     state = x0 + WIDTH * through(r).integ()(at)
     effort = bernstein_matrix(len(u) - 1, at) @ u
     assert found == pytest.approx(np.array([position, speed, a, state, r, effort]))
+    # Rows: what the next interval begins with less where this one ends, then the coefficients of the state.
+    reached = [position_end(chosen, s0, v0, a), v0 + WIDTH * through(a).integ()(1.0), x0 + WIDTH * through(r).integ()(1.0)]
+    assert own[:3] == pytest.approx(end - reached)
+    tau = np.linspace(0.0, 1.0, 7)
+    along = bernstein_matrix(len(own) - 4, tau) @ own[3:]
+    assert along == pytest.approx(x0 + WIDTH * through(r).integ()(tau))
+
+
+def position_end(chosen, s0: float, v0: float, a: np.ndarray) -> float:
+    """Return where a position ends by the last of the scheme's coefficients."""
+    return s0 + WIDTH * v0 + WIDTH**2 * float(chosen.position_coefficients[-1] @ a)
