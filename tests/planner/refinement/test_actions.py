@@ -13,7 +13,7 @@ from linkplan.planner.refinement.state import RefinementState
 from linkplan.planner.refinement.switch_search import bounded_by_guess, is_bang_bang
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.mesh import Mesh, segmented, uniform
-from tests.planner.refinement.test_decision import AIMS, iterate, state
+from tests.support.refinement_states import AIMS, iterate, state
 
 NOWHERE = np.zeros(10, dtype=bool)
 

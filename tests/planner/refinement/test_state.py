@@ -8,7 +8,7 @@ import pytest
 
 from linkplan.planner.refinement import state as refinement_state
 from linkplan.planner.refinement.state import RefinementState, observed
-from tests.planner.refinement.test_decision import AIMS, iterate, state
+from tests.support.refinement_states import AIMS, iterate, state
 
 
 def moved(best: float | None, loose: float | None, change: float = np.inf) -> float:
