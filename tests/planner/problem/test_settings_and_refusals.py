@@ -8,11 +8,15 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.problem.consistency import _check_efforts, _way_through
-from linkplan.planner.problem.extra import ExtraCost
+from linkplan.planner.closed_chain.mechanics import _path_rows
+from linkplan.planner.problem import consistency
+from linkplan.planner.problem.consistency import _check_efforts, _way_through, check_robust
+from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.instant import Instant
+from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.robust import Corner, corner_efforts_along
+from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
@@ -184,3 +188,75 @@ def test_a_place_is_off_a_point_by_its_prescribed_coordinates():
     point = SitePoint(site="foot", index=0, point=np.array([1.0, np.nan, -2.0]))
     assert point.off_m(np.array([4.0, 100.0, 2.0])) == pytest.approx(5.0)
     assert shown(point.point) == "{ x = 1, z = -2 }"
+
+
+def servo(name: str, *, limited: bool = True) -> SimpleNamespace:
+    return SimpleNamespace(name=name, limits_control=limited, control_lower=-3.0, control_upper=3.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "limited", "refused"),
+    [(1.0, 5.0, True, "goes on by 4 "), (-2.0, 2.0, True, "goes on by 4 "), (1.5, 1.5, True, ""), (1.0, 5.0, False, "")],
+)
+def test_a_servo_whose_ctrl_goes_on_with_every_turn_and_has_a_range_is_refused(monkeypatch, before, after, limited, refused):
+    mechanism = winding(passive=lambda *_: np.array([-7.0, 2.0]))
+    mechanism.n_u, mechanism.actuators = 1, [servo("m", limited=limited)]
+    ctrl = iter([before, after])
+    monkeypatch.setattr(consistency, "needed_controls", lambda *_: np.array([[next(ctrl)]]))
+    turn = np.zeros(2), np.array([0.0, 2 * np.pi])
+    if not refused:
+        _check_efforts(mechanism, "O", *turn)
+        return
+    with pytest.raises(ProblemError, match=refused):
+        _check_efforts(mechanism, "O", *turn)
+
+
+@pytest.mark.parametrize(
+    ("effort_map", "asks", "refused"),
+    [([[1.0], [0.0]], True, False), ([[1.0, 0.0], [0.3, 2.0]], False, False), ([[1.0, 2.0], [0.0, 0.0]], False, True)],
+)
+def test_ranges_take_actuators_that_move_everything_or_each_its_own(monkeypatch, effort_map, asks, refused):
+    asked = []
+    monkeypatch.setattr(consistency, "corner_out_of_reach", lambda *_: asked.append(True))
+    of = np.array(effort_map)
+    mechanism = SimpleNamespace(
+        dof=2, n_u=of.shape[1], home=np.zeros(2), payload=None, name="it", dynamics=SimpleNamespace(effort_map=lambda _: of)
+    )
+    robust = SimpleNamespace(corners=(1,), payload_factor=(1.0, 1.0))
+    if refused:
+        with pytest.raises(ProblemError, match="move every degree of freedom, or each its own"):
+            check_robust(robust, mechanism)
+    else:
+        check_robust(robust, mechanism)
+    assert bool(asked) == asks
+
+
+# Terms, names and times.
+
+
+def test_extra_costs_have_names_that_differ():
+    one, other = (ExtraCost(name=name, expression=lambda at: at.time_s) for name in ("one", "other"))
+    assert checked_extras([one, other], ExtraCost, "costs") == (one, other)
+    with pytest.raises(ProblemError, match="got 'one' more than once"):
+        checked_extras([one, other, one], ExtraCost, "costs")
+
+
+def test_the_cost_of_tracking_is_the_squared_distance_of_the_independent_joints_from_the_reference():
+    at = SimpleNamespace(
+        q=ca.DM([1.0, 9.0, 3.0]), mechanism=SimpleNamespace(independent=np.array([0, 2])), reference=ca.DM([0.5, 1.0])
+    )
+    assert float(TERMS["tracking"].integrand(at)) == 0.5**2 + 2.0**2
+    assert TERMS["tracking"].size(SimpleNamespace(time_s=2.0, position=np.array([0.1, 0.5])), None) == 2.0 * 0.5**2
+
+
+def test_positive_powers_are_rows_of_what_is_counted_less_what_the_actuators_give():
+    at = SimpleNamespace(u=ca.DM([2.0, -3.0]), actuator_speeds=ca.DM([5.0, 4.0]), units={"power": 2.0})
+    asked = SimpleNamespace(limits=(), passed=(), works=True)
+    rows = _path_rows(asked, at, [], ca.SX(ca.DM([7.0, 1.0])))
+    assert np.array(ca.evalf(rows)).ravel().tolist() == [7.0 - 5.0, 1.0 + 6.0]
+
+
+def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
+    begun = SolverSettings(max_time_s=1000.0).begun()
+    assert begun.deadline.left_s == pytest.approx(900.0, abs=1.0)
+    assert begun.certificate_deadline.left_s == pytest.approx(1000.0, abs=1.0)
