@@ -86,6 +86,13 @@ def test_perturbed_guesses_keep_limits_and_bounds_and_are_the_same_in_every_run(
         assert np.abs(one.state[:, 0] - line).max() > 0.01
 
 
+def test_a_flat_guess_is_perturbed_by_the_range_of_its_state():
+    problem = problem_of(state_limit=[[-3.0, 3.0]])
+    flat = CompletedGuess(state=np.zeros((2, 1)), effort=np.zeros((2, 1)), duration_s=2.0)
+    for one in list(perturbed(problem, [flat], 4))[1:]:
+        assert 0.05 < np.abs(one.state).max() <= 3.0
+
+
 def test_efforts_held_over_intervals_are_those_next_to_their_beginnings():
     """Where the first of the three nodes of an interval stands: (4 - sqrt(6)) / 10 of it."""
     problem = problem_of()

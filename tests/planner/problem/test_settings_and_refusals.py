@@ -15,7 +15,7 @@ from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.instant import Instant
 from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.robust import Corner, corner_efforts_along
+from linkplan.planner.problem.robust import Corner, Robust, corner_efforts_along
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
@@ -138,6 +138,17 @@ def test_a_corner_s_friction_is_viscous_and_dry():
     corner = Corner(torque_factor=0.8, friction=((0, 0.05, 0.3),))
     found = corner_efforts_along(mechanism, (corner,), np.zeros((2, 1)), v, a, u)[:, 0]
     assert found == pytest.approx((HINGE_INERTIA * a + 0.05 * v + 0.3) / 0.8)
+
+
+def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused():
+    """Two ends of a viscous and of a dry friction for each joint."""
+
+    def rubbing(joints: int) -> Robust:
+        return Robust(viscous=dict.fromkeys(range(joints), (0.1, 0.2)), coulomb=dict.fromkeys(range(joints), (0.1, 0.3)))
+
+    assert len(rubbing(3).corners) == 64
+    with pytest.raises(ProblemError, match="256 corners; at most 64"):
+        rubbing(4)
 
 
 # Turns.
