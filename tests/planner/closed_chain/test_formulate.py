@@ -3,24 +3,20 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.formulate import _exact_costs
+from linkplan.planner.closed_chain.formulate import _exact_costs, site_endpoint
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.closed_chain.transcribe import choose_scales, transcribe
-from linkplan.planner.transcription.mesh import uniform
+from linkplan.planner.closed_chain.transcribe import choose_scales
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 from tests.support.sites import arm_of, site_problem
 
 
 def test_a_motion_ends_where_the_site_is_at_the_place_asked_for():
     motion = {"start_deg": {"J1": 60.0, "J2": 40.0, "J3": 20.0}, "goal_at": {"foot": [0.2, 0.0, -0.3]}, "duration_s": 0.5}
-    problem = site_problem(arm_of(0.25, 0.2, 0.15), motion, solver={"compile": "never"})
-    guess = first_guess(problem, problem.start_pose())
-    transcribed = transcribe(problem, guess, uniform(3), np.array([0.5]))
-    ends, scales = transcribed.formulation.endpoint, choose_scales(problem, guess)
-    given = transcribed.formulation.endpoint_parameters
+    problem, unit = site_problem(arm_of(0.25, 0.2, 0.15), motion), np.array([2.0, 0.5, 3.0])
+    ends, given = site_endpoint(problem, unit, 0)
 
     def rows(position: np.ndarray) -> np.ndarray:
-        last = np.concatenate([position / scales.position, np.zeros(3)])
+        last = np.concatenate([position / unit, np.zeros(3)])
         return np.array(ends.function(np.zeros(6), last, 1.0, given)).ravel()
 
     assert rows(problem.motion.goal) == pytest.approx(np.zeros(len(given) + 1), abs=1e-9)
