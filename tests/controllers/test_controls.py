@@ -27,6 +27,10 @@ def test_a_gain_grows_and_shrinks_by_the_same_step_and_the_other_stays(less, mor
     assert getattr(after(more, more), other) == 1.0
 
 
+def test_as_many_steps_back_as_forth_give_exactly_the_first_gain():
+    assert all(after(*steps * ["7"], *steps * ["6"]).kp_factor == 1.0 for steps in range(1, 30))
+
+
 def test_gains_end_somewhere():
     assert after(*["7"] * 100).kp_factor == pytest.approx(1000.0)
     assert after(*["6"] * 100).kp_factor == pytest.approx(0.001)

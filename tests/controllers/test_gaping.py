@@ -1,5 +1,6 @@
 """The gap of closures in a batch is the mechanism's own, whatever ties the points."""
 
+import mujoco
 import numpy as np
 import pytest
 from mujoco.batch import Batch
@@ -60,3 +61,23 @@ def test_the_largest_gap_of_all_steps_is_kept_however_many_there_are():
         batch.forward()
         watch.note()
     assert watch.largest()[0] == pytest.approx(mechanism.gap_m(mechanism.home + off))
+
+
+# A ball on a slide that touches the ground up to a height of its radius.
+FALLING = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+<body pos="0 0 1"><joint name="J" type="slide" axis="0 0 1"/><geom size="0.1" mass="1"/></body></worldbody></mujoco>"""
+
+
+def test_the_largest_number_of_contacts_of_each_simulation_is_kept():
+    model = mujoco.MjModel.from_xml_string(FALLING)
+    batch = Batch(model, nsim=2)
+    watch = ClosureWatch(batch, [model] * 2)
+    for heights in ([-0.5, -0.5], [-0.95, -0.5], [-0.5, -0.5]):
+        batch.bind("qpos")[:, 0] = heights
+        batch.forward()
+        watch.note()
+    assert watch.largest()[1].tolist() == [1, 0]
+    batch.bind("qpos")[:, 0] = [-0.5, -0.95]
+    batch.forward()
+    watch.note()
+    assert watch.largest()[1].tolist() == [1, 1]

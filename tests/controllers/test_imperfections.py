@@ -20,6 +20,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.payload import BODY_NAME
 from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
 from tests.support.plans import optimal
+from tests.support.references import hinge_reference
 
 LIMIT = np.array([[-10.0, 10.0]])
 H = 1e-3
@@ -65,6 +66,12 @@ def test_a_command_is_rounded_and_cut_and_then_the_torque_constant_acts():
     assert efforts == pytest.approx([0.0, 3.5 * 1.1, 10.0 * 1.1])
 
 
+@pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
+def test_the_limit_of_efforts_grows_with_a_larger_torque_constant_and_never_shrinks(factor):
+    drives = driving([Drives(constant_factor=factor)], [0.0], [H], 1, np.array([[-10.0, 6.0]]))
+    assert drives.clamp[0, 0] == pytest.approx(max(1.0, factor) * np.array([-10.0, 6.0]))
+
+
 # Sensors.
 
 
@@ -87,6 +94,11 @@ def test_an_encoder_gives_the_nearest_of_its_steps_beside_the_truth_by_its_offse
 def test_a_filtered_difference_of_a_steady_motion_is_its_speed_from_the_start():
     positions = 0.3 + 2.0 * H * np.arange(50)
     _, rates = read(Sensors(velocity_filter_hz=30.0), positions, 2.0)
+    assert rates == pytest.approx(2.0)
+
+
+def test_an_encoder_s_offset_does_not_reach_the_filtered_speed():
+    _, rates = read(Sensors(velocity_filter_hz=30.0, offset=0.2), 0.3 + 2.0 * H * np.arange(50), 2.0)
     assert rates == pytest.approx(2.0)
 
 
@@ -177,6 +189,46 @@ def test_a_loop_softer_than_the_simulator_can_step_is_refused():
     mechanism, reference = reach()
     with pytest.raises(LinkplanError, match="at least 2 simulator steps"):
         plant(mechanism, reference, LOOP, Imperfections(machine=Machine(loop_solref=(1e-4, 1.0))), 1)
+
+
+def test_a_loop_as_stiff_as_the_simulator_can_step_is_not_refused():
+    mechanism, reference = reach()
+    stiffest = 2 * reference.period_s
+    built = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(loop_solref=(stiffest, 1.0))), 1)
+    assert np.all(built.model.eq_solref[:, 0] == stiffest)
+
+
+# A joint off its body's origin; the effort at a ctrl is 2 ctrl + 0.5.
+OFF_ORIGIN = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm" pos="0.1 0 0.2">
+<joint name="J" axis="0 1 0" pos="0.3 0 0"/><inertial pos="-0.2 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/>
+<site name="tip" pos="0.5 0 0.4"/></body></worldbody><actuator><general name="m" joint="J" gainprm="2" biastype="affine"
+biasprm="0.5" ctrlrange="-10 10" ctrllimited="true"/></actuator></mujoco>"""
+
+
+def off_origin(limit: float = 3.0, **machine) -> mujoco.MjModel:
+    mechanism = load_mechanism(OFF_ORIGIN)
+    loop = ControlLoop(effort_limit=np.array([[-limit, limit]]))
+    return plant(mechanism, hinge_reference(mechanism), loop, Imperfections(machine=Machine(**machine)), 1).model
+
+
+def test_a_link_grows_about_its_joint():
+    distances = []
+    for model in (off_origin(), off_origin(length_factor={"arm": 1.25})):
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        anchor = data.xanchor[0]
+        assert anchor == pytest.approx([0.4, 0.0, 0.2])
+        distances.append([data.site("tip").xpos - anchor, data.xipos[1] - anchor])
+    assert np.array(distances[1]) == pytest.approx(1.25 * np.array(distances[0]))
+
+
+@pytest.mark.parametrize(("ctrl", "effort"), [(-100.0, -3.0), (100.0, 3.0), (0.0, 0.5)])
+def test_the_loop_s_limit_is_one_of_the_effort_of_an_actuator_with_a_constant_force(ctrl, effort):
+    model = off_origin()
+    data = mujoco.MjData(model)
+    data.ctrl[:] = ctrl
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator == pytest.approx([effort])
 
 
 def coasting(**imperfect) -> float:

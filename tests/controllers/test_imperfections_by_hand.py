@@ -29,6 +29,7 @@ from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.machines import LOOP, everything, reach, run_machines
 from tests.support.plans import optimal
+from tests.support.references import hinge_reference
 
 # A weight at the end of an arm of no mass.
 ARM_M, ARM_KG = 0.5, 2.0
@@ -89,6 +90,32 @@ def test_a_push_on_a_joint_gives_its_impulse_over_the_inertia():
     found = turned(pushes=(push,))
     assert np.all(found.velocity[:20, 0, 0] == 0)
     assert found.velocity[-1, 0, 0] == pytest.approx(3.0 * 0.0134 / HINGE_INERTIA, rel=1e-9)
+
+
+def test_a_push_is_at_its_time_whatever_the_phase_of_the_clock():
+    """Instant k of a clock half a period late is at (k + 0.5) T: only the time until the push's end is shorter."""
+    push = Push(start_s=0.0203, duration_s=0.0134, joint="J", effort=3.0)
+    found = turned(clock=Clock(phase_periods=0.5), pushes=(push,))
+    acting = np.clip(found.time_s[:, 0] - 0.0203, 0.0, 0.0134)
+    assert found.time_s[0, 0] == pytest.approx(0.5 * PERIOD)
+    assert found.velocity[:, 0, 0] == pytest.approx(3.0 * acting / HINGE_INERTIA, abs=1e-9)
+
+
+def test_a_push_is_at_its_time_where_a_period_has_several_steps():
+    mechanism = load_mechanism(HINGE)
+    reference = hinge_reference(mechanism, 8)  # periods of 10 ms in steps of 2 ms
+    push = Push(start_s=0.0213, duration_s=0.0254, joint="J", effort=3.0)
+    loop = ControlLoop(effort_limit=mechanism.effort_limit)
+    found = run_machines(mechanism, reference, Asks(), loop, [Imperfections(pushes=(push,))])
+    acting = np.clip(reference.time_s - 0.0213, 0.0, 0.0254)
+    assert found.velocity[:, 0, 0] == pytest.approx(3.0 * acting / HINGE_INERTIA, abs=1e-9)
+
+
+def test_an_effort_acts_through_an_actuator_with_a_gain_and_a_constant_force():
+    """The model's effort at a ctrl is 2 ctrl + 0.5: an effort of 1.5 is one of 1.5."""
+    servo = '<general name="m" joint="J" gainprm="2" biastype="affine" biasprm="0.5" ctrlrange="-9 9" ctrllimited="true"/>'
+    found = turned(1.5, HINGE[: HINGE.index("<actuator>")] + f"<actuator>{servo}</actuator></mujoco>")
+    assert found.velocity[-1, 0, 0] == pytest.approx(1.5 * 0.1 / HINGE_INERTIA, rel=1e-9)
 
 
 def test_a_push_on_a_body_acts_at_its_centre_of_mass_in_the_world_s_axes():

@@ -26,6 +26,10 @@ ACTING = {
     "a tendon's damper": (CHAIN, 'damping="0.5"', MOTORS),
     "a tendon's damper across branches": (APART, 'damping="0.5"', MOTORS),
     "a tendon's spring": (CHAIN, 'stiffness="20"', MOTORS),
+    "a tendon's spring, pulled": (CHAIN, 'stiffness="20 100 500" springlength="-0.1 0.02"', MOTORS),
+    "a tendon's spring, pushed": (CHAIN, 'stiffness="20 100 500" springlength="0.1 0.2"', MOTORS),
+    "a tendon's spring, slack": (CHAIN, 'stiffness="20 100 500" springlength="0 0.2"', MOTORS),
+    "a joint's spring": (CHAIN.replace('name="b"', 'name="b" stiffness="20" springref="10"'), "", MOTORS),
     "a tendon's motor with damping": (CHAIN, "", '<motor tendon="t" damping="0.3" gear="2"/><motor joint="b"/>'),
     "a servo": (CHAIN, "", '<position joint="a" kp="20" kv="1"/><motor joint="b"/>'),
     "a gas spring": (CHAIN, "", MOTORS + f'<general joint="a" {GAS}/>'),
@@ -43,8 +47,8 @@ def loaded(what: str, integrator: str, solver: str = "Newton"):
     )
 
 
-def differences(mechanism, q: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return the slopes (4, 6) of MuJoCo's step about rest under efforts u, by state and effort."""
+def differences(mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the slopes (4, 6) of MuJoCo's step about a state (q, v) under efforts u, by state and effort."""
 
     model = copy.copy(mechanism.model)
     prepare(model, mechanism, STEP_S, UNLIMITED)
@@ -55,7 +59,7 @@ def differences(mechanism, q: np.ndarray, u: np.ndarray) -> np.ndarray:
         stepper.hold(x[4:][None], np.empty((1, 2)), np.empty((1, 2)))
         return np.concatenate(states_of(stepper), axis=1)[0]
 
-    at = np.concatenate([q, np.zeros(2), u])
+    at = np.concatenate([q, v, u])
     return np.array([(stepped(at + e) - stepped(at - e)) / (2 * SMALL) for e in SMALL * np.eye(6)]).T
 
 
@@ -70,12 +74,18 @@ def test_under_the_dual_solver_the_discrete_step_leaves_tendons_and_servos_out()
         assert_maps_agree(loaded(what, "discrete", solver="PGS"))
 
 
-def assert_maps_agree(mechanism) -> None:
-    q, still = np.array([0.3, -0.4]), np.zeros(2)
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])
+def test_the_map_of_a_step_at_steady_speed_is_the_simulator_s(integrator):
+    """Coriolis terms are in the inertia of a step of "implicit" alone."""
+    assert_maps_agree(loaded("a tendon's damper", integrator), speed=4.0)
+
+
+def assert_maps_agree(mechanism, speed: float = 0.0) -> None:
+    q, v, still = np.array([0.3, -0.4]), speed * np.array([1.0, -0.7]), np.zeros(2)
     arms = np.array(mechanism.dynamics.effort_map(q))
-    u = np.linalg.solve(arms, np.array(mechanism.dynamics.inverse_dynamics(q, still, still)).ravel())
-    A, B = simulator_step(mechanism, q[None], still[None], u[None], STEP_S)
-    exact = differences(mechanism, q, u)
+    u = np.linalg.solve(arms, np.array(mechanism.dynamics.inverse_dynamics(q, v, still)).ravel())
+    A, B = simulator_step(mechanism, q[None], v[None], u[None], STEP_S)
+    exact = differences(mechanism, q, v, u)
     both = np.hstack([A[0], B[0]])
     for rows in (slice(0, 2), slice(2, 4)):
         of = np.abs(exact - np.eye(4, 6))[rows].max()

@@ -7,6 +7,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Start
 from linkplan.controllers.mujoco_plant import MujocoPlant
@@ -16,8 +17,9 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import simulate
 from linkplan.controllers.trackers.computed_torque import computed_torque
 from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.compare.compare import build_tracker
-from tests.support.bodies import HINGE, HINGE_INERTIA
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM
 from tests.support.machines import run_alone
 from tests.support.plans import optimal
 from tests.support.references import cubic_reference, hinge_reference
@@ -83,6 +85,39 @@ def test_held_and_delayed_efforts_on_a_hinge_are_the_closed_form(delay, late):
         held = np.clip(np.minimum(end, k * T) - begin, 0.0, None)
         speed = np.sum(np.arange(1, 9) * held) / HINGE_INERTIA
         assert runs.velocity[k, 0, 0] == pytest.approx(speed, rel=SAME_FIGURE, abs=ROUNDING)
+
+
+@pytest.mark.parametrize(("delay", "share"), [(0.0, 0.0), (0.25, 0.25), (1.5, 0.5)])
+def test_what_acts_in_a_period_is_the_mean_of_both_commands(delay, share):
+    mechanism = load_mechanism(HINGE)
+    runs = simulate(RigidPlant(mechanism=mechanism, delay_periods=delay), Ramp(), hinge_reference(mechanism, 8))
+    arrived = np.maximum(np.arange(8.0) - np.floor(delay), 0.0) + 1.0
+    before = np.maximum(arrived - 1.0, 1.0)
+    np.testing.assert_allclose(runs.applied[:, 0, 0], share * before + (1 - share) * arrived, rtol=1e-12)
+
+
+def test_a_long_period_is_integrated_in_steps_of_the_simulator():
+    """A rod falls for half a second under a held effort: scipy's answer, for a slow clock beside a fast one too."""
+    mechanism = load_mechanism(PENDULUM.format(limit=9))
+    rest = sample(mechanism, resting(1.0), 0.5, 1.0)
+    machines = [Imperfections(start=Start(position_error=1.0), clock=Clock(period_factor=f)) for f in (1.0, 0.01)]
+    runs = simulate(RigidPlant(mechanism=mechanism), Ramp(), rest, machines)
+    inertia = 0.01 + 0.25  # kg m2 about the pivot
+
+    def rate(t, x):  # noqa: ARG001
+        return [x[1], (1.0 - 9.81 * 0.5 * np.sin(x[0])) / inertia]
+
+    for machine, duration in ((0, 0.5), (1, 0.005)):
+        exact = solve_ivp(rate, (0.0, duration), [1.0, 0.0], rtol=1e-12, atol=1e-12).y[:, -1]
+        assert [runs.pose[1, machine, 0], runs.velocity[1, machine, 0]] == pytest.approx(exact, abs=1e-8)
+
+
+def resting(duration_s: float) -> Trajectory:
+    """Return a rest of one joint at zero."""
+    return Trajectory(
+        breaks_s=np.array([0.0, duration_s]), position=np.zeros((2, 1, 1)), velocity=np.zeros((1, 1, 1)),
+        effort=np.zeros((1, 1, 1)), start_pose=np.zeros(1), periodic=False,
+    )  # fmt: skip
 
 
 def test_a_clock_that_runs_slow_holds_every_effort_longer():

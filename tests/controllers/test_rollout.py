@@ -260,11 +260,22 @@ def log_with(applied: np.ndarray, finite: bool = True) -> Rollout:
         ("a chatter", np.tile([1.0, -1.0], 500), False),
         ("a slower chatter", np.tile(np.repeat([1.0, -1.0], 5), 100), False),
         ("a chatter below the limits", np.tile([0.9, -0.9], 500), True),
+        ("five swings of a short run", np.repeat([1.0, -1.0, 1.0, -1.0, 1.0, -1.0], 5), True),
+        ("seven swings of a short run", np.repeat([1.0, -1.0] * 4, 5), False),
+        ("seven swings in a thousand instants", np.concatenate([np.repeat([1.0, -1.0] * 4, 5), np.zeros(960)]), True),
+        ("swings with 9 periods between the limits", np.tile([1.0, *9 * [0.0], -1.0, *9 * [0.0]], 50), False),
+        ("swings with 10 periods between the limits", np.tile([1.0, *10 * [0.0], -1.0, *10 * [0.0]], 50), True),
     ],
 )
 def test_only_swinging_between_the_limits_again_and_again_is_unstable(what, applied, stable):
     del what
     assert log_with(applied).stable == stable
+
+
+def test_the_largest_gaps_of_a_run_are_those_of_its_worst_instants():
+    gaps = replace(log_with(np.zeros(3)), gap_m=np.array([1e-6, 3e-6, 2e-6]), gap_rad=np.array([0.01, 0.03, 0.02]))
+    assert gaps.largest_gaps == (3e-6, 0.03)
+    assert log_with(np.zeros(3)).largest_gaps == (0.0, 0.0)
 
 
 def test_a_run_that_blew_up_is_unstable():

@@ -32,3 +32,17 @@ def test_beyond_its_range_the_effort_is_that_of_the_range_s_end(excess, end):
     given = of_state(GAINS) * end + of_state(BIASES)
     assert controls(given + excess) == (end, pytest.approx(given))
     assert controls(given + excess, motor=True) == (pytest.approx(given), pytest.approx(given))
+
+
+@pytest.mark.parametrize(("share", "steers"), [(5e-9, True), (5e-10, False)])
+def test_a_gain_below_a_billionth_of_its_own_at_home_counts_as_none(share, steers):
+    """The gain g0 (1 - l) vanishes at a length of one, where no ctrl changes the effort."""
+    servo = ServoInversion(
+        gains=np.array([[3.0, -3.0, 0.0]]), biases=np.array([[0.2, -2.0, 0.0]]),
+        low=np.array([-np.inf]), high=np.array([np.inf]), motor=np.array([False]),
+    )  # fmt: skip
+    length = 1.0 - share
+    bias = 0.2 - 2.0 * length
+    ctrl, given = servo.controls(np.array([[bias + 3.0 * share]]), np.array([[length]]), np.zeros((1, 1)))
+    assert ctrl[0, 0] == pytest.approx(1.0 if steers else 0.0, rel=1e-5)
+    assert given[0, 0] == (bias + 3.0 * share if steers else pytest.approx(bias, abs=1e-12))

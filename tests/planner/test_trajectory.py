@@ -1,5 +1,7 @@
 """A motion within its ends, beyond them, and over further periods, in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,3 +68,26 @@ def test_dense_times_have_both_sides_of_every_break():
     time = accelerated().dense_times(2)
     np.testing.assert_allclose(time, [1.0, 1.25, 1.5, 1.5, 2.25, 3.0])
     assert time[2] < 1.5 <= time[3]
+
+
+@pytest.mark.parametrize("start", [-2.0, 0.0, 5.0])
+def test_a_turn_advances_by_a_turn_wherever_it_begins(start):
+    motion = turning()
+    begun = replace(motion, position=motion.position + start, start_pose=np.full(1, start))
+    assert begun.advance == pytest.approx([TURN])
+    assert begun.position_at(np.array([0.0, 1.0, 5.0]))[:, 0] == pytest.approx(start + TURN * np.array([-0.5, 0.0, 2.0]))
+    assert replace(begun, periodic=False).advance.tolist() == [0.0]
+
+
+def test_a_period_that_begins_at_any_time_is_repeated_from_there():
+    motion = replace(turning(), breaks_s=BREAKS - 0.3)
+    time = 0.7 + np.array([-1.2, 0.2, 2.4, 5.0])
+    assert motion.position_at(time)[:, 0] == pytest.approx(TURN * (time - 0.7) / 2.0)
+    assert motion.effort_at(time)[:, 0].tolist() == [4.0 if (t - 0.7) % 2 > 0.5 else 3.0 for t in time]
+
+
+@pytest.mark.parametrize(("beyond_s", "moves"), [(3e-13, True), (3e-11, False)])
+def test_a_short_motion_still_moves_at_its_ends_but_for_rounding(beyond_s, moves):
+    motion = replace(accelerated(), breaks_s=0.01 * BREAKS)
+    at = np.array([motion.breaks_s[0] - beyond_s, motion.breaks_s[-1] + beyond_s])
+    assert (motion.velocity_at(at) != 0).all() == moves

@@ -5,7 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement.constrained_arcs import own_arcs, path_arcs, standing_off
+from linkplan.planner.refinement.constrained_arcs import (
+    arc_ends,
+    find_constrained_paths,
+    own_arcs,
+    path_arcs,
+    standing_off,
+)
 
 LOW, HIGH = -2.0, 4.0
 
@@ -67,3 +73,49 @@ def test_an_interval_is_an_arc_of_a_path_limit_where_all_of_its_nodes_are_at_one
 def test_a_path_equation_is_no_arc():
     transcribed = program_of([(HIGH, HIGH)], limit=(HIGH, HIGH), kind="power", n_path=1, n_nodes=2)
     assert path_arcs(transcribed, np.zeros(0)).tolist() == [[0]]
+
+
+@pytest.mark.parametrize(("share", "is_off"), [(5e-7, True), (3e-8, False)])
+def test_a_curve_is_kept_away_by_more_than_a_ten_millionth_of_its_limit(share, is_off):
+    """Between coefficients c, HIGH, c a parabola comes as near to HIGH as half of HIGH - c."""
+    below = HIGH * (1 - 2 * share)
+    assert standing_off(program_of([[below, HIGH, below]]), None).tolist() == [is_off]
+
+
+@pytest.mark.parametrize(("value", "arc"), [(-0.005, 1), (-0.02, 0), (-1.9985, -1), (-1.995, 0)])
+def test_a_limit_of_zero_is_met_within_a_thousandth_of_the_largest_value_and_another_of_itself(value, arc):
+    """Limits of -2 and 0 on a quantity that is up to 10 somewhere."""
+    rows = np.array([[value, value], [-10.0, -10.0], [-0.5, -0.5]])
+    found = path_arcs(program_of(rows, limit=(-2.0, 0.0), kind="power", n_path=1, n_nodes=2), None)
+    assert found[0, 0] == arc
+
+
+@pytest.mark.parametrize(
+    ("switch", "boundary", "ends"),
+    [
+        (3.0, 9.0, [1.0]),  # intervals of 0.1 s and 0.4 s meet there
+        (1.9, 9.0, []),  # within 2.5 of the longer ones
+        (2.1, 9.0, [1.0]),
+        (3.0, 1.0, []),
+        (3.0, 1.04, []),  # within half of the shorter one
+        (3.0, 1.1, [1.0]),
+    ],
+)
+def test_an_arc_ends_where_no_switch_and_no_phase_boundary_is_near(switch, boundary, ends):
+    breaks = np.array([0.8, 0.9, 1.0, 1.4, 1.8])
+    arcs = np.array([[0], [0], [1], [1]])
+    assert arc_ends(arcs, breaks, np.array([switch]), np.array([boundary])).tolist() == ends
+
+
+@pytest.mark.parametrize(
+    ("breaks", "arcs"),
+    [
+        # Intervals next to the ends of the segment from 1 to 2 do not count, nor those that reach out of it.
+        (np.linspace(0.0, 3.0, 31), [0] * 11 + [1] * 8 + [0] * 11),
+        ([0.0, 0.8, 1.3, 1.6, 2.4, 3.0], [0, 0, 1, 0, 0]),
+    ],
+)
+def test_a_segment_follows_a_limit_if_all_intervals_well_within_it_do(breaks, arcs):
+    free = np.full((3, 1), np.nan)
+    held = find_constrained_paths(np.array(arcs)[:, None], np.array(breaks), np.arange(4.0), free)
+    assert held.tolist() == [[0], [1], [0]]

@@ -1,97 +1,26 @@
 """The decision on the next action of a refinement is a function of its state: one test for each row and each constant."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement import decision
 from linkplan.planner.refinement.actions import (
     Halve,
     ImposeRanges,
     Loosen,
     RaiseDegree,
+    ReadSwitches,
     ReleaseArcs,
     Restore,
     Tighten,
 )
-from linkplan.planner.refinement.case import CertifiedIterate, ErrorReport, RefinementTarget
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.state import RefinementState, observed
-from linkplan.planner.solvers.solve import SUCCEEDED
-from linkplan.planner.transcription.mesh import uniform
+from tests.support.refinement_states import AIMS, iterate, state
 
-AIMS = RefinementTarget(
-    effort_limit=np.array([[-1.0, 1.0]]),
-    switches=False,
-    bang_bang=False,
-    continuous_efforts=True,
-    strictness=1.0,
-    tolerance_given=False,
-    objective_tolerance=None,
-)
 ONE_OF_TEN = np.eye(10)[3]
-
-
-def solution(objective: float = 1.0, *, n: int = 10, tightened: bool = False) -> SimpleNamespace:
-    """Return a solution that the solver converged to, without held arcs."""
-    mesh = uniform(n)
-    layout = SimpleNamespace(n_u=1, durations=lambda: np.array([0]), effort=lambda: np.zeros((n, 1), dtype=int))
-    program = SimpleNamespace(mesh=mesh, layout=layout, interval=SimpleNamespace(n_path=0, own_kinds=(), own_items=()))
-    formulation = SimpleNamespace(tightening=object() if tightened else None)
-    transcribed = SimpleNamespace(
-        program=program,
-        bang_efforts=None,
-        constrained_paths=None,
-        formulation=formulation,
-        units=SimpleNamespace(time_s=1.0),
-    )
-    return SimpleNamespace(
-        transcribed=transcribed, objective=objective, status=SUCCEEDED, multipliers=None, x=np.array([1.0])
-    )
-
-
-def iterate(
-    *,
-    passed: bool = True,
-    exact: bool = True,
-    growth=(0.0,),
-    overrun=(0.0,),
-    effort_overrun=(0.0,),
-    n: int = 10,
-    objective=1.0,
-    tightened=False,
-    **report,
-) -> CertifiedIterate:
-    """Return a certified iterate on n even intervals; growth and overrun (n,) or the same on all."""
-    motion = SimpleNamespace(breaks_s=np.linspace(0.0, 1.0, n + 1), effort=np.ones((3, n, 1)))
-    found = SimpleNamespace(
-        motion=motion, solution=solution(objective, n=n, tightened=tightened), fixed=None, mesh=uniform(n)
-    )
-    overrun = np.broadcast_to(np.array(overrun, dtype=float), n)
-    report = ErrorReport(
-        exact=exact,
-        mendable=report.pop("mendable", True),
-        leaves_positions=report.pop("leaves_positions", False),
-        overruns=bool(overrun.any()),
-        overrun=overrun,
-        integration_error_deg=1e-3,
-        **report,
-    )
-    growth = np.broadcast_to(np.array(growth, dtype=float), n)
-    beyond = np.broadcast_to(np.array(effort_overrun, dtype=float), n)
-    certificate = SimpleNamespace(passed=passed, growth=growth, residual_share=np.zeros(n), effort_overrun=beyond)
-    return CertifiedIterate(found=found, certificate=certificate, report=report)
-
-
-def state(at: CertifiedIterate, *, target: RefinementTarget = AIMS, scheme: str = "radau-3", **changes) -> RefinementState:
-    """Return a state at an iterate, its history as `changes` say."""
-    problem = SimpleNamespace(mesh=MeshSettings(intervals=10, scheme=scheme))
-    case = SimpleNamespace(problem=problem, target=target)
-    begin = RefinementState(asked=case, case=case, at=at, warm=False)
-    return replace(observed(begin, at), **changes)
 
 
 def test_an_exact_motion_that_passes_is_the_end():
@@ -286,3 +215,39 @@ def test_where_efforts_jump_a_change_of_the_objective_by_a_ten_thousandth_is_wor
     target = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
     action = next_action(state(at, target=target, change=change))
     assert isinstance(action, Halve) == finer
+
+
+@pytest.mark.parametrize(
+    ("rounds", "readings", "read"), [(0, 0, False), (1, 0, False), (2, 0, True), (3, 0, False), (4, 1, True), (4, 2, False)]
+)
+def test_switches_of_a_motion_that_overruns_its_limits_are_read_twice_after_halvings(rounds, readings, read):
+    at = iterate(passed=False, exact=False, overrun=1e-3 * ONE_OF_TEN)
+    action = next_action(state(at, target=replace(AIMS, switches=True), rounds=rounds, readings=readings))
+    assert (action == ReadSwitches()) == read
+
+
+@pytest.mark.parametrize(("readings", "read"), [(0, True), (2, True), (3, False), (4, False)])
+def test_switches_of_an_exact_motion_of_bang_arcs_are_read_at_most_three_times(readings, read):
+    target = replace(AIMS, switches=True, bang_bang=True)
+    assert (next_action(state(iterate(), target=target, readings=readings)) == ReadSwitches()) == read
+
+
+def test_a_changed_motion_is_halved_where_it_still_needs_half_of_what_a_proof_allows():
+    at = iterate(effort_overrun=np.array([0.7, 0.3, *np.zeros(8)]))
+    action = next_action(state(at, restored=1))
+    assert isinstance(action, Restore)
+    assert np.flatnonzero(action.marked).tolist() == [0]
+
+
+@pytest.mark.parametrize(("n", "expected"), [(10, Halve), (250, Tighten)])
+def test_where_efforts_jump_limits_are_tightened_once_the_mesh_is_crowded(n, expected):
+    at = iterate(passed=False, exact=False, growth=9.0 * np.eye(n)[3], overrun=1e-3 * np.eye(n)[3], n=n)
+    assert isinstance(next_action(state(at, target=replace(AIMS, enclosed=True))), expected)
+
+
+@pytest.mark.parametrize(("read_in", "tightens"), [(0, True), (3, False)])
+def test_limits_are_tightened_so_many_rounds_after_the_last_reading_of_switches(read_in, tightens):
+    at = iterate(passed=False, exact=False, growth=9.0 * ONE_OF_TEN, overrun=5e-8 * ONE_OF_TEN)
+    action = next_action(state(at, rounds=5, read_in=read_in))
+    assert isinstance(action, Halve)
+    assert action.tightens == tightens

@@ -89,3 +89,12 @@ def test_the_degree_is_raised_where_half_of_the_intervals_err_evenly(n_marked, l
 def test_the_degree_is_raised_where_three_intervals_or_more_overrun_a_limit_evenly(overrun, scheme):
     at = iterate(overrun=overrun)
     assert higher_on_arcs(case(), at, at.report.overrun > 0) == scheme
+
+
+def test_each_effort_bends_as_a_share_of_its_own_size():
+    """The second of two efforts is a thousandth of the first, and bends on the second interval alone."""
+    effort = np.array([[[100.0, 0.0], [100.0, 0.0]], [[101.0, 0.0], [101.0, 0.05]], [[102.0, 0.0], [102.0, 0.1]]])
+    effort[2, 0, 0] = 100.0  # the first one bends a little on the first interval
+    effort[1, 1, 1] = -0.1
+    motion = SimpleNamespace(breaks_s=np.arange(3.0), effort=effort)
+    assert rough_of(motion).tolist() == [False, True]

@@ -1,11 +1,14 @@
 """What a refinement knows of the objective's change from mesh to mesh."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement.state import RefinementState
+from linkplan.planner.refinement import state as refinement_state
+from linkplan.planner.refinement.state import RefinementState, observed
+from tests.support.refinement_states import AIMS, iterate, state
 
 
 def moved(best: float | None, loose: float | None, change: float = np.inf) -> float:
@@ -31,3 +34,30 @@ def test_of_negative_objectives_the_cost_is_a_share_of_their_size():
 def test_without_loosened_limits_the_objective_moves_by_its_last_change():
     assert moved(1.0, None, change=0.25) == 0.25
     assert moved(1.0, None) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("rounds", "error", "falls"), [(3, 0.4e-3, True), (3, 0.6e-3, False), (3, 2e-3, False), (1, 2e-3, True)]
+)
+def test_an_error_falls_if_a_finer_mesh_leaves_at_most_half_of_it(rounds, error, falls):
+    """The first mesh, whose error is 1e-3, is too coarse to compare with."""
+    before, at = state(iterate(), rounds=rounds), iterate()
+    at = replace(at, report=replace(at.report, integration_error_deg=error))
+    assert observed(before, at).falls == falls
+
+
+@pytest.mark.parametrize(("objective", "better"), [(0.9, True), (1.1, False)])
+def test_of_motions_within_the_limits_as_asked_the_best_is_kept(objective, better):
+    before = state(iterate(), idle=1)
+    before, at = replace(before, loose=before.at), iterate(objective=objective)
+    after = observed(before, at)
+    assert (after.best is at) == better
+    assert after.idle == (0 if better else 1)
+
+
+@pytest.mark.parametrize(("change", "kept_off", "finished"), [(3e-8, True, True), (3e-7, True, False), (3e-7, False, True)])
+def test_a_motion_that_coefficients_keep_off_its_limit_is_finished_once_its_objective_keeps_still(
+    monkeypatch, change, kept_off, finished
+):
+    monkeypatch.setattr(refinement_state, "standing_off", lambda *_: np.full(10, kept_off))
+    assert state(iterate(), target=replace(AIMS, bang_bang=True), change=change).finished == finished

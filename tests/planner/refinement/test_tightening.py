@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement.marking import evened, tightened_share, tightenings_of
+from linkplan.planner.limits.path_limit import Tightened
+from linkplan.planner.refinement.marking import (
+    TightenedRow,
+    Tightening,
+    evened,
+    tightened_share,
+    tightening_over,
+    tightenings_of,
+)
 
 
 @pytest.mark.parametrize("begin_s", [0.0, 2.0])
@@ -27,3 +35,37 @@ def test_a_little_tightening_is_the_same_on_all_intervals(overrun, is_even):
     (found,) = evened(tightenings_of((), np.array([[0.0, overrun, 0.0]]), np.arange(4.0)))
     assert found.share.max() == pytest.approx(tightened_share(np.array([overrun]))[0])
     assert bool(np.ptp(found.share) == 0) is is_even
+
+
+def test_a_tightening_is_a_ten_millionth_of_the_limit_at_the_least():
+    assert 1e-7 <= tightened_share(np.array([1e-12]))[0] < 5e-7
+
+
+ROWS = [TightenedRow("power", 0, Tightened.BY_SHARE), TightenedRow("tube", 1, Tightened.IN_UNITS)]
+
+
+def tightened(share: list[float], limit: list[float], breaks_s: np.ndarray, *, upper: bool = True, item: int = 0):
+    """Return by how much two path limits are tightened on the intervals of a mesh; the shares are of [0, 0.25, 1]."""
+    one = Tightening(
+        what=ROWS[item].what, item=ROWS[item].item, breaks=np.array([0.0, 0.25, 1.0]), share=np.array(share), upper=upper
+    )
+    return tightening_over((one,), ROWS, np.array([limit, limit]))(breaks_s)
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 3.0])
+def test_each_interval_of_another_mesh_is_tightened_as_the_one_around_its_middle(begin_s):
+    breaks = begin_s + np.array([0.0, 0.4, 0.8, 2.0, 4.0])
+    found = tightened([0.1, 0.02], [-3.0, 4.0], breaks)
+    assert found[:, 0] == pytest.approx([0.4, 0.4, 0.08, 0.08])
+    assert not found[:, 1].any()
+    assert tightened([0.1, 0.02], [-3.0, 4.0], breaks, upper=False)[:, 0] == pytest.approx([0.3, 0.3, 0.06, 0.06])
+
+
+def test_a_limit_in_units_is_tightened_by_the_share_itself():
+    assert tightened([0.1, 0.02], [-3.0, 4.0], np.array([0.0, 0.1, 1.0]), item=1)[:, 1] == pytest.approx([0.1, 0.02])
+
+
+@pytest.mark.parametrize(("limit", "most"), [([1.0, 4.0], 1.35), ([-4.0, -1.0], 1.35), ([-np.inf, 4.0], 40.0)])
+def test_two_bounds_keep_a_tenth_of_their_distance(limit, most):
+    found = tightened([10.0, 0.0], limit, np.array([0.0, 0.1, 1.0]))
+    assert found[:, 0] == pytest.approx([min(10.0 * abs(limit[1]), most), 0.0])

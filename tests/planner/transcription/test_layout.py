@@ -2,10 +2,11 @@
 
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 
 from linkplan.planner.transcription.mesh import Layout
-from linkplan.planner.transcription.system import _open_end_rows
+from linkplan.planner.transcription.system import System, _open_end_rows, build_node, node_symbols
 
 
 def test_every_unknown_has_one_place_of_its_own():
@@ -23,6 +24,7 @@ def test_every_unknown_has_one_place_of_its_own():
     ends = [layout.states(), layout.durations(), layout.extra()]
     everything = np.concatenate([places.ravel() for places in (*ends, *(places for places, _ in of_intervals.values()))])
     np.testing.assert_array_equal(np.sort(everything), np.arange(layout.size))
+    assert layout.states().shape == (5, 5)  # two positions, two speeds and a state of first order
     np.testing.assert_array_equal(layout.states(), [layout.state(k) for k in range(5)])
     np.testing.assert_array_equal(layout.durations(), layout.states().max() + 1 + np.arange(3))
     np.testing.assert_array_equal(layout.extra(), layout.durations().max() + 1 + np.arange(2))
@@ -31,3 +33,17 @@ def test_every_unknown_has_one_place_of_its_own():
 def test_rows_at_open_ends_are_those_of_the_closure_and_of_the_path_quantities_that_jump():
     system = SimpleNamespace(n_equations=4, kinds=("closure", "dynamics", "closure", "work", "power", "speed", "power"))
     assert _open_end_rows(system, (0, 2)) == (0, 2, 4, 6)
+
+
+def test_unknowns_at_open_ends_are_the_algebraic_ones_in_the_rows_there():
+    """A closure of the second of three unknowns, and a quantity of the third one and of the effort."""
+    node = node_symbols(1, 1, 3, 2)
+    column = ca.vertcat(node.z[1] - node.s, node.a - node.u[0] - node.z[0], node.r, node.z[2] * node.u[1], 0)
+    system = System(
+        n_s=1, n_x=1, n_z=3, n_u=2, node=ca.Function("node", [node.stacked, ca.SX.sym("p", 0)], [column]),
+        n_equations=3, n_path=1, kinds=("closure", "dynamics", "dynamics", "power"),
+    )  # fmt: skip
+    assert (system.n_xi, system.n_state) == (3 + 2 + 3 + 2, 3)
+    functions = build_node(system, (0,))
+    assert functions.open_end_rows == (0, 3)
+    assert functions.open_end_z == (1, 2)

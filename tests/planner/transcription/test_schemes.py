@@ -263,3 +263,28 @@ def test_a_lift_rises_fastest_with_its_weight_helping_the_brake(tmp_path):
     plan = plan_body(tmp_path, LIFT, "start_m = { J = 0.1 }\ngoal_m = { J = 0.9 }\n", *FREE)
     rise, brake = 50 / 2 - 9.81, 30 / 2 + 9.81
     assert plan.objective == pytest.approx(np.sqrt(2 * 0.8 * (rise + brake) / (rise * brake)), rel=MINIMUM_TIME)
+
+
+@pytest.mark.parametrize(
+    ("name", "effort", "coefficients"),
+    [
+        ("radau-3", "constant", 1),
+        ("radau-3", "linear", 2),
+        ("radau-3", "polynomial", 3),
+        ("radau-1", "linear", 1),
+        ("gauss-5", "polynomial", 5),
+        ("trapezoid", "linear", 2),
+    ],
+)
+def test_efforts_have_the_degree_asked_for_up_to_that_through_all_nodes(name, effort, coefficients):
+    chosen = scheme(name, effort)
+    assert chosen.effort_at.shape == (chosen.n_nodes, coefficients)
+
+
+@pytest.mark.parametrize("family", ["radau", "gauss"])
+def test_schemes_have_degrees_from_one_to_nine(family):
+    for degree in range(1, 10):
+        assert scheme(f"{family}-{degree}").n_nodes == degree
+    for degree in (0, 10):
+        with pytest.raises(ProblemError, match="radau-1 to radau-9"):
+            scheme(f"{family}-{degree}")

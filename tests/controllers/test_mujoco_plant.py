@@ -1,0 +1,83 @@
+"""Machines in MuJoCo: what their logs say of efforts that change within a period, and how much they hold."""
+
+import time
+
+import numpy as np
+import pytest
+
+from linkplan.controllers.feedback_loop import LoopLog
+from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections
+from linkplan.controllers.mujoco_plant import _columns
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.simulate import Ensemble, bytes_each
+from linkplan.controllers.trackers.pd import pd
+from linkplan.models.mechanism import load_mechanism
+from tests.support.bodies import HINGE, HINGE_INERTIA
+from tests.support.machines import reach, run_machines
+from tests.support.references import hinge_reference
+
+
+class Ramp:
+    """Efforts of (k + 1) / 4 at instant k."""
+
+    name = "ramp"
+
+    def effort(self, k, position, velocity):  # noqa: ARG002
+        return np.array([0.25 * (k + 1)])
+
+
+def ramped(one: Imperfections) -> Ensemble:
+    """Return the run of a ramp over 8 periods of 10 ms, in steps of 2 ms."""
+    mechanism = load_mechanism(HINGE)
+    loop = ControlLoop(effort_limit=mechanism.effort_limit)
+    return run_machines(mechanism, hinge_reference(mechanism, 8), Ramp(), loop, [one])
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        Imperfections(clock=Clock(delay_periods=0.4)),
+        Imperfections(clock=Clock(delay_periods=1.3)),
+        Imperfections(drives=Drives(bandwidth_hz=30.0)),
+        Imperfections(drives=Drives(rate_limit=20.0)),
+    ],
+    ids=["whole steps", "part of a step", "lag", "rate"],
+)
+def test_the_logged_effort_of_a_period_is_the_mean_that_moves_the_inertia(one):
+    found = ramped(one)
+    gained = 0.01 * found.applied[:-1, 0, 0] / HINGE_INERTIA
+    assert np.diff(found.velocity[:, 0, 0]) == pytest.approx(gained, rel=1e-9)
+    assert np.ptp(np.diff(found.applied[1:, 0, 0])) < 0.3  # it goes on rising
+
+
+def test_a_delay_of_two_of_five_steps_mixes_both_commands_in_that_proportion():
+    applied = ramped(Imperfections(clock=Clock(delay_periods=0.4))).applied[:, 0, 0]
+    asked = 0.25 * np.arange(1, 9)
+    assert applied == pytest.approx(0.4 * np.append(asked[:1], asked[:-1]) + 0.6 * asked, rel=1e-12)
+
+
+@pytest.mark.parametrize("index", [[2, 3, 4], [4, 3, 2], [0], [1, 3]])
+def test_columns_are_those_of_their_indices_in_their_order(index):
+    assert np.arange(10)[_columns(np.array(index))].tolist() == index
+
+
+def test_the_memory_of_a_machine_s_log_is_that_of_its_arrays():
+    mechanism, _ = reach()
+    log = LoopLog(7, 1, mechanism.n_q, mechanism.dof, mechanism.n_u)
+    time_and_power = 2 * 7 * 8
+    assert bytes_each(mechanism, 7) == log.instants.nbytes + log.applied.nbytes + log.speed.nbytes + time_and_power
+
+
+def test_the_tracker_s_computing_time_is_a_part_of_the_run_s():
+    mechanism = load_mechanism(HINGE)
+    reference = hinge_reference(mechanism, 20)
+    begin = time.perf_counter()
+    found = run_machines(
+        mechanism,
+        reference,
+        pd(mechanism, reference, 1.0, 1.0),
+        ControlLoop(effort_limit=mechanism.effort_limit),
+        [Imperfections()],
+    )
+    assert np.all(found.asked_s > 0)
+    assert found.asked_s.sum() < time.perf_counter() - begin

@@ -1,0 +1,123 @@
+"""Values that files may hold, on both sides of their bounds, and the sentences that refuse others."""
+
+from typing import Annotated, Literal
+
+import pytest
+from msgspec import Meta
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.keys import kinds
+from linkplan.planner.keys.key_table import _choices, _range
+from linkplan.planner.keys.reading import checked, read
+from linkplan.planner.keys.refusals import fault, words
+
+BOUNDS = [
+    (kinds.Number, 1e15, 1.01e15),
+    (kinds.Number, -1e15, -1.01e15),
+    (kinds.Angle, 36000.0, 36001.0),
+    (kinds.Angle, -36000.0, -36001.0),
+    (kinds.Delay, 1000.0, 1000.5),
+    (kinds.LqrError, 1e-9, 0.9e-9),
+    (kinds.LqrError, 1e9, 1.1e9),
+    (kinds.Tolerance, 0.01, 0.011),
+    (kinds.Mass, 1e12, 1.1e12),
+    (kinds.Moment, 0.0, -1e-9),
+    (kinds.Margin, 0.999, 1.0),
+    (kinds.Turns, 100, 101),
+    (kinds.Intervals, 20_000, 20_001),
+    (kinds.Corners, [[0.0, 0.0, float(k)] for k in range(200)], [[0.0, 0.0, float(k)] for k in range(201)]),
+    (kinds.Breaks, [k / 20_000 for k in range(20_001)], [k / 20_001 for k in range(20_002)]),
+    (kinds.Breaks, [0.0, 0.5, 1.0], [0.0, 1.0]),
+]
+
+
+@pytest.mark.parametrize(("kind", "legal", "beyond"), BOUNDS)
+def test_the_last_legal_value_is_taken_and_the_next_is_refused(kind, legal, beyond):
+    assert read(kind, legal, "here") == legal
+    with pytest.raises(ProblemError, match=r"^here"):
+        read(kind, beyond, "here")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("motion.duration_s", -1.0, "motion.duration_s is a positive number, got -1.0"),
+        ("limits.reserve", 1.5, "limits.reserve is from 0 to below 1, got 1.5"),
+        ("limits.reserve", -0.5, "limits.reserve is a number of at least 0, got -0.5"),
+        ("limits.reserve", "much", "limits.reserve is a number of at least 0, got 'much'"),
+        ("limits.reserve", True, "limits.reserve is a number of at least 0, got True"),
+        ("limits.reserve", float("nan"), "limits.reserve is a number of at least 0, got nan"),
+        (
+            "tracking.delay_periods",
+            10**20,
+            "tracking.delay_periods is a number of at least 0 below 1e+15, got one of 21 digits",
+        ),
+        ("tracking.delay_periods", 2000, "tracking.delay_periods is from 0 to 1000, got 2000"),
+        ("mesh.intervals", 1, "mesh.intervals is a whole number from 2 to 20000, got 1"),
+        ("mesh.refine", "bth", "unknown mesh.refine 'bth' (did you mean 'both'?); legal: both, intervals, degree"),
+        ("motion.duration_s", "soon", "motion.duration_s is a positive number or \"free\", got 'soon'"),
+        ("motion.kind", 5, "motion.kind is one of reach, periodic, track, got 5"),
+        ("motion.start_deg", {"J": "x"}, "motion.start_deg of joint J is a number, got 'x'"),
+        ("limits.effort", {"m": [1.0, "x"]}, "limits.effort.m is a number, got 'x'"),
+        ("limits.effort", {"m": [1.0, 2.0, 3.0]}, "limits.effort.m is [low, high], got 3 of them"),
+        ("motion.start_deg", 5, "motion.start_deg is a table of joint = value, got 5"),
+        ("limits.closure_force", {"B": -1}, "limits.closure_force.B is a positive number, got -1"),
+    ],
+)
+def test_a_value_that_is_not_legal_is_refused_by_its_key_what_is_legal_and_itself(key, value, sentence):
+    with pytest.raises(ProblemError) as refused:
+        checked(key, value)
+    assert "\n" not in str(refused.value)
+    assert str(refused.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (Literal["one"], '"one"'),
+        (Literal["one", "two"], "one of one, two"),
+        (kinds.Positive, "a positive number"),
+        (kinds.AtLeastZero, "a number of at least 0"),
+        (kinds.Number, "a number"),
+        (kinds.Duration, "a positive number"),
+        (kinds.Turns, "a whole number from -100 to 100"),
+        (kinds.Positive | Literal["free"], 'a positive number or "free"'),
+    ],
+)
+def test_a_type_in_words(kind, said):
+    assert words(kind) == said
+
+
+def test_a_list_that_is_too_long_is_refused_by_its_length():
+    short = Annotated[list[float], Meta(max_length=2, extra={"said": "a pair"})]
+    assert fault(short, [1.0, 2.0], "here") is None
+    assert fault(short, [1.0, 2.0, 3.0], "here") == "here is a pair, got 3 of them"
+    assert fault(short, [1.0, "x"], "here") == "here is a number, got 'x'"
+
+
+def test_a_value_of_several_types_is_judged_by_the_one_that_it_resembles():
+    either = kinds.Positive | Literal["free", "held"] | kinds.Interval
+    assert fault(either, "fre", "here") == "unknown here 'fre' (did you mean 'free'?); legal: free, held"
+    assert fault(either, -2.0, "here") == "here is a positive number, got -2.0"
+    assert fault(kinds.Positive | Literal["free"], "fre", "here") == "here is a positive number or \"free\", got 'fre'"
+
+
+@pytest.mark.parametrize(
+    ("kind", "choices", "within"),
+    [
+        (Literal["one"], "", ""),
+        (Literal["one", "two"], "one of one, two", ""),
+        (kinds.Delay, "", "from 0 to 1000"),
+        (kinds.Number, "", ""),
+        (kinds.Positive | Literal["free"], "", ""),
+        (kinds.Duration | Literal["free"], "", "from 1e-06 to 100000"),
+    ],
+)
+def test_the_table_of_keys_has_the_words_and_the_ranges_that_a_user_may_choose_from(kind, choices, within):
+    assert _choices(kind) == choices
+    assert _range(kind) == within
+
+
+def test_a_key_s_description_ends_with_its_unit_and_its_default():
+    assert kinds.key("the time", "s", "1 s").description == "The time [s]. Default: 1 s."
+    assert kinds.key("the name").description == "The name."

@@ -1,0 +1,55 @@
+"""Integration against a solution: what is unstable, and errors from restart to restart in closed form."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.ode.integration import integrate, is_unstable
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from tests.support.ode import FREE_EFFORT, NAN
+
+
+def growing(rate, duration_s: float = 2.0, n_x: int = 1, **given) -> OdeProblem:
+    """Return x' = rate(t) x for the first state; a second one rests."""
+    return OdeProblem(
+        name="growing", rate=lambda x, u, p, t: [rate(t) * x[0], 0.0][:n_x], start=[NAN] * n_x, goal=[NAN] * n_x,  # noqa: ARG005
+        effort_limit=FREE_EFFORT, duration_s=duration_s, final_cost=lambda x0, xT, T, p: xT[0], **given,  # noqa: ARG005
+    )  # fmt: skip
+
+
+def straight(ends: list[float], breaks_s: np.ndarray, n_x: int = 1) -> OdeTrajectory:
+    """Return a motion that goes straight from one value to the next; a second state rests at 1."""
+    state = np.array([ends[:-1], ends[1:]])[:, :, None]
+    state = np.concatenate([state, np.ones_like(state)], axis=2)[:, :, :n_x]
+    return OdeTrajectory(breaks_s=breaks_s, state=state, effort=np.zeros((1, len(ends) - 1, 1)), n_x=n_x)
+
+
+@pytest.mark.parametrize(
+    ("growth", "tolerance", "unstable"), [(1e3, 1e-10, False), (1e5, 1e-8, True), (1e5, 1e-6, False), (1e7, 1e-6, True)]
+)
+def test_a_motion_is_unstable_where_errors_grow_ten_thousandfold_or_beyond_what_the_tolerance_allows(
+    growth, tolerance, unstable
+):
+    problem = growing(lambda t: 0 * t + np.log(growth) / 2.0, tolerance=tolerance)
+    assert is_unstable(problem, straight([1.0, 1.0, 1.0], np.array([0.0, 1.0, 2.0])), np.ones(1)) == unstable
+
+
+@pytest.mark.parametrize(("slope", "unstable"), [(6.0, True), (-6.0, False)])
+def test_what_grows_late_is_unstable_and_what_fades_is_not(slope, unstable):
+    """x' = slope t x: at most e^12 over two seconds."""
+    problem = growing(lambda t: slope * t)
+    assert is_unstable(problem, straight([1.0] * 3, np.array([0.0, 1.0, 2.0])), np.ones(1)) == unstable
+
+
+def test_errors_that_grow_beyond_rounding_are_carried_on_from_restart_to_restart():
+    """x' = a x: an interval makes p of e^(a h) p, a factor of e^5, and each two intervals the integration begins anew."""
+    ends, h, size = [1.0, 2.0, -1.0, 3.0, 0.5], 0.5, np.array([2.0, 1.0])
+    problem = growing(lambda t: 10.0 + 0 * t, n_x=2)
+    found = integrate(problem, straight(ends, h * np.arange(5.0), 2), size, np.linspace(0.0, 1.0, 5))
+    factor = np.exp(10.0 * h)
+    made = np.array([(factor * ends[k] - ends[k + 1]) / size[0] for k in range(4)])
+    errors = np.array([made[0], factor * made[0] + made[1], made[2], factor * made[2] + made[3]])
+    assert found.restarts == 2
+    assert found.errors[:, 0] == pytest.approx(np.abs(errors), rel=1e-8)
+    assert found.errors[:, 1] == pytest.approx(np.zeros(4), abs=1e-12)
+    assert found.defects[:, 0] == pytest.approx(np.abs(made) * np.abs(errors).max() / np.abs(made).sum(), rel=1e-8)

@@ -1,0 +1,272 @@
+"""What problems take from their tables, and what they refuse, on both sides of each limit."""
+
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.closed_chain.mechanics import _path_rows
+from linkplan.planner.problem import consistency
+from linkplan.planner.problem.consistency import _check_efforts, _way_through, check_robust
+from linkplan.planner.problem.extra import ExtraCost, checked_extras
+from linkplan.planner.problem.instant import Corner, Instant, Robust, corner_efforts_along
+from linkplan.planner.problem.objective import TERMS
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.problem.sites import SitePoint, _squared, shown
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
+
+SECOND = QUARTER_TURN + "duration_s = 1.0\n"
+TRACK = 'kind = "track"\n'
+SINE = ("reference.amplitude_deg.J=20", "reference.frequency_hz=2.0")
+
+
+def quarter(*overrides: str, model: str = HINGE) -> Problem:
+    return body_problem(model, SECOND, *overrides)
+
+
+def test_breaks_of_the_first_mesh_say_how_many_intervals_there_are():
+    mesh = quarter("mesh.breaks=[0, 0.2, 0.5, 1]").mesh
+    assert mesh.intervals == 3
+    assert mesh.breaks.tolist() == [0.0, 0.2, 0.5, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("breaks", "legal"),
+    [
+        ("[0, 2e-9, 1]", True),
+        ("[0, 5e-10, 1]", False),
+        ("[0, 0.7, 0.6, 1]", False),
+        ("[0.1, 0.6, 1]", False),
+        ("[0, 0.6, 0.9]", False),
+    ],
+)
+def test_breaks_rise_from_zero_to_one_by_more_than_rounding(breaks, legal):
+    if legal:
+        assert quarter(f"mesh.breaks={breaks}").mesh.intervals == 2
+    else:
+        with pytest.raises(ProblemError, match=r"mesh\.breaks"):
+            quarter(f"mesh.breaks={breaks}")
+
+
+@pytest.mark.parametrize(("timestep_s", "period_s"), [(2e-3, 2e-3), (1e-5, 1e-4)])
+def test_a_control_period_is_a_tenth_of_a_millisecond_or_the_model_s_longer_step(timestep_s, period_s):
+    model = HINGE.replace('gravity="0 0 0"', f'gravity="0 0 0" timestep="{timestep_s}"')
+    assert quarter(model=model).tracking.period_s == pytest.approx(period_s, rel=1e-12)
+    assert quarter("tracking.period_s=0.007", model=model).tracking.period_s == 0.007
+
+
+@pytest.mark.parametrize(
+    ("minimised", "effort"),
+    [
+        ("{ work = 1.0, time = 3.0 }", "constant"),
+        ("{ work = 1.0 }", "constant"),
+        ("{ effort = 1.0, time = 3.0 }", "polynomial"),
+        ("{ work = 1.0, effort = 1.0, time = 1.0 }", "polynomial"),
+    ],
+)
+def test_efforts_are_held_over_intervals_where_work_and_time_alone_are_the_cost(minimised, effort):
+    problem = body_problem(HINGE, QUARTER_TURN + 'duration_s = "free"\n', f"objective.minimize={minimised}")
+    assert problem.mesh.effort == effort
+
+
+@pytest.mark.parametrize(("reserve", "kept"), [(0.0, 4.0), (0.25, 3.0)])
+def test_a_reserve_is_kept_of_every_effort_limit(reserve, kept):
+    limits = quarter(f"limits.reserve={reserve}").limits
+    assert limits.effort.tolist() == [[-kept, kept]]
+    assert limits.actuators_effort == pytest.approx(np.array([[-4.0, 4.0]]))
+
+
+@pytest.mark.parametrize(
+    ("limits", "legal"), [("[-5, 7]", True), ("[0, 7]", True), ("[-5, 0]", True), ("[1, 7]", False), ("[-5, -1]", False)]
+)
+def test_a_limit_of_power_admits_rest(limits, legal):
+    if legal:
+        quarter(f"limits.power_w.motor={limits}")
+    else:
+        with pytest.raises(ProblemError, match="admits rest"):
+            quarter(f"limits.power_w.motor={limits}")
+
+
+@pytest.mark.parametrize(("duration", "legal"), [(1000.0, True), (1001.0, False)])
+def test_a_reference_is_followed_over_as_many_periods_as_the_finest_mesh_has_room_for(duration, legal):
+    """Twenty thousand intervals, ten in each period of half a second."""
+    asked = (*SINE, f"motion.duration_s={duration}", "mesh.intervals=10")
+    if legal:
+        assert body_problem(HINGE, TRACK, *asked).motion.duration_s == duration
+    else:
+        with pytest.raises(ProblemError, match=r"2002 periods of the reference.* at most 2000 are legal"):
+            body_problem(HINGE, TRACK, *asked)
+
+
+@pytest.mark.parametrize(("path", "legal"), [("[10, 50, 100]", True), ("[10]", False)])
+def test_a_guessed_path_has_a_value_for_every_instant(path, legal):
+    if legal:
+        assert quarter(f"guess.path_deg.J={path}", "guess.duration_s=1.0").reference is None
+    else:
+        with pytest.raises(ProblemError, match="guess"):
+            quarter(f"guess.path_deg.J={path}", "guess.duration_s=1.0")
+
+
+@pytest.mark.parametrize(("length", "legal"), [(100, True), (101, False)])
+def test_an_extra_cost_s_name_has_at_most_a_hundred_characters(length, legal):
+    def named() -> ExtraCost:
+        return ExtraCost(name="x" * length, expression=lambda at: at.time_s)
+
+    if legal:
+        assert len(named().name) == length
+    else:
+        with pytest.raises(ProblemError, match="at most 100 characters, got 101"):
+            named()
+
+
+def test_actuators_powers_count_where_they_drive():
+    at = SimpleNamespace(positive_power=None, u=ca.DM([2.0, -3.0, -1.0]), actuator_speeds=ca.DM([5.0, 4.0, -6.0]))
+    assert np.array(Instant.positive_powers.func(at)).ravel().tolist() == [10.0, 0.0, 6.0]
+
+
+# Ranges of machines.
+
+
+def test_a_corner_s_friction_is_viscous_and_dry():
+    mechanism = load_mechanism(HINGE)
+    v, a, u = np.array([[2.0], [-1.0]]), np.array([[0.5], [3.0]]), np.zeros((2, 1))
+    corner = Corner(torque_factor=0.8, friction=((0, 0.05, 0.3),))
+    found = corner_efforts_along(mechanism, (corner,), np.zeros((2, 1)), v, a, u)[:, 0]
+    assert found == pytest.approx((HINGE_INERTIA * a + 0.05 * v + 0.3) / 0.8)
+
+
+def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused():
+    """Two ends of a viscous and of a dry friction for each joint."""
+
+    def rubbing(joints: int) -> Robust:
+        return Robust(viscous=dict.fromkeys(range(joints), (0.1, 0.2)), coulomb=dict.fromkeys(range(joints), (0.1, 0.3)))
+
+    assert len(rubbing(3).corners) == 64
+    with pytest.raises(ProblemError, match="256 corners; at most 64"):
+        rubbing(4)
+
+
+# Turns.
+
+
+def winding(**changes) -> SimpleNamespace:
+    """Return a mechanism of two joints whose springs give the efforts `passive` of a pose."""
+    joints = [SimpleNamespace(name=name) for name in ("still", "wound")]
+    dynamics = SimpleNamespace(passive=changes["passive"])
+    return SimpleNamespace(n_q=2, dof=1, n_u=0, joints=joints, actuators=[], dynamics=dynamics)
+
+
+def test_a_spring_that_winds_up_with_every_turn_is_named():
+    """The other joint's spring has a load of its own, which stays."""
+    mechanism = winding(passive=lambda q, _: np.array([-7.0, -0.5 * q[1]]))
+    with pytest.raises(ProblemError, match="a spring on joint wound winds up with every turn"):
+        _check_efforts(mechanism, "O", np.array([0.0, -np.pi]), np.array([0.0, 2 * np.pi]))
+
+
+@pytest.mark.parametrize(
+    ("asked", "single", "branching", "words"),
+    [
+        (-3.0, [-2.0], {}, "no other coordinate passes it"),
+        (-3.0, [2.0], {}, "another joint as mechanism.independent may pass it"),
+        (3.0, [2.0], {}, "no other coordinate passes it"),
+        (3.0, [-2.0], {2.0: 1}, "the mechanism may branch there"),
+    ],
+)
+def test_the_remedy_at_the_end_of_a_reach_is_that_of_the_end_that_is_in_the_way(asked, single, branching, words):
+    ends = SimpleNamespace(
+        lower=SimpleNamespace(position=-2.0), upper=SimpleNamespace(position=2.0), single=single,
+        branching=list(branching.items()),
+    )  # fmt: skip
+    assert words in _way_through(ends, "singular pose", asked)
+    assert _way_through(ends, "range of J", asked) == ""
+
+
+# Places of sites.
+
+
+def test_the_distance_of_points_from_a_segment_is_to_its_nearest_point():
+    a, b = np.array([1.0, 1.0, 0.0]), np.array([3.0, 1.0, 0.0])
+    points = np.array([[2.0, 1.5, 0.0], [0.0, 1.0, 2.0], [5.0, 2.0, 0.0], [1.5, 1.0, 0.0]])
+    assert _squared(points, a, b) == pytest.approx([0.25, 5.0, 5.0, 0.0])
+
+
+def test_a_place_is_off_a_point_by_its_prescribed_coordinates():
+    point = SitePoint(site="foot", index=0, point=np.array([1.0, np.nan, -2.0]))
+    assert point.off_m(np.array([4.0, 100.0, 2.0])) == pytest.approx(5.0)
+    assert shown(point.point) == "{ x = 1, z = -2 }"
+
+
+def servo(name: str, *, limited: bool = True) -> SimpleNamespace:
+    return SimpleNamespace(name=name, limits_control=limited, control_lower=-3.0, control_upper=3.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "limited", "refused"),
+    [(1.0, 5.0, True, "goes on by 4 "), (-2.0, 2.0, True, "goes on by 4 "), (1.5, 1.5, True, ""), (1.0, 5.0, False, "")],
+)
+def test_a_servo_whose_ctrl_goes_on_with_every_turn_and_has_a_range_is_refused(monkeypatch, before, after, limited, refused):
+    mechanism = winding(passive=lambda *_: np.array([-7.0, 2.0]))
+    mechanism.n_u, mechanism.actuators = 1, [servo("m", limited=limited)]
+    ctrl = iter([before, after])
+    monkeypatch.setattr(consistency, "needed_controls", lambda *_: np.array([[next(ctrl)]]))
+    turn = np.zeros(2), np.array([0.0, 2 * np.pi])
+    if not refused:
+        _check_efforts(mechanism, "O", *turn)
+        return
+    with pytest.raises(ProblemError, match=refused):
+        _check_efforts(mechanism, "O", *turn)
+
+
+@pytest.mark.parametrize(
+    ("effort_map", "asks", "refused"),
+    [([[1.0], [0.0]], True, False), ([[1.0, 0.0], [0.3, 2.0]], False, False), ([[1.0, 2.0], [0.0, 0.0]], False, True)],
+)
+def test_ranges_take_actuators_that_move_everything_or_each_its_own(monkeypatch, effort_map, asks, refused):
+    asked = []
+    monkeypatch.setattr(consistency, "corner_out_of_reach", lambda *_: asked.append(True))
+    of = np.array(effort_map)
+    mechanism = SimpleNamespace(
+        dof=2, n_u=of.shape[1], home=np.zeros(2), payload=None, name="it", dynamics=SimpleNamespace(effort_map=lambda _: of)
+    )
+    robust = SimpleNamespace(corners=(1,), payload_factor=(1.0, 1.0))
+    if refused:
+        with pytest.raises(ProblemError, match="move every degree of freedom, or each its own"):
+            check_robust(robust, mechanism)
+    else:
+        check_robust(robust, mechanism)
+    assert bool(asked) == asks
+
+
+# Terms, names and times.
+
+
+def test_extra_costs_have_names_that_differ():
+    one, other = (ExtraCost(name=name, expression=lambda at: at.time_s) for name in ("one", "other"))
+    assert checked_extras([one, other], ExtraCost, "costs") == (one, other)
+    with pytest.raises(ProblemError, match="got 'one' more than once"):
+        checked_extras([one, other, one], ExtraCost, "costs")
+
+
+def test_the_cost_of_tracking_is_the_squared_distance_of_the_independent_joints_from_the_reference():
+    at = SimpleNamespace(
+        q=ca.DM([1.0, 9.0, 3.0]), mechanism=SimpleNamespace(independent=np.array([0, 2])), reference=ca.DM([0.5, 1.0])
+    )
+    assert float(TERMS["tracking"].integrand(at)) == 0.5**2 + 2.0**2
+    assert TERMS["tracking"].size(SimpleNamespace(time_s=2.0, position=np.array([0.1, 0.5])), None) == 2.0 * 0.5**2
+
+
+def test_positive_powers_are_rows_of_what_is_counted_less_what_the_actuators_give():
+    at = SimpleNamespace(u=ca.DM([2.0, -3.0]), actuator_speeds=ca.DM([5.0, 4.0]), units={"power": 2.0})
+    asked = SimpleNamespace(limits=(), passed=(), works=True)
+    rows = _path_rows(asked, at, [], ca.SX(ca.DM([7.0, 1.0])))
+    assert np.array(ca.evalf(rows)).ravel().tolist() == [7.0 - 5.0, 1.0 + 6.0]
+
+
+def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
+    begun = SolverSettings(max_time_s=1000.0).begun()
+    assert begun.deadline.left_s == pytest.approx(900.0, abs=1.0)
+    assert begun.certificate_deadline.left_s == pytest.approx(1000.0, abs=1.0)

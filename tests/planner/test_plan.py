@@ -1,0 +1,88 @@
+"""A plan's motion as a table, in any order and beyond its ends, and its distance from a reference."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.plan import Plan, motion_table, tracking_errors
+from linkplan.planner.replan import _is_blocked_by_bounds
+from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import HINGE
+
+BEGIN = 0.7
+BREAKS = BEGIN + np.array([0.0, 0.5, 2.0])
+
+
+def turning(start: float = 2.0, *, periodic: bool = True) -> Trajectory:
+    """Return a hinge's turn at a constant speed over two seconds from 0.7 s on, with efforts of 3 and then 4."""
+    s = start + np.pi * (BREAKS - BEGIN)
+    return Trajectory(
+        breaks_s=BREAKS, position=np.array([s[:-1], s[1:]])[:, :, None], velocity=np.full((1, 2, 1), np.pi),
+        effort=np.array([[[3.0], [4.0]]]), start_pose=np.full(1, start), periodic=periodic,
+    )  # fmt: skip
+
+
+def problem() -> SimpleNamespace:
+    return SimpleNamespace(mechanism=load_mechanism(HINGE), sites={})
+
+
+@pytest.mark.parametrize("start", [2.0, -0.5])
+def test_a_turning_motion_goes_on_before_and_beyond_its_period_in_any_order_of_times(start):
+    time = BEGIN + np.array([5.5, 0.0, -0.75, 1.9, 2.0, 0.2])
+    table = motion_table(problem(), turning(start), time)
+    assert table.position_deg["J"] == pytest.approx(np.degrees(start) + 180.0 * (time - BEGIN))
+    assert table.speed_deg_s["J"] == pytest.approx(np.full(6, 180.0))
+    assert table.effort["motor"] == pytest.approx([3.0 if (t - BEGIN) % 2.0 < 0.5 - 1e-9 else 4.0 for t in time])
+
+
+def test_another_motion_rests_at_its_ends():
+    table = motion_table(problem(), turning(periodic=False), BEGIN + np.array([-0.7, 1.0, 4.0]))
+    assert np.radians(table.position_deg["J"]) == pytest.approx([2.0, 2.0 + np.pi, 2.0 + 2 * np.pi])
+    assert table.speed_deg_s["J"] == pytest.approx([0.0, 180.0, 0.0])
+
+
+def test_default_times_increase_and_a_break_appears_twice_where_jumps_are_shown():
+    once, twice = (motion_table(problem(), turning(), jumps=jumps) for jumps in (False, True))
+    assert once.time_s == pytest.approx([*(BEGIN + 0.05 * np.arange(10)), *(BEGIN + 0.5 + 0.15 * np.arange(11))], abs=1e-9)
+    assert np.all(np.diff(once.time_s) > 1e-3)
+    assert len(twice.time_s) == len(once.time_s) + 1
+    assert np.diff(twice.effort["motor"]).max() == 1.0
+
+
+def test_the_distance_from_a_reference_is_its_mean_square_and_its_largest():
+    """A motion at 2 + pi t beside a reference at 1.5 + (pi + 0.25) t is off by up to half a radian."""
+    reference = SimpleNamespace(derivative=lambda t: ((np.pi + 0.25) * (t - BEGIN) + 1.5)[:, None])
+    plan = SimpleNamespace(problem=SimpleNamespace(reference=reference), trajectory=turning())
+    rms, largest = tracking_errors(plan)
+    share = np.concatenate([np.linspace(0.0, 0.5, 17), np.linspace(0.5, 2.0, 17)])
+    assert largest == pytest.approx(0.5)
+    assert rms == pytest.approx(np.sqrt(np.mean((0.5 - 0.25 * share) ** 2)))
+
+
+@pytest.mark.parametrize(("trajectory", "intervals"), [(turning(), 2), (None, 7)])
+def test_a_plan_has_the_intervals_of_its_motion(trajectory, intervals):
+    plan = SimpleNamespace(trajectory=trajectory, problem=SimpleNamespace(mesh=SimpleNamespace(intervals=7)))
+    assert Plan.intervals.fget(plan) == intervals
+
+
+@pytest.mark.parametrize(
+    ("at", "blocked"),
+    [
+        ([0.3, 0.7], False),
+        ([0.1 + 1e-9, 0.7], True),
+        ([0.3, 2.0 - 1e-8], True),
+        ([0.1 + 1e-6, 0.7], False),
+        ([0.3, 2.0 - 1e-5], False),
+    ],
+)
+def test_a_new_motion_is_blocked_where_the_duration_of_a_segment_is_at_a_bound(at, blocked):
+    """The third segment's is given."""
+    layout = SimpleNamespace(durations=lambda: np.arange(3))
+    transcribed = SimpleNamespace(
+        program=SimpleNamespace(layout=layout), lower=np.array([0.1, 0.1, 0.5]), upper=np.array([2.0, 2.0, 0.5])
+    )
+    motion = SimpleNamespace(duration_s=1.0, min_duration_s=None, max_duration_s=None)
+    solution = SimpleNamespace(transcribed=transcribed, x=np.array([*at, 0.5]))
+    assert _is_blocked_by_bounds(SimpleNamespace(motion=motion), solution) == blocked

@@ -1,0 +1,204 @@
+"""Bounds of states and durations, linear rows on efforts, and bounds of rows, each for a mesh of a few intervals."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.transcription.bounds import _given_nodes, _hold_paths, bounds, linear_rows, row_bounds
+from linkplan.planner.transcription.formulation import PhaseBoundary
+from linkplan.planner.transcription.mesh import Layout, Mesh, segmented, uniform
+from linkplan.planner.transcription.schemes import scheme
+
+INF = np.inf
+FREE_TIME = (0.0, INF)
+SCHEME = scheme("hermite-simpson")
+
+
+def boundary(low: float = -INF, high: float = INF, time=FREE_TIME, share=None) -> PhaseBoundary:
+    """Return a boundary with bounds on a position and a free speed."""
+    return PhaseBoundary(state=np.array([[low, high], [-INF, INF]]), time=time, share=share)
+
+
+def formulation(*boundaries: PhaseBoundary, **changes) -> SimpleNamespace:
+    """Return the numbers of a second-order coordinate in [-1, 1] with one effort in [-8, 8], in units of 1 s and 4 N.m."""
+    numbers = {
+        "state": np.array([[-1.0, 1.0], [-9.0, 9.0]]), "algebraic": np.zeros((0, 2)), "effort": np.array([[-8.0, 8.0]]),
+        "units": SimpleNamespace(time_s=1.0, effort=np.array([4.0])), "boundaries": boundaries, "returns": (),
+        "smooth": False, "periodic": False, "n_s": 1, "own": {}, "own_tightening": {}, "tightening": None,
+        "position_path": (), "passed": (),
+        "path": np.array([[-2.0, 3.0]]), "rows": SimpleNamespace(open_end_path=()),
+    }  # fmt: skip
+    return SimpleNamespace(**numbers | changes)
+
+
+def layout_of(mesh: Mesh) -> Layout:
+    return Layout(n_s=1, n_z=0, n_u=1, n_nodes=3, n_intervals=mesh.n_intervals, n_segments=mesh.n_segments)
+
+
+def bounds_of(problem: SimpleNamespace, mesh: Mesh, durations: np.ndarray) -> tuple[Layout, np.ndarray]:
+    layout = layout_of(mesh)
+    return layout, np.array(bounds(problem, layout, mesh, durations, None)).T
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [((-2.0, 0.5), [-1.0, 0.5]), ((0.2, 7.0), [0.2, 1.0]), ((0.3, 0.3), [0.3, 0.3]), ((1.5, 1.5), [1.5, 1.5])],
+)
+def test_a_boundary_narrows_the_limits_of_a_state_and_a_prescribed_state_overrides_them(asked, expected):
+    layout, found = bounds_of(formulation(boundary(0.0, 0.0), boundary(*asked)), uniform(2), np.array([1.0]))
+    assert found[layout.states()[:, 0]].tolist() == [[0.0, 0.0], [-1.0, 1.0], expected]
+
+
+def durations_of(durations: np.ndarray, phase: list[int], n_intervals: int, *boundaries: PhaseBoundary) -> np.ndarray:
+    """Return the bounds (n_segments, 2) on the durations of segments."""
+    mesh = segmented(durations, n_intervals, phase=np.array(phase))
+    layout, found = bounds_of(formulation(boundary(), *boundaries), mesh, durations)
+    return found[layout.durations()]
+
+
+def test_a_free_phase_of_one_segment_may_become_much_shorter_and_longer():
+    found = durations_of(np.array([2.0]), [0], 8, boundary())
+    assert found == pytest.approx(np.array([[0.04, 200.0]]))
+
+
+def test_segments_between_switch_times_change_by_a_tenth_and_half_a_mean_interval():
+    """Of 12 intervals in 6 s the mean one is half a second. The last phase has one segment."""
+    found = durations_of(np.array([1.0, 3.0, 2.0]), [0, 0, 1], 12, boundary(), boundary())
+    factors = 1.1 + 0.5 * 6.0 / 13 / np.array([1.0, 3.0])  # a segment has at least three intervals: 13 in all
+    assert segmented(np.array([1.0, 3.0, 2.0]), 12).n_intervals == 13
+    assert found[0] == pytest.approx([1.0 / factors[0], factors[0]])
+    assert found[1] == pytest.approx([3.0 / factors[1], 3.0 * factors[1]])
+    assert found[2] == pytest.approx([0.04, 600.0])
+
+
+@pytest.mark.parametrize(
+    ("window", "expected"),
+    [
+        ((0.3, INF), (0.3, 100.0)),
+        ((0.0, 0.8), (0.02, 0.8)),
+        ((0.3, 0.8), (0.3, 0.8)),
+        ((0.001, 500.0), (0.02, 100.0)),
+        ((0.7, 0.7), (0.7, 0.7)),
+        ((0.001, 0.001), (0.001, 0.001)),
+    ],
+)
+def test_the_window_of_a_phase_s_only_segment_bounds_its_duration(window, expected):
+    assert durations_of(np.array([1.0]), [0], 6, boundary(time=window))[0] == pytest.approx(expected)
+
+
+def test_the_duration_between_two_given_times_is_their_difference():
+    found = durations_of(np.array([0.2, 0.5]), [0, 1], 6, boundary(time=(0.2, 0.2)), boundary(time=(0.7, 0.7)))
+    assert found == pytest.approx(np.array([[0.2, 0.2], [0.5, 0.5]]))
+
+
+# Linear rows.
+
+
+def rows_of(problem: SimpleNamespace, mesh: Mesh) -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the layout, the rows as a matrix, and their bounds."""
+    layout = layout_of(mesh)
+    linear, low, high = linear_rows(problem, layout, mesh, None)
+    return layout, np.array(linear.dm()), low, high
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_efforts_without_jumps_end_an_interval_where_they_begin_the_next(periodic):
+    layout, rows, low, high = rows_of(formulation(boundary(), boundary(), smooth=True, periodic=periodic), uniform(3))
+    effort, x = layout.effort()[:, :, 0], np.zeros(layout.size)
+    x[effort] = [[1.0, 9.0, 2.0], [2.0, 9.0, 5.0], [5.5, 9.0, 1.0]]
+    expected = [0.0, -0.5, 0.0] if periodic else [0.0, -0.5]
+    assert rows @ x == pytest.approx(expected)
+    assert not low.any()
+    assert not high.any()
+
+
+def test_the_time_of_a_boundary_after_several_segments_is_a_row():
+    mesh = segmented(np.array([1.0, 2.0, 3.0]), 9, phase=np.array([0, 0, 1]))
+    problem = formulation(boundary(), boundary(time=(2.5, 2.5)), boundary(time=(4.0, 9.0)))
+    layout, rows, low, high = rows_of(problem, mesh)
+    x = np.zeros(layout.size)
+    x[layout.durations()] = [1.0, 2.0, 4.0]
+    assert rows @ x == pytest.approx([3.0])
+    assert (low[0], high[0]) == (2.5, 2.5)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
+def test_a_boundary_at_a_share_of_the_whole_duration_has_that_share_before_it(share):
+    mesh = segmented(np.array([1.0, 2.0, 3.0]), 9, phase=np.array([0, 0, 1]))
+    layout, rows, low, high = rows_of(formulation(boundary(), boundary(share=share), boundary()), mesh)
+    x = np.zeros(layout.size)
+    x[layout.durations()] = [0.25 * share, 0.75 * share, 1 - share]
+    assert rows @ x == pytest.approx([0.0], abs=1e-12)
+    assert (low[0], high[0]) == (0.0, 0.0)
+
+
+# Bounds of rows.
+
+
+def test_nodes_at_boundaries_that_prescribe_the_position_are_given_from_both_sides():
+    """Phases of two and one intervals; the waypoint's position is free within a window."""
+    mesh = segmented(np.array([2.0, 1.0]), 6, phase=np.array([0, 1]))
+    ends = formulation(boundary(0.0, 0.0), boundary(0.2, 0.4), boundary(1.0, 1.0))
+    found = _given_nodes(ends, mesh, np.array(SCHEME.nodes))
+    expected = np.zeros_like(found)
+    expected[0, 0] = expected[-1, -1] = True
+    assert np.array_equal(found, expected)
+    way = formulation(boundary(0.0, 0.5), boundary(0.3, 0.3), boundary(0.9, 1.0))
+    found, first = _given_nodes(way, mesh, np.array(SCHEME.nodes)), int(mesh.boundaries()[1])
+    expected = np.zeros_like(found)
+    expected[first - 1, -1] = expected[first, 0] = True
+    assert np.array_equal(found, expected)
+
+
+def rows_bounded(problem: SimpleNamespace, mesh: Mesh, held: np.ndarray | None = None) -> np.ndarray:
+    """Return the bounds (n, n_nodes, 2) of a path quantity, which is the only row."""
+    interval = SimpleNamespace(
+        n_nodes=3, n_own=0, own_kinds=(), own_items=(), n_path=1, n_equations=0, n_open_ends=0, open_end_rows=()
+    )  # fmt: skip
+    breaks = np.linspace(0.0, 1.0, mesh.n_intervals + 1)
+    low, high = row_bounds(problem, SCHEME, interval, mesh, breaks, held, None)
+    return np.stack([low, high], axis=1).reshape(mesh.n_intervals, 3, 2)
+
+
+def test_a_tightened_limit_is_narrower_at_both_ends_on_its_interval():
+    problem = formulation(boundary(), boundary(), tightening=lambda _: np.array([[0.0], [0.4]]))
+    found = rows_bounded(problem, uniform(2))
+    assert found[0] == pytest.approx(np.tile([-2.0, 3.0], (3, 1)))
+    assert found[1] == pytest.approx(np.tile([-1.6, 2.6], (3, 1)))
+
+
+def test_a_value_that_a_waypoint_prescribes_is_held_at_the_last_node_before_it():
+    mesh = segmented(np.array([1.0, 1.0]), 6, phase=np.array([0, 1]))
+    problem = formulation(boundary(), boundary(), boundary(), passed=((1, 0, 0.7),))
+    expected = np.tile([-2.0, 3.0], (6, 3, 1))
+    expected[2, 2] = 0.7
+    assert rows_bounded(problem, mesh) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+def test_a_held_quantity_is_held_from_the_node_before_unless_it_jumps_with_the_effort(jumps):
+    mesh = segmented(np.array([1.0, 1.0]), 6)
+    problem = formulation(boundary(), boundary(), rows=SimpleNamespace(open_end_path=(0,) if jumps else ()))
+    expected = np.tile([-2.0, 3.0], (6, 3, 1))
+    expected[3:] = 3.0
+    if not jumps:
+        expected[2, 2] = 3.0
+    assert rows_bounded(problem, mesh, np.array([[0], [1]])) == pytest.approx(expected)
+
+
+def test_a_quantity_along_its_lower_limit_is_held_at_the_tightest_of_all_intervals():
+    path = np.tile([-5.0, 5.0], (4, 1, 1))
+    path[2, 0, 0] = -4.5
+    at_nodes, at_open_ends, held = np.repeat(path[:, None], 3, axis=1), np.array(path), np.zeros((4, 1))
+    held[1] = -1
+    _hold_paths(path, at_nodes, at_open_ends, held, (), set())
+    assert at_nodes[1].ravel().tolist() == [-4.5] * 6
+
+
+def test_limits_on_positions_are_out_of_the_way_at_given_nodes_only():
+    problem = formulation(boundary(0.0, 0.0), boundary(0.1, 0.2), position_path=(0,))
+    found = rows_bounded(problem, uniform(2))
+    assert found[0, 0, 0] <= -10.0
+    assert found[0, 0, 1] >= 10.0
+    assert found.reshape(-1, 2)[1:] == pytest.approx(np.tile([-2.0, 3.0], (5, 1)))
