@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linkplan.models.poses.along import sampled
+from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.grid import Plane, _around, _drag, _kept, grid_of, plane_of
-from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.problem import Problem, load_problem
 
 # A rod of 1 kg on a hinge, its centre 0.5 m below: m g l = 4.905 N.m and an inertia of 0.26 kg m2.
 PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0" {joint}/>
@@ -157,6 +159,7 @@ def test_where_neither_joint_nor_inertia_changes_more_than_elsewhere_a_graded_gr
     assert np.all(np.abs(s[:, None] - at_ends).min(axis=0) == 0)
     cells = np.diff(s)
     assert np.median(cells) == pytest.approx(np.ptp(s) / len(cells), rel=0.02)
+    assert len(even) == 200 + 1 + 2  # cell ends, and the two places among them
     np.testing.assert_allclose(poses[:, 0], np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s), atol=1e-12)
 
 
@@ -165,3 +168,47 @@ def test_a_place_out_of_the_range_has_no_grid():
     for goal_deg, known in ((99.0, True), (101.0, False)):
         places = np.radians([-30.0, goal_deg])
         assert (grid_of(problem, places, problem.start_pose(), 50) is not None) is known
+
+
+def test_a_place_next_to_a_cell_end_takes_its_place():
+    problem = pendulum('range="-40 100"', start_deg=-25.0)
+    ends, pose = grid_of(problem, problem.motion.start, problem.start_pose(), 60, graded=False)[0], problem.start_pose()
+    places = np.array([problem.motion.start[0], ends[40] + 1e-12])
+    s, _ = grid_of(problem, places, pose, 60, graded=False)
+    assert np.diff(s).min() > 1e-6
+    assert places[1] in s
+
+
+def test_a_grid_ends_at_the_narrower_of_reach_and_limits():
+    s, _ = grid(pendulum('range="-40 100"', limits={"range_deg": {"J": [-35.0, 80.0]}}))
+    assert np.degrees([s[0], s[-1]]) == pytest.approx([-35.0 + 0.115, 80.0 - 0.115], abs=1e-3)
+    problem = load_problem("knee-sprint")
+    s, poses = grid(problem, 100)
+    joint = problem.mechanism.independent[0]
+    low, high = problem.limits.position[joint]
+    assert low <= s[0] < s[-1] <= high
+    np.testing.assert_allclose(poses[::2, joint], s, atol=1e-12)
+
+
+def test_the_largest_speed_is_that_of_the_joint_that_reaches_its_limit_first():
+    problem = load_problem("knee-sprint", ["limits.speed_deg_s.O=300", "limits.speed_deg_s.A=100"])
+    s, poses = grid(problem, 50)
+    fastest = np.sqrt(2 * np.minimum(*plane_of(problem, s, poses, problem.limits.effort).top.values()))
+    rates = np.abs(sampled(problem.mechanism.dynamics.velocity_map, poses[::2])[:, :, 0]) * fastest[:, None]
+    limits = problem.limits.speed[:, 1]
+    assert np.all(rates <= (1 + 1e-9) * limits)
+    at_limit = np.isclose(rates, limits, rtol=1e-9).any(axis=0)
+    names = [joint.name for joint in problem.mechanism.joints]
+    assert at_limit[names.index("A")]
+
+
+def test_a_grid_keeps_the_margin_to_singular_poses():
+    free, kept = (load_problem("knee-sprint", [f"limits.singular_margin={margin}"]) for margin in (0.0, 0.1))
+    ratios = [singularity_ratios(problem, grid(problem, 100)[1]) for problem in (free, kept)]
+    assert ratios[0].min() < 0.1 <= ratios[1].min()
+
+
+def test_a_place_is_at_the_nearest_cell_end_and_a_leg_from_an_end_goes_only_inwards():
+    plane = even_plane(force=3.0)
+    assert (plane.at(1.234), plane.at(-1.0), plane.at(9.0)) == (123, 0, 400)
+    assert [len(plane.leg(at, 1.0, step, step)) for at in (0, 400) for step in (+1, -1)] == [401, 1, 1, 401]
