@@ -69,14 +69,31 @@ def test_a_state_is_kept_only_by_an_effort_that_the_actuator_and_the_pin_both_be
         assert limited.keeps(at, speed, towards=towards) is keeps
 
 
-@pytest.mark.parametrize(("towards", "held", "effort"), [(True, AT_FORCE + 1, 1.0), (False, -AT_FORCE, -2.0)])
-def test_the_tighter_of_two_pins_holds_the_effort(towards, held, effort):
-    """Without load the first pin bears efforts from -2 to 2, the second those from -3 to 1."""
-    curves = np.array([[0.0, 0.0, 0.5, 0.0], np.zeros(4), np.zeros(4), [0.5, 0.0, 0.5, 0.0]])
-    pins = PinForces(curves=lambda _: curves, rows=(slice(0, 2), slice(2, 4)))
-    of, efforts, a = replace(field(np.inf), pins=pins).at(0.0, SPEED, towards=towards)
-    assert (of[0], efforts[0]) == (held, pytest.approx(effort))
-    assert a == pytest.approx((1.0 - 0.5 * SPEED**2 - 0.25 * SPEED + 3 * effort) / 2)
+def two_pins(first: tuple[float, float], second: tuple[float, float]) -> PinForces:
+    """Return two pins that bear efforts between these: |F + u / 2| <= 1 of either, scaled to its range."""
+    by = [2.0 / (high - low) for low, high in (first, second)]
+    still = [-b * (low + high) / 2 for b, (low, high) in zip(by, (first, second), strict=True)]
+    curves = np.array([[still[0], 0.0, still[1], 0.0], np.zeros(4), np.zeros(4), [by[0], 0.0, by[1], 0.0]])
+    return PinForces(curves=lambda _: curves, rows=(slice(0, 2), slice(2, 4)))
+
+
+@pytest.mark.parametrize(("first", "second", "tighter"), [((-2, 2), (-1, 1), 1), ((-1, 1), (-2, 2), 0)])
+@pytest.mark.parametrize("towards", [True, False])
+def test_the_tighter_of_two_pins_holds_the_effort(first, second, tighter, towards):
+    of, effort = replace(field(np.inf), pins=two_pins(first, second)), 1.0 if towards else -1.0
+    for limit in (1.5, 9.0):
+        limited = replace(of, effort=np.array([[-limit, limit]]))
+        held, efforts, a = limited.at(0.0, SPEED, towards=towards)
+        assert (held[0], efforts[0]) == ((AT_FORCE + tighter) * effort, pytest.approx(effort))
+        assert a == pytest.approx((1.0 - 0.5 * SPEED**2 - 0.25 * SPEED + 3 * effort) / 2)
+    assert kept(of, towards)
+
+
+@pytest.mark.parametrize("towards", [True, False])
+def test_no_effort_keeps_two_pins_that_contradict_each_other(towards):
+    assert kept(replace(field(np.inf), pins=two_pins((-2.0, 2.0), (1.0, 3.0))), towards)
+    assert not kept(replace(field(np.inf), pins=two_pins((-2.0, 2.0), (3.0, 4.5))), towards)
+    assert not kept(replace(field(np.inf), pins=two_pins((3.0, 4.5), (-2.0, 2.0))), towards)
 
 
 def kept(limited: LegField, towards: bool = True) -> bool:
@@ -104,9 +121,9 @@ def test_a_pin_that_asks_for_more_power_than_there_is_allows_nothing_but_roundin
 @pytest.mark.parametrize(("beyond", "keeps"), [(2e-6, True), (2e-5, False)])
 @pytest.mark.parametrize("side", [+1, -1])
 def test_a_pin_that_asks_for_more_effort_than_there_is_allows_nothing_but_rounding(side, beyond, keeps):
-    """Its forces ask for 4 N.m at least with this sign, of 4 N.m; the other limit is 5 N.m."""
+    """Its forces ask for 4 N.m at least with this sign, of 4 N.m."""
     asking = pin((-3.0 * side, 0.0), (0.5, 0.0))
-    ends = [-4.0 + beyond, 5.0] if side < 0 else [-5.0, 4.0 - beyond]
+    ends = [-4.0 + beyond, 0.0] if side < 0 else [0.0, 4.0 - beyond]
     assert kept(replace(field(np.inf), pins=asking, effort=np.array([ends])), towards=side < 0) is keeps
 
 

@@ -77,12 +77,16 @@ CRANK = """<mujoco><worldbody>
 <body pos="1.1 0 0"><joint name="P" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
 <site name="pin"/></body></worldbody>
 <equality><connect name="pin" site1="tip" site2="pin"/></equality>
-<actuator><motor name="u" joint="O" gear="2" ctrlrange="-60 50"/></actuator></mujoco>"""
+<actuator><motor name="u" joint="{driven}" gear="2" ctrlrange="-60 50"/></actuator></mujoco>"""
 
 
-def crank(start_deg: float, goal_deg: float, friction: str = "", **limits) -> Problem:
+def crank(start_deg: float, goal_deg: float, friction: str = "", driven: str = "O", **limits) -> Problem:
     motion = {"kind": "reach", "start_deg": {"O": start_deg}, "goal_deg": {"O": goal_deg}, "duration_s": "free"}
-    tables = {"mechanism": {"model": CRANK.format(friction=friction)}, "motion": motion, "objective": {"minimize": "time"}}
+    tables = {
+        "mechanism": {"model": CRANK.format(friction=friction, driven=driven)},
+        "motion": motion,
+        "objective": {"minimize": "time"},
+    }
     return Problem.from_tables("crank", tables | ({"limits": limits} if limits else {}))
 
 
@@ -104,7 +108,7 @@ def test_the_field_has_the_mechanism_s_accelerations(start, goal, friction):
 
 @pytest.mark.parametrize(("start", "goal"), [(20.0, 80.0), (80.0, 20.0)])
 def test_the_field_has_the_mechanism_s_pin_forces(start, goal):
-    problem = crank(start, goal, closure_force={"pin": 400.0})
+    problem = crank(start, goal, driven="A", closure_force={"pin": 400.0})
     mechanism, way = problem.mechanism, np.sign(goal - start)
     found = _field(problem, parts_of(problem.motion)[0], problem.start_pose())
     (closure,) = problem.limits.limited_closures
@@ -116,6 +120,18 @@ def test_the_field_has_the_mechanism_s_pin_forces(start, goal):
         still, square, linear, by = found.pins.curves(s)
         force = still + square * v[0, 0] ** 2 + linear * v[0, 0] + by * effort
         assert np.linalg.norm(force) == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_descent_that_no_effort_brakes_has_no_legs():
+    """A hinge that is pulled down to 90 degrees by more than it is held with."""
+    rod = """<mujoco><worldbody><body><joint name="J" axis="0 1 0"/>
+    <inertial pos="0 0 0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+    <actuator><motor name="u" joint="J" ctrlrange="-{hold} 20"/></actuator></mujoco>"""
+    motion = {"kind": "reach", "start_deg": {"J": 80.0}, "goal_deg": {"J": 100.0}, "duration_s": "free"}
+    for hold, known in ((8.0, True), (4.0, False)):
+        tables = {"mechanism": {"model": rod.format(hold=hold)}, "limits": {"power_w": {"u": 10.0}}, "motion": motion}
+        problem = Problem.from_tables("descent", tables | {"objective": {"minimize": "time"}})
+        assert (power_legs(problem, problem.start_pose()) is not None) is known
 
 
 def test_parts_that_turn_follow_each_other_in_time():
