@@ -154,3 +154,32 @@ def test_figures_of_several_joints_are_the_worst_joint_s():
 
 def test_without_effort_a_motion_may_need_a_millionth_of_what_its_inertia_takes():
     assert turned(quarter_turn(effort=0.0)).dynamics_allowed == pytest.approx(1e-6 * PEAK_EFFORT)
+
+
+def test_an_overrun_is_that_of_the_interval_and_the_end_in_which_it_is():
+    """In two halves: the first needs positive efforts, the second negative ones."""
+    whole = quarter_turn()
+    start, end = whole.position[0, 0, 0], whole.position[-1, 0, 0]
+    position = np.array([[start, start, 0.75 * start + 0.25 * end, 0.5 * (start + end)]])
+    position = np.concatenate([position, start + end - position[:, ::-1]]).T[:, :, None]
+    halves = replace(
+        whole,
+        breaks_s=np.array([0.0, 0.5, 1.0]),
+        position=position,
+        velocity=6.0 * np.diff(position, axis=0),
+        effort=np.array([[PEAK_EFFORT, 0.0], [0.0, -PEAK_EFFORT]]).reshape(2, 2, 1),
+    )
+    for limit, overrun in (("[-2.5, 9]", [False, True]), ("[-9, 2.5]", [True, False])):
+        certificate = turned(halves, f"limits.effort.motor={limit}")
+        assert certificate.boundary_error == pytest.approx(0.0, abs=1e-12)
+        assert (certificate.effort_overrun > 0).tolist() == overrun
+        time = certificate.worst_time_s["effort_excess"]
+        assert time == pytest.approx(0.0 if overrun[0] else 1.0)
+
+
+@pytest.mark.parametrize("extra", [1e-5, -1e-4])
+def test_too_much_effort_leads_away_as_in_closed_form(extra):
+    """A constant effort e on an inertia I turns it by e T^2 / (2 I)."""
+    certificate = turned(quarter_turn(extra=extra))
+    assert certificate.integration_error_deg == pytest.approx(np.degrees(abs(extra) / (2 * HINGE_INERTIA)), rel=1e-4)
+    assert certificate.growth.sum() == pytest.approx(certificate.integration_error_deg / 0.01, rel=1e-4)
