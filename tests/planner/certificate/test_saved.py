@@ -99,9 +99,14 @@ def test_a_saved_objective_of_none_is_the_one_that_counts_as_none():
     """With a weight of 0.5, of a millionth of 4 N.m, squared, in 2 s; without a limit of the effort of its inertia."""
     still = replace(quarter_turn(2.0), position=np.full((4, 1, 1), 0.2), velocity=np.zeros((3, 1, 1)))
     rest = replace(still, effort=np.zeros((2, 1, 1)))
-    limited = reach("duration_s = 2.0", "objective.minimize={effort=0.5}")
+    limited = reach("duration_s = 2.0", "objective.minimize={effort=0.5}", "limits.effort.motor=[-3, 4]")
     floor = negligible_objective(limited, rest)
     assert floor == pytest.approx(0.5 * (1e-6 * 4.0) ** 2 * 2.0)
+    # A hundredth of the saved objective more, or of the motion's.
+    for share, agrees in ((1.008, True), (1.02, False)):
+        assert (not disagreements(limited, rest, share * floor)) is agrees
+        pushed = replace(rest, effort=np.full((2, 1, 1), np.sqrt(share * floor)))
+        assert (not disagreements(limited, pushed, 0.0)) is agrees
     free = reach("duration_s = 2.0", "objective.minimize={effort=0.5}", "limits.effort.motor=[-inf, inf]")
     assert negligible_objective(free, rest) == pytest.approx(0.5 * (1e-6 * HINGE_INERTIA / 4.0) ** 2 * 2.0)
 

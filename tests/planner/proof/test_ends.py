@@ -69,7 +69,8 @@ def test_the_velocity_is_the_position_s_slope_to_a_hundred_millionth_of_the_spee
 def test_a_velocity_of_another_degree_is_compared_at_samples(share, answer):
     """Raised by a degree, and off by a share of the largest speed."""
     b = np.array(motion().velocity)
-    raised = np.stack([b[0], (b[0] + 2 * b[1]) / 3, (2 * b[1] + b[2]) / 3, b[2]]) + share * PEAK_SPEED
+    raised = np.stack([b[0], (b[0] + 2 * b[1]) / 3, (2 * b[1] + b[2]) / 3, b[2]])
+    raised[1:3] += share * PEAK_SPEED * 4 / 3  # up to the share in the middle, none at the ends
     found = finding(replace(motion(), velocity=raised), "is the slope of the planned position")
     assert found.answer == answer
 
@@ -103,6 +104,24 @@ def test_a_joint_that_stands_still_is_measured_by_a_nanometre_or_a_millionth_of_
         resting = replace(motion(), position=np.repeat(step, 4, axis=0), velocity=0 * motion().velocity)
         (joined,) = (one for one in end_findings(still, resting) if "pieces of position" in one.name)
         assert joined.bound == pytest.approx(0.5, rel=1e-3)
+
+
+def test_of_two_joints_the_one_with_the_jump_counts_and_the_faster_one_is_the_measure_of_speeds():
+    """The quarter turn on the first, a tenth of it on the second, which jumps and starts at speed."""
+    body = HINGE[HINGE.index('<body name="arm">') : HINGE.index("</worldbody>")]
+    both = HINGE.replace("</worldbody>", body.replace("arm", "other").replace('"J"', '"K"') + "</worldbody>")
+    both = both.replace("</actuator>", '<motor name="m" joint="K" ctrlrange="-4 4"/></actuator>')
+    ends = 'kind = "reach"\nstart_deg = { J = 10.0, K = 1.0 }\ngoal_deg = { J = 100.0, K = 10.0 }\nduration_s = 1.0\n'
+    one = motion()
+    arrays = {
+        name: np.concatenate([x, 0.1 * x], 2) for name in ("position", "velocity", "effort") for x in [getattr(one, name)]
+    }
+    arrays["position"][:, 1, 1] += 1e-3 * TURN
+    arrays["velocity"][0, 0, 1] = 1e-2 * PEAK_SPEED
+    off = replace(one, **arrays, start_pose=np.radians([10.0, 1.0]))
+    found = {finding.name: finding for finding in end_findings(body_problem(both, ends), off)}
+    assert found["the pieces of position join"].bound == pytest.approx(1e-3)
+    assert found["the motion starts and ends where asked"].bound == pytest.approx(1e-2, rel=1e-3)
 
 
 def test_sizes_are_the_largest_of_all_joints_with_the_unit():

@@ -7,7 +7,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.presolve import no_way_to_stop, only_way, plain_contradiction
 
 # A mass of 2 kg on a rail, pushed by -4 to 6 N; from 0.5 m/s it stops within m v^2 / (2 F).
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="{low} {high}"/>
+CART = """<mujoco><option gravity="0 0 0"/><worldbody>
+<body><joint name="x" type="slide" axis="1 0 0" range="-9 9" frictionloss="{friction}"/>
 <inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
 <actuator>{drive}</actuator></mujoco>"""
 MOTOR = '<motor name="push" joint="x" ctrlrange="-4 6"/>'
@@ -18,44 +19,44 @@ def stop(force: float) -> float:
     return 2.0 * SPEED**2 / (2 * force)
 
 
-def reach(start: float, goal: float, *, low=-9.0, high=9.0, drive=MOTOR, duration=None, limits=None, **motion) -> Problem:
+def reach(start: float, goal: float, *, friction=0.0, drive=MOTOR, duration=None, limits=None, **motion) -> Problem:
     given = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": duration or "free"}
-    tables = {"mechanism": {"model": CART.format(low=low, high=high, drive=drive)}, "motion": given | motion}
+    model = {"model": CART.format(friction=friction, drive=drive)}
+    tables = {"mechanism": model, "motion": given | motion}
     tables |= {"objective": {"minimize": "effort" if duration else "time"}, "limits": limits or {}}
     return Problem.from_tables("cart", tables)
 
 
 @pytest.mark.parametrize("way", [+1, -1])
 @pytest.mark.parametrize("which", ["start", "goal"])
+@pytest.mark.parametrize("friction", [0.0, 1.0])
 @pytest.mark.parametrize(("share", "refused"), [(0.99, True), (1.01, False)])
-def test_a_speed_towards_an_end_of_the_range_needs_the_way_on_which_full_effort_takes_it(way, which, share, refused):
-    """Away from the other end of the motion: at the start it has to be stopped, at the goal gathered."""
-    force = 4.0 if way > 0 else 6.0  # against a speed at the start; at the goal, from behind
-    place = way * 1.0 if which == "start" else -way * 1.0
-    if which == "goal":
-        force = 6.0 if way > 0 else 4.0
-    bound = place + np.sign(place) * share * stop(force)
-    bounds = {"high": bound} if bound > 0 else {"low": bound}
-    ends = (place, 0.0) if which == "start" else (0.0, place)
-    problem = reach(*ends, **bounds, **{f"{which}_speed_m_s": {"x": way * SPEED}})
-    said = no_way_to_stop(problem)
-    assert (said is not None) is refused
-    if refused:
-        assert f"{'stops' if which == 'start' else 'gathers'} the 0.5 m/s of joint x at the {which}" in said
-        assert f"within the {share * stop(force):.4g} m to the end of its range at {bound:.5g} m" in said
+def test_a_speed_towards_an_end_of_the_range_needs_the_way_that_full_effort_takes(way, which, friction, share, refused):
+    """Away from the other end of the motion: at the start it is stopped, with friction's help; at the goal gathered."""
+    at_start = which == "start"
+    force = (4.0 if way > 0 else 6.0) + friction if at_start else (6.0 if way > 0 else 4.0) - friction
+    side = way if at_start else -way
+    for place in (side * 1.0, -side * 1.0):
+        bound = place + side * share * stop(force)
+        other = place - side * 1.0
+        ends = (place, other) if at_start else (other, place)
+        speed = {f"{which}_speed_m_s": {"x": way * SPEED}}
+        limits = {"range_m": {"x": [-9.0, bound] if side > 0 else [bound, 9.0]}}
+        said = no_way_to_stop(reach(*ends, friction=friction, limits=limits, **speed))
+        assert (said is not None) is refused
+        if refused:
+            assert f"{'stops' if at_start else 'gathers'} the 0.5 m/s of joint x at the {which}" in said
+            assert f"within the {abs(bound - place):.4g} m to the end of its range at {bound:.5g} m" in said
 
 
 @pytest.mark.parametrize(("speed", "refused"), [(0.0, True), (0.2, True), (0.48, False)])
-def test_a_goal_on_the_way_may_be_passed_as_fast_as_braking_leaves_it(speed, refused):
+@pytest.mark.parametrize("start", [-1.0, 1.0])
+def test_a_goal_on_the_way_may_be_passed_as_fast_as_braking_leaves_it(start, speed, refused):
     """0.99 of the stop lies before the end; after 0.1 of it v^2 has fallen by a tenth: to 0.474 m/s."""
     room = stop(4.0)
-    problem = reach(
-        0.0,
-        0.1 * room,
-        high=0.99 * room,
-        start_speed_m_s={"x": SPEED},
-        **({"goal_speed_m_s": {"x": speed}} if speed else {}),
-    )
+    passing = {"goal_speed_m_s": {"x": speed}} if speed else {}
+    limits = {"range_m": {"x": [-9.0, start + 0.99 * room]}}
+    problem = reach(start, start + 0.1 * room, limits=limits, start_speed_m_s={"x": SPEED}, **passing)
     assert (no_way_to_stop(problem) is not None) is refused
 
 
@@ -76,7 +77,7 @@ def test_a_speed_at_an_end_beyond_its_limit_is_refused_with_the_limit_on_its_sid
     ("goal", "duration", "shortest"), [(1.0, 2.51, None), (1.0, 2.49, 2.5), (-1.0, 5.1, None), (-1.0, 4.9, 5.0)]
 )
 def test_a_mean_speed_beyond_its_limit_is_refused_with_the_duration_that_the_limit_asks_for(goal, duration, shortest):
-    said = plain_contradiction(reach(0.0, goal, duration=duration, limits={"speed_m_s": {"x": [-0.2, 0.4]}}))
+    said = plain_contradiction(reach(0.3, 0.3 + goal, duration=duration, limits={"speed_m_s": {"x": [-0.2, 0.4]}}))
     assert (said is not None) is (shortest is not None)
     if shortest is not None:
         assert f"at {goal / duration:.4g} m/s on average over {duration:g} s" in said
@@ -116,6 +117,21 @@ def test_a_servo_that_is_clamped_within_the_limits_gives_the_clamp(clamp, refuse
 def test_start_and_goal_may_exceed_a_limit_by_rounding_only(bound, refused):
     said = plain_contradiction(reach(1.0, 0.0, limits={"range_m": {"x": [-2.0, bound]}}))
     assert (said is not None) is refused
+
+
+@pytest.mark.parametrize(("share", "refused"), [(3e-7, False), (3e-6, True)])
+def test_the_only_way_may_exceed_a_limit_by_a_millionth_of_the_extent(share, refused):
+    """A tip on a hinge of 1 m, 1 m high in the middle of its way from 70 to 110 degrees."""
+    arm = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/></body></worldbody>
+    <actuator><motor name="m" joint="J" ctrlrange="-9 9"/></actuator></mujoco>"""
+    motion = {"kind": "reach", "start_deg": {"J": 70.0}, "goal_deg": {"J": 110.0}, "duration_s": 1.0}
+    tables = {"mechanism": {"model": arm}, "motion": motion, "objective": {"minimize": "effort"}}
+    extent = Problem.from_tables("arm", tables).mechanism.extent_m
+    site = {"tip": {"z": [-9.0, 1.0 - share * extent]}}
+    said = plain_contradiction(Problem.from_tables("arm", tables | {"limits": {"site": site}}))
+    assert (said is not None) is refused
+    assert said is None or "where J = 90 deg, between start and goal" in said
 
 
 def test_the_only_way_is_from_start_to_goal_of_one_freedom():
