@@ -9,6 +9,7 @@ from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.grid import Plane, _around, _drag, _kept, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem, load_problem
+from tests.support.even_plane import even_plane
 
 # A rod of 1 kg on a hinge, its centre 0.5 m below: m g l = 4.905 N.m and an inertia of 0.26 kg m2.
 PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0" {joint}/>
@@ -32,22 +33,6 @@ def grid(problem: Problem, n_cells: int = 200, **how) -> tuple[np.ndarray, np.nd
 
 def plane(problem: Problem, n_cells: int = 200) -> Plane:
     return plane_of(problem, *grid(problem, n_cells), problem.limits.effort)
-
-
-def even_plane(n: int = 401, *, force: float = 0.0, drag: float = 0.0, rub: float = 0.0, top: float = np.inf) -> Plane:
-    """Return the plane of 2 kg on the way from 0 to 4 m, under a constant force either way."""
-    s = np.linspace(0.0, 4.0, n)
-    return Plane(
-        s=s,
-        cells=np.diff(s),
-        inertia=np.full(n, 2.0),
-        work={way: way * force * s for way in (+1, -1)},
-        force={way: np.full(n, way * force) for way in (+1, -1)},
-        drag=np.full(n, -drag),
-        rub=np.full(n, rub),
-        top={way: np.full(n, top) for way in (+1, -1)},
-        effort={way: np.full((2 * n - 1, 1), way * force) for way in (+1, -1)},
-    )
 
 
 @pytest.mark.parametrize(
