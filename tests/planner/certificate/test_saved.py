@@ -101,14 +101,16 @@ def test_a_saved_objective_of_none_is_the_one_that_counts_as_none():
     rest = replace(still, effort=np.zeros((2, 1, 1)))
     limited = reach("duration_s = 2.0", "objective.minimize={effort=0.5}", "limits.effort.motor=[-3, 4]")
     floor = negligible_objective(limited, rest)
-    assert floor == pytest.approx(0.5 * (1e-6 * 4.0) ** 2 * 2.0)
+    assert floor / (0.5 * (1e-6 * 4.0) ** 2 * 2.0) == pytest.approx(1.0)
     # A hundredth of the saved objective more, or of the motion's.
     for share, agrees in ((1.008, True), (1.02, False)):
         assert (not disagreements(limited, rest, share * floor)) is agrees
         pushed = replace(rest, effort=np.full((2, 1, 1), np.sqrt(share * floor)))
         assert (not disagreements(limited, pushed, 0.0)) is agrees
     free = reach("duration_s = 2.0", "objective.minimize={effort=0.5}", "limits.effort.motor=[-inf, inf]")
-    assert negligible_objective(free, rest) == pytest.approx(0.5 * (1e-6 * HINGE_INERTIA / 4.0) ** 2 * 2.0)
+    assert negligible_objective(free, rest) / (0.5 * (1e-6 * HINGE_INERTIA / 4.0) ** 2 * 2.0) == pytest.approx(1.0)
+    pushed = replace(rest, effort=np.array([0.0, 7.0]).reshape(2, 1, 1))  # more than its inertia's
+    assert negligible_objective(free, pushed) / (0.5 * (1e-6 * 7.0) ** 2 * 2.0) == pytest.approx(1.0)
 
 
 def test_terms_of_an_objective_add_up_with_their_weights():
