@@ -1,13 +1,15 @@
 """What a motion needs of its actuators, in closed form: of a trajectory's efforts, and of a path's inverse dynamics."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.guess import Guess, motion_of
-from linkplan.planner.diagnosis.needed_efforts import effort_sentence, path_effort, share_sentence
+from linkplan.planner.diagnosis.needed_efforts import effort_sentence, far_too_short, path_effort, share_sentence
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.ladder import Search
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_problem
 
@@ -18,6 +20,14 @@ PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
 def problem(limit: str = "[-4, 4]", mjcf: str = HINGE) -> Problem:
     name = "motor" if mjcf is HINGE else "m"
     return body_problem(mjcf, QUARTER_TURN + "duration_s = 1.0\n", f"limits.effort.{name}={limit}")
+
+
+def two_hinges(actuators: str) -> Problem:
+    """Return the quarter turn of two hinges with equal inertias."""
+    body = HINGE[HINGE.index('<body name="arm">') : HINGE.index("</worldbody>")]
+    both = HINGE.replace("</worldbody>", body.replace("arm", "other").replace('"J"', '"K"') + "</worldbody>")
+    ends = 'kind = "reach"\nstart_deg = { J = 10.0, K = 10.0 }\ngoal_deg = { J = 100.0, K = 100.0 }\nduration_s = 1.0\n'
+    return body_problem(both.replace("</actuator>", f"{actuators}</actuator>"), ends)
 
 
 def with_efforts(first: float, last: float) -> Trajectory:
@@ -45,6 +55,36 @@ def test_the_largest_excess_of_an_effort_is_named_with_its_limit(limit, first, l
     said, numbers = effort_sentence(problem(limit), least)
     assert said == f"motor on joint J {words}"
     assert numbers == {"needed_effort": pytest.approx(5.0), "needed_limit_factor": 1.25}
+
+
+def test_of_two_actuators_the_one_with_the_larger_excess_is_named():
+    """The other is always just within its limit."""
+    asked, one = two_hinges('<motor name="m" joint="K" ctrlrange="-4 4"/>'), with_efforts(5.0, -5.0)
+    arrays = {name: np.repeat(getattr(one, name), 2, axis=2) for name in ("position", "velocity", "effort")}
+    arrays["effort"][:, :, 1] = 3.9
+    both = replace(one, **arrays, start_pose=np.repeat(one.start_pose, 2))
+    assert effort_sentence(asked, SimpleNamespace(trajectory=both, factor=1.25))[0].startswith("motor on joint J")
+
+
+def test_what_no_actuator_gives_is_named_with_its_joint():
+    asked, one = two_hinges(""), with_efforts(0.0, 0.0)
+    arrays = {name: np.repeat(getattr(one, name), 2, axis=2) for name in ("position", "velocity")}
+    both = replace(one, **arrays, start_pose=np.repeat(one.start_pose, 2))
+    found = path_effort(asked, motion_of(both))
+    assert found.sentence.endswith(f", and no actuator gives the {PEAK_EFFORT:.4g} N.m on K")
+    assert "no actuator gives" not in path_effort(problem(), motion_of(one)).sentence
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.09, True), (0.11, False)])
+def test_a_tenth_of_the_least_time_is_far_too_short(share, refused):
+    least = 2 * np.sqrt(HINGE_INERTIA * TURN / 4.0)
+    asked = body_problem(HINGE, QUARTER_TURN + f"duration_s = {share * least}\n")
+    found = far_too_short(Search(problem=asked, start_pose=asked.start_pose()))
+    assert (found is not None) is refused
+    if refused:
+        said, numbers = found
+        assert numbers["shortest_duration_s"] == pytest.approx(least, rel=2e-3)
+        assert f"is {1 / share:.3g} times too short" in said
 
 
 def test_of_an_excess_that_lasts_its_first_instant_is_named():
@@ -113,11 +153,13 @@ def test_the_weight_that_a_path_is_held_against_is_no_effort_of_its_inertia():
 
 @pytest.mark.parametrize("slowest", [0.5, 1.5])
 def test_the_slowest_passage_is_looked_for_between_both_ends_and_not_where_it_turns(slowest):
-    """A speed of 1 but near the slowest instant, at the ends and where it turns back, at 1 s."""
+    """A speed of 1 but near the slowest instant, in the first and last 2 % and where it turns back, at 1 s."""
 
     def speed(t: np.ndarray) -> np.ndarray:
-        dip = 1.0 - 0.9 * np.exp(-(((t - slowest) / 0.05) ** 2))
-        return (np.where(t < 1.0, 1.0, -1.0) * np.minimum(1.0, 20 * np.abs(t - 1.0)) * dip * np.minimum(1, 30 * t))[:, None]
+        dips = [
+            1.0 - depth * np.exp(-(((t - at) / 0.01) ** 2)) for at, depth in ((slowest, 0.9), (0.02, 0.95), (1.98, 0.95))
+        ]
+        return (np.where(t < 1.0, 1.0, -1.0) * np.minimum(1.0, 20 * np.abs(t - 1.0)) * np.prod(dips, axis=0))[:, None]
 
     guess = Guess(
         position=lambda t: t[:, None],

@@ -1,11 +1,12 @@
 """Margins of limits on a site that goes round a hinge on an arm of 1 m, in closed form."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.limits.site import SitePathLimit
@@ -60,6 +61,7 @@ def time_at(angle: float) -> float:
     [
         ({"z": [-9.0, 0.97]}, 1.0, 0.97, True, np.pi / 2),  # inside of the last interval
         ({"z": [-9.0, 1.25]}, 1.0, 1.25, True, np.pi / 2),
+        ({"z": [-0.5, 0.97]}, 1.0, 0.97, True, np.pi / 2),
         ({"x": [-0.1, 9.0]}, np.cos(END), -0.1, False, END),
         ({"x": [-9.0, 0.5]}, np.cos(BEGIN), 0.5, True, BEGIN),
         ({"x": [-0.5, 2.0]}, np.cos(END), -0.5, False, END),
@@ -96,16 +98,20 @@ def test_in_a_tube_the_distance_from_the_chord_counts(radius):
     assert found.time_s == pytest.approx(DURATION_S / 2, abs=2e-3)
 
 
-@pytest.mark.parametrize("site", [{"z": [-0.5, 0.97]}, {"normal": [1.0, 0.0, 0.0], "at": [0.25, 5.0, 7.0]}])
-def test_bounds_of_the_scaled_row_are_reached_where_the_site_is_at_its_limits(site):
-    """n . (p - p_home) / L is within its bounds where n . p is within those of the limit."""
+@pytest.mark.parametrize(
+    "site", [{"z": [-0.5, 0.97]}, {"x": [-0.5, 0.97]}, {"normal": [2.0, 0.0, 1.0], "at": [0.25, 5.0, 7.0]}]
+)
+def test_the_scaled_row_is_at_its_bounds_where_the_site_is_at_its_limits(site):
     asked = problem(**site)
     (limit,), (one,) = SitePathLimit.of(asked), asked.limits.site
-    mechanism = asked.mechanism
-    home = places_of(mechanism, one.index, mechanism.home)[0]
     for bound, end in zip(limit.bounds(asked, None), (one.low, one.high), strict=True):
         if np.isfinite(end):
-            assert one.normal @ home + bound * mechanism.extent_m - one.origin == pytest.approx(end)
+            place = (end + one.origin) * one.normal + np.cross(one.normal, [0.3, -0.2, 0.4])
+            assert one.value(place[None]) == pytest.approx(end)
+            places = ca.DM.zeros(3, one.index + 1)
+            places[:, one.index] = place
+            at = SimpleNamespace(mechanism=asked.mechanism, of_pose=lambda _, p=places: p)
+            assert float(limit.row(at, ca.SX())) == pytest.approx(bound)
 
 
 def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_asked_for_keeps_the_motion():
@@ -117,6 +123,8 @@ def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_
     assert factor == pytest.approx(1 + 0.03 / asked.mechanism.extent_m, rel=1e-3)
     assert margin_of(SitePathLimit.scaled(asked, factor)).kept
     assert not margin_of(SitePathLimit.scaled(asked, 1 + 0.9 * (factor - 1))).kept
+    over = [SimpleNamespace(left=left) for left in (-0.01, -0.03, -0.02)]
+    assert SitePathLimit.factor_of(asked, over) == pytest.approx(factor, rel=1e-6)
     tube = problem(along=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], radius_m=0.5)
     assert SitePathLimit.scaled(tube, 1.1).limits.site[0].low == tube.limits.site[0].low
     assert SitePathLimit.factor(replace(asked, limits=replace(asked.limits, site=())), motion()) is None
