@@ -118,6 +118,32 @@ def test_a_signed_square_has_two_bounded_derivatives():
     assert off(ca.Function("damper", [x], [x * ca.fabs(x)]), walk, np.random.default_rng(0)) < ROUNDING
 
 
+@pytest.mark.parametrize(
+    ("expression", "low", "high"),
+    [
+        (lambda x: ca.fmax(x, 0.25), 0.25, 1.0),
+        (lambda x: ca.fmin(x, 0.25), -0.5, 0.25),
+        (ca.fabs, 0.0, 1.0),
+        (ca.sign, -1.0, 1.0),
+        (lambda x: x < 0.5, 0.0, 1.0),
+        (lambda x: x <= -0.6, 0.0, 0.0),
+        (lambda x: x <= 1.1, 1.0, 1.0),
+        (lambda x: x * ca.fabs(x), -0.25, 1.0),
+        (lambda x: ca.if_else(x > 2, 7, x), -0.5, 1.0),
+        (ca.sinh, np.sinh(-0.5), np.sinh(1.0)),
+        (ca.tanh, np.tanh(-0.5), np.tanh(1.0)),
+        (ca.cosh, 1.0, np.cosh(1.0)),
+    ],
+)
+def test_over_an_interval_the_range_is_enclosed(expression, low, high):
+    """Of x from -0.5 to 1: all of it, and of functions without cancellation little more."""
+    x = ca.SX.sym("x")
+    (found,) = walk_of(ca.Function("f", [x], [expression(x)]))([arb(0.25, 0.75)])[0].values()
+    assert float(found.lower()) <= low + 1e-12
+    assert float(found.upper()) >= high - 1e-12
+    assert float(found.upper() - found.lower()) <= 2.0 * (high - low) + 1.5
+
+
 def test_an_operation_without_an_enclosure_is_refused():
     x = ca.SX.sym("x")
     with pytest.raises(UnknownOperationError):
