@@ -107,7 +107,7 @@ def test_a_speed_at_an_end_adds_the_way_on_which_it_is_lost_or_gathered(start, g
 @pytest.mark.parametrize("turns", [1, -1])
 def test_a_damped_crank_turns_at_the_speed_at_which_dampers_take_full_effort(turns):
     """u = c w: 4 N.m over 0.5 N.m.s make 8 rad/s, and 3 N.m backwards 6 rad/s."""
-    motion = {"kind": "periodic", "turns": {"J": turns}, "duration_s": "free"}
+    motion = {"kind": "periodic", "turns": {"J": turns}, "duration_s": "free", "start_deg": {"J": -200.0 * turns}}
     tables = {"motion": motion, "objective": {"minimize": "time"}}
     model = {"model": CRANK.format(gravity=0, low=-3, high=4)}
     guess = quickest(Problem.from_tables("crank", tables | {"mechanism": model}))
@@ -142,6 +142,17 @@ def test_a_guess_of_a_fixed_duration_takes_it_and_goes_the_same_way(duration):
     ends = np.array([0.0, fixed.duration_s])
     np.testing.assert_allclose(fixed.position(ends)[:, 0], [-1.0, 1.0], atol=1e-9)
     np.testing.assert_allclose(fixed.velocity(ends)[:, 0], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.7, 0.4])
+def test_a_guess_of_a_fixed_duration_is_that_of_the_share_of_the_effort_which_takes_about_that(share):
+    """With friction of 1 N the speed is largest after the share of the time that braking takes of it: 0.5 to 0.65."""
+    ahead, back = share * PUSH - 1.0, share * PULL + 1.0
+    problem = reach(-1.0, 1.0, joint='frictionloss="1"', duration=1.02 * least_time(2.0, ahead, back))
+    fixed = phase_plane_guess(problem, problem.start_pose(), quickest(problem))
+    times = np.linspace(0.0, fixed.duration_s, 2001)
+    fastest = times[np.argmax(fixed.velocity(times)[:, 0])] / fixed.duration_s
+    assert fastest == pytest.approx(back / (ahead + back), abs=5e-3)
 
 
 def test_a_stretched_motion_is_slower_by_its_factor_and_pushes_by_its_square():
