@@ -74,9 +74,9 @@ def test_the_linear_growth_is_that_of_the_transition_matrix(angle, stiffness):
 
 
 def test_a_stable_motion_with_other_efforts_is_off_by_the_closed_form_and_not_begun_anew():
-    """At rest a torque u makes a pendulum swing to u / (m g l) (1 - cos(RATE t))."""
+    """At rest, after a turn, a torque u makes a pendulum swing to u / (m g l) (1 - cos(RATE t))."""
     n, effort = 12, 1e-2
-    found = integrate(rod(), standing(0.0, n, effort), SPEED, ALLOWED)
+    found = integrate(rod(), standing(2 * np.pi, n, effort), SPEED, ALLOWED)
     times = WIDTH_S * np.arange(0.0, n + 0.5, 0.5)
     away = effort / WEIGHT * (1 - np.cos(RATE * times))
     assert found.restarts == 0
