@@ -134,7 +134,7 @@ def test_the_least_share_of_the_effort_falls_with_the_square_of_the_time():
     assert guess.duration_s == pytest.approx(duration, rel=5e-3)
 
 
-@pytest.mark.parametrize("duration", [1.0, 1.3, 1.6, 4.0])
+@pytest.mark.parametrize("duration", [1.3, 4.0])
 def test_a_guess_of_a_fixed_duration_takes_it_and_goes_the_same_way(duration):
     problem = reach(-1.0, 1.0, duration=duration * least_time(2.0))
     fixed = phase_plane_guess(problem, problem.start_pose(), quickest(problem))
@@ -144,7 +144,7 @@ def test_a_guess_of_a_fixed_duration_takes_it_and_goes_the_same_way(duration):
     np.testing.assert_allclose(fixed.velocity(ends)[:, 0], 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.7, 0.4])
+@pytest.mark.parametrize("share", [0.7, 0.4])
 def test_a_guess_of_a_fixed_duration_is_that_of_the_share_of_the_effort_which_takes_about_that(share):
     """With friction of 1 N the speed is largest after the share of the time that braking takes of it: 0.5 to 0.65."""
     ahead, back = share * PUSH - 1.0, share * PULL + 1.0
