@@ -12,6 +12,7 @@ from linkplan.planner.certificate.boundary import (
     waypoint_off_m,
     waypoint_times,
 )
+from linkplan.planner.certificate.certificate import _waypoint_error
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
@@ -103,3 +104,10 @@ def test_the_goal_of_a_periodic_motion_is_in_its_middle():
     worst, said = ends_off_m(problem(kind="periodic"), there_and_back, time, there_and_back.position_at(time))
     assert worst < 1e-9
     assert said == ()
+
+
+def test_of_the_sites_of_a_waypoint_the_one_that_is_furthest_off_counts():
+    """By 3e-3 rad: the tip twice as far as the middle, as a share of the extent."""
+    asked = problem(1e-3)
+    error = _waypoint_error(asked, motion(), asked.motion.waypoints[0], 1.0, 1.0)
+    assert error == pytest.approx(3e-3 / asked.mechanism.extent_m, rel=1e-5)

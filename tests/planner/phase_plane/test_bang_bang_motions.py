@@ -55,6 +55,7 @@ def test_a_push_and_a_brake_of_other_size_take_the_closed_form_s_time(start, goa
     (switch,) = guess.switch_times_s
     assert switch / guess.duration_s == pytest.approx(back / (ahead + back), rel=1e-2)
     assert np.abs(guess.bang_efforts).ravel().tolist() == [ahead, back]
+    assert np.abs(guess.effort(np.array([0.0, guess.duration_s]))).ravel().tolist() == [ahead, back]
 
 
 def test_dry_friction_adds_to_the_brake_and_takes_from_the_push():
