@@ -156,3 +156,15 @@ def test_a_weight_is_held_on_either_side_up_to_the_limit_there(sign, limit, held
     assert waiting._held(problem, "goal") is None
     moving = replace(problem, motion=replace(problem.motion, start_speed=np.array([-0.1])))
     assert waiting._held(moving, "start") is None
+
+
+@pytest.mark.parametrize(("angle", "held"), [(0.0, True), (30.0, False)])
+def test_a_pose_in_which_an_undriven_rod_would_fall_is_not_held(angle, held):
+    """Two rods hang side by side, the first one driven; the second one begins at an angle."""
+    rod = PENDULUM.format(limit=9)
+    body = rod[rod.index('<body name="rod">') : rod.index("</worldbody>")]
+    both = rod.replace("</worldbody>", body.replace("rod", "free").replace('"J"', '"K"') + "</worldbody>")
+    motion = (
+        f'kind = "reach"\nstart_deg = {{ J = 0.0, K = {angle} }}\ngoal_deg = {{ J = 60.0, K = 10.0 }}\nduration_s = 4.0\n'
+    )
+    assert (waiting._held(body_problem(both, motion), "start") is not None) is held
