@@ -64,10 +64,11 @@ def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bo
     (joint,) = problem.mechanism.independent_joints
     time = np.linspace(0.0, motion.duration_s, 2001)[1:-1]
     # The motion rests at both ends; 2 % of the duration there are not searched.
-    speed, ends = np.abs(motion.velocity(time)[:, 0]), 0.02 * motion.duration_s
-    inside = (time > ends) & (time < motion.duration_s - ends)
-    # The critical pose is one that the motion barely passes, not one at which it turns back.
-    passing = inside & (np.gradient(np.sign(motion.velocity(time)[:, 0])) == 0)
+    velocity, ends = motion.velocity(time)[:, 0], 0.02 * motion.duration_s
+    speed, inside = np.abs(velocity), (time > ends) & (time < motion.duration_s - ends)
+    # The critical pose is one that the motion barely passes: its speed is least there, and it does not turn back.
+    least = np.concatenate([[False], speed[1:-1] <= np.minimum(speed[:-2], speed[2:]), [False]])
+    passing = inside & least & (np.gradient(np.sign(velocity)) == 0)
     at = int(np.argmin(np.where(passing if passing.any() else inside, speed, np.inf)))
     place = joint.shown(float(motion.position(time[at : at + 1])[0, 0]))
     if problem.mechanism.n_u == 1 and motion.effort is not None:

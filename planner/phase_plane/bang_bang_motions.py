@@ -61,7 +61,7 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
         leg = plane.leg(start, w, way, way)[: len(index)]
         return np.pad(leg, (0, len(index) - len(leg)))
 
-    given = way * (plane.work[way][goal] - plane.work[way][start])
+    given = plane.work[way][goal] - plane.work[way][start]
     taken = -np.sum(plane.drag[:-1] * plane.cells)
     energies = _TURN_ENERGIES * 0.5 * (given / taken) ** 2 if given > 0 and taken > 0 else np.empty(0)
     gains = np.array([turned(w)[-1] - w for w in energies])

@@ -1,17 +1,20 @@
 """Collisions along a motion: whether every motion has them, and how they are told."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from linkplan.models.poses.contacts import Meeting
-from linkplan.planner.certificate.further_checks import unavoidable
+from linkplan.planner.certificate import further_checks
+from linkplan.planner.certificate.further_checks import contact_notes, surely_collides, unavoidable, with_contacts
+from tests.support.bodies import body_plan
 
 
-def meeting(since: float | None) -> Meeting:
-    depths = {"depth_m": 1e-3, "home_depth_m": 0.0}
-    return Meeting(first="a", second="b", bodies=("A", "B"), since=since, deepest_at=since or 0.0, **depths)
+def meeting(since: float | None, depth_m: float = 1e-3, home_depth_m: float = 0.0, first: str = "a") -> Meeting:
+    depths = {"depth_m": depth_m, "home_depth_m": home_depth_m}
+    return Meeting(first=first, second="b", bodies=("A", "B"), since=since, deepest_at=since or 0.0, **depths)
 
 
 @pytest.mark.parametrize(("start", "goal"), [(1.0, 3.0), (3.0, 1.0)])
@@ -23,3 +26,90 @@ def test_a_collision_is_unavoidable_at_a_pose_between_start_and_goal(start, goal
     problem = SimpleNamespace(contacts="refuse", mechanism=SimpleNamespace(dof=1), motion=motion)
     trajectory = SimpleNamespace(position_at=lambda time: time[:, None])  # it is at pose t at the instant t
     assert unavoidable(problem, trajectory, SimpleNamespace(contacts=(meeting(pose),))) is expected
+
+
+# A ball on a hinge of 0.5 m that swings towards a wall, 0.05 m beyond the goal or 0.1 m before it.
+SWING = """<mujoco><option gravity="0 0 0"/><worldbody><geom name="wall" type="box" size="0.01 0.2 0.2" pos="{wall} 0 -0.5"/>
+<body name="arm"><joint name="J" axis="0 -1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<geom name="ball" type="sphere" size="0.02" pos="0 0 -0.5"/></body></worldbody>
+<actuator><motor name="m" joint="J" ctrlrange="-9 9"/></actuator></mujoco>"""
+MOTION = 'kind = "reach"\nstart_deg = { J = -30.0 }\ngoal_deg = { J = 20.0 }\nduration_s = 1.0\n'
+GOAL_M = 0.5 * np.sin(np.radians(20.0))
+
+
+@pytest.fixture(scope="module")
+def swing():
+    """Return the problem with a wall in the way, or not, and a motion that ignores it."""
+    return {
+        beyond: body_plan(SWING.format(wall=GOAL_M + 0.03 + beyond), MOTION, "limits.contacts=note")
+        for beyond in (0.05, -0.1)
+    }
+
+
+@pytest.mark.parametrize("beyond", [0.05, -0.1])
+def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless_contacts_are_noted(swing, beyond):
+    plan = swing[beyond]
+    certificate = replace(plan.certificate, contacts=())
+    noted = with_contacts(plan.problem, plan.trajectory, certificate)
+    refused = with_contacts(replace(plan.problem, contacts="refuse"), plan.trajectory, certificate)
+    assert noted.failures == certificate.failures
+    assert bool(noted.contacts) is bool(refused.failures) is (beyond < 0)
+    if beyond < 0:
+        (found,) = noted.contacts
+        place = 0.5 * np.sin(plan.trajectory.position_at(np.array([found.since]))[0, 0])
+        assert place == pytest.approx(GOAL_M + beyond, abs=1e-5)
+        assert refused.unmendable == refused.failures
+        assert f"collide at t = {found.since:.5g} s" in refused.failures[0]
+
+
+@pytest.mark.parametrize(("n", "poses"), [(20, 12), (416, 12), (1000, 5), (9000, 1)])
+def test_twelve_poses_of_each_interval_are_looked_at_fewer_on_fine_meshes(swing, monkeypatch, n, poses):
+    plan, asked = swing[0.05], []
+
+    def times(per_interval: int) -> np.ndarray:
+        asked.append(per_interval)
+        return np.zeros(1)
+
+    trajectory = SimpleNamespace(
+        breaks_s=np.arange(n + 1.0), dense_times=times, position_at=plan.trajectory.position_at, start_pose=np.zeros(1)
+    )
+    monkeypatch.setattr(further_checks, "follow", lambda *_: None)
+    monkeypatch.setattr(further_checks, "meetings", lambda *_: ())
+    with_contacts(plan.problem, trajectory, plan.certificate)
+    assert asked == [poses]
+
+
+@pytest.mark.parametrize(("share", "sure"), [(1.01, True), (0.99, False), (np.nan, False)])
+@pytest.mark.parametrize("others", [(), (1e-9,)])
+def test_a_collision_is_sure_where_it_is_ten_times_deeper_than_the_motion_is_exact(swing, monkeypatch, share, sure, others):
+    """The extent times 0.01 degrees, and 1 mm of the slides."""
+    problem, trajectory = replace(swing[0.05].problem, contacts="refuse"), swing[0.05].trajectory
+    off = replace(swing[0.05].certificate, integration_error_deg=0.01, integration_error_m=1e-3)
+    depth = share * 10 * (problem.mechanism.extent_m * np.radians(0.01) + 1e-3)
+    found = tuple(meeting(0.5, depth_m) for depth_m in (*others, depth))
+    monkeypatch.setattr(further_checks, "meetings", lambda *_: found)
+    monkeypatch.setattr(further_checks, "certify", lambda *_: off)
+    assert (surely_collides(problem, trajectory) is not None) is sure
+    assert surely_collides(replace(problem, contacts="note"), trajectory) is None
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        ([meeting(0.25)], "penetrate by up to 1 mm, at t = 0.25 s; contact"),
+        ([meeting(0.25, home_depth_m=2e-3)], "at t = 0.25 s, 2 mm at home; contact"),
+        ([meeting(0.25), meeting(0.5)], "s, and 1 more pair of geoms after them;"),
+        ([meeting(0.25), meeting(0.5), meeting(0.7)], "s, and 2 more pairs of geoms after them;"),
+    ],
+)
+def test_the_first_collision_is_told_and_the_others_are_counted(found, words):
+    assert words in further_checks._failure(tuple(found))
+
+
+def test_contacts_that_begin_are_noted_one_by_one_and_constant_ones_together_with_the_deepest():
+    begun, constant = meeting(0.25), [meeting(None, 2e-3), meeting(None, 5e-3, first="c")]
+    assert len(contact_notes((begun,))) == 1
+    first, rest = contact_notes((begun, *constant))
+    assert "from t = 0.25 s on, up to 1 mm deep" in first
+    assert "contact of 2 pairs of geoms" in rest
+    assert "up to 5 mm deep" in rest

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.certificate import end_state_error
+from linkplan.planner.certificate.certificate import _turn_error, end_state_error
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, body_problem
 
@@ -39,3 +39,49 @@ def test_a_periodic_motion_returns_with_the_speed_that_it_began_with(faster, err
         periodic=True,
     )
     assert end_state_error(problem, motion, speed) == pytest.approx(error, abs=1e-12)
+
+
+def test_errors_of_a_motion_that_stands_still_are_shares_of_a_nanometre():
+    problem = body_problem(HINGE, 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 0.0 }\nduration_s = 0.5\n')
+    still = np.full((2, 1, 1), 2e-10)
+    motion = Trajectory(
+        breaks_s=np.array([0.0, 0.5]),
+        position=still,
+        velocity=np.zeros((1, 1, 1)),
+        effort=np.zeros((1, 1, 1)),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    assert end_state_error(problem, motion, 1.0) == pytest.approx(0.2)
+    problem = body_problem(HINGE, TURN.format(turns=1))
+    assert _turn_error(problem, np.array([[0.0], [3e-10]])) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("place", "speed", "error"), [(1.0, None, 0.0), (1.2, None, 0.1), (1.0, 2.2, 0.1), (0.4, None, 0.2)]
+)
+def test_a_waypoint_of_any_time_is_missed_by_the_error_at_the_nearest_break(place, speed, error):
+    """At an even 2 rad/s through breaks at 0, 1 and 2 rad, waypoints at a place, and at a speed."""
+    asked = f"at_deg = {{ J = {np.degrees(place):.15g} }}"
+    asked += "" if speed is None else f", speed_deg_s = {{ J = {np.degrees(speed):.15g} }}"
+    ends = f"start_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {np.degrees(2.0):.15g} }}\n"
+    ends += "".join(f"{end}_speed_deg_s = {{ J = {np.degrees(2.0):.15g} }}\n" for end in ("start", "goal"))
+    problem = body_problem(HINGE, f'kind = "reach"\n{ends}duration_s = 1.0\nwaypoints = [{{ {asked} }}]\n')
+    motion = Trajectory(
+        breaks_s=np.array([0.0, 0.5, 1.0]),
+        position=np.array([[0.0, 1.0], [1.0, 2.0]])[:, :, None],
+        velocity=np.full((1, 2, 1), 2.0),
+        effort=np.zeros((1, 2, 1)),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    assert end_state_error(problem, motion, 2.0) == pytest.approx(error, abs=1e-12)
+
+
+@pytest.mark.parametrize("turns", [1, -2])
+@pytest.mark.parametrize("missed", [0.0, 0.1, -0.1])
+def test_a_joint_s_error_after_turns_is_its_distance_from_whole_ones(turns, missed):
+    problem = body_problem(HINGE, TURN.format(turns=turns))
+    travelled = 2 * np.pi * turns + missed
+    q = np.linspace(0.3, 0.3 + travelled, 5)[:, None]
+    assert _turn_error(problem, q) == pytest.approx(abs(missed / travelled), abs=1e-12)

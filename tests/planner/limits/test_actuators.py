@@ -1,9 +1,14 @@
-"""The rates of efforts, against those of polynomials that jump from one interval to the next."""
+"""The rates of efforts, against those of polynomials that jump from one interval to the next; rows and units of limits."""
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.actuators import effort_rates
+from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _unit, clamped_allowance, effort_rates
+from linkplan.planner.limits.path_limit import BETWEEN_NODES_FACTOR
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
 BREAKS_S = np.array([0.0, 1.0, 3.0, 3.5])
@@ -50,3 +55,75 @@ def test_a_constant_effort_has_no_rate():
     rate, jumps = effort_rates(trajectory, np.array([0.0, 1.0, 3.5]))
     assert not rate.any()
     assert np.isnan(jumps).all()
+
+
+@pytest.mark.parametrize(("share", "jumps"), [(0.9e-7, False), (1.1e-7, True)])
+def test_a_step_below_a_ten_millionth_of_the_largest_effort_is_no_jump(share, jumps):
+    smooth = parabola_with_a_jump()
+    effort = np.array(smooth.effort)
+    effort[:, 2] -= JUMP
+    effort[:, 2] += share * effort.max()
+    _, found = effort_rates(replace(smooth, effort=effort), np.array([0.5, 3.1]))
+    assert np.isposinf(found[1, 0]) == jumps
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "unit"),
+    [(-0.3, 0.5, 0.5), (-0.7, 0.5, 0.7), (-np.inf, 0.2, 0.2), (-np.inf, np.inf, 1.0), (0.0, 0.0, 1.0)],
+)
+def test_the_unit_of_a_servo_s_ctrl_is_the_larger_end_of_its_range(low, high, unit):
+    assert _unit(SimpleNamespace(control_lower=low, control_upper=high)) == unit
+
+
+# A crank with a slider in a loop: one motor on the crank, one on the slider; a servo of 10 N.m/rad on the crank, clamped.
+CRANK = """<mujoco><option gravity="0 0 0"/><worldbody>
+<body><joint name="O" axis="0 1 0"/><inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
+<body pos="0.3 0 0"><joint name="A" axis="0 1 0"/><inertial pos="0.4 0 0" mass="1" diaginertia="0.05 0.05 0.05"/>
+<site name="tip" pos="0.8 0 0"/></body></body>
+<body pos="1.1 0 0"><joint name="P" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<site name="pin"/></body></worldbody><equality><connect site1="tip" site2="pin"/></equality>
+<actuator>{actuators}</actuator></mujoco>"""
+MOTORS = '<motor name="on_O" joint="O" ctrlrange="-9 9"/><motor name="on_P" joint="P" ctrlrange="-9 9"/>'
+SERVO = '<position name="s" joint="O" kp="10" ctrlrange="-0.5 2" forcerange="-4 3"/>'
+
+
+def crank(actuators: str, **limits) -> Problem:
+    motion = {"kind": "reach", "start_deg": {"O": 20.0}, "goal_deg": {"O": 80.0}, "duration_s": 1.0}
+    tables = {"mechanism": {"model": CRANK.format(actuators=actuators)}, "motion": motion, "limits": limits}
+    return Problem.from_tables("crank", tables | {"objective": {"minimize": "effort"}})
+
+
+def test_at_every_instant_powers_are_limited_of_actuators_with_a_coordinate_and_with_levers():
+    asked = crank(MOTORS, power_w={"on_O": 5.0, "on_P": 6.0})
+    assert PowerLimit.of(asked) == [PowerLimit(0), PowerLimit(1)]
+    assert PowerLimit.of(asked, enclosed=True) == [PowerLimit(0, 0), PowerLimit(1, None, (0,))]
+
+
+def test_a_motor_s_row_is_the_share_of_its_line():
+    at = SimpleNamespace(u=[0.0, 3.0], actuator_speeds=[0.0, 2.0])
+    assert MotorLimit(1).row(at, [1 / 6, 1 / 8]) == pytest.approx(3 / 6 + 2 / 8)
+
+
+def test_a_servo_s_range_is_widened_at_both_ends_by_a_share_of_the_larger_one():
+    asked = crank(SERVO)
+    (wider,) = ControlLimit.scaled(asked, 1.1).mechanism.actuators
+    assert (wider.control_lower, wider.control_upper) == pytest.approx((-0.5 - 0.2, 2.0 + 0.2))
+    over = [SimpleNamespace(left=left, item=0) for left in (-0.01, -0.1, -0.03)]
+    assert ControlLimit.factor_of(asked, over) == pytest.approx(1 + BETWEEN_NODES_FACTOR * 0.1 / 2)
+
+
+@pytest.mark.parametrize(("place", "effort", "allowed"), [(-0.9, 3.0, 1e-4 * 4 / 10), (0.1, 1.0, 0.0)])
+def test_where_a_force_is_clamped_an_overrun_of_ctrl_by_a_ten_thousandth_of_the_clamp_is_allowed(place, effort, allowed):
+    """At -0.9 rad 3 N.m are the clamp of every ctrl from -0.6 on, also of its least one, -0.5."""
+    asked = crank(SERVO)
+    still = np.full((2, 1, 1), place)
+    trajectory = Trajectory(
+        breaks_s=np.array([0.0, 1.0]),
+        position=still,
+        velocity=np.zeros((1, 1, 1)),
+        effort=np.full((1, 1, 1), effort),
+        start_pose=asked.mechanism.home,
+        periodic=False,
+    )
+    assert clamped_allowance(asked, trajectory, 0) == pytest.approx(allowed)
+    assert clamped_allowance(crank(MOTORS), replace(trajectory, effort=np.zeros((1, 1, 2))), 0) == 0.0

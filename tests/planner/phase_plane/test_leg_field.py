@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.phase_plane.power_legs import AT_POWER, LegField, PinForces
+from linkplan.planner.phase_plane.power_legs import AT_FORCE, AT_POWER, Leg, LegField, PinForces
 
 SPEED = 2.0
 
@@ -67,3 +67,82 @@ def test_a_state_is_kept_only_by_an_effort_that_the_actuator_and_the_pin_both_be
     limited = replace(limited, curves=lambda _: np.array([[2.0, 1.0, -0.5, -0.25, 3.0]]))
     for towards in (True, False):
         assert limited.keeps(at, speed, towards=towards) is keeps
+
+
+def two_pins(first: tuple[float, float], second: tuple[float, float]) -> PinForces:
+    """Return two pins that bear efforts between these: |F + u / 2| <= 1 of either, scaled to its range."""
+    by = [2.0 / (high - low) for low, high in (first, second)]
+    still = [-b * (low + high) / 2 for b, (low, high) in zip(by, (first, second), strict=True)]
+    curves = np.array([[still[0], 0.0, still[1], 0.0], np.zeros(4), np.zeros(4), [by[0], 0.0, by[1], 0.0]])
+    return PinForces(curves=lambda _: curves, rows=(slice(0, 2), slice(2, 4)))
+
+
+@pytest.mark.parametrize(("first", "second", "tighter"), [((-2, 2), (-1, 1), 1), ((-1, 1), (-2, 2), 0)])
+@pytest.mark.parametrize("towards", [True, False])
+def test_the_tighter_of_two_pins_holds_the_effort(first, second, tighter, towards):
+    of, effort = replace(field(np.inf), pins=two_pins(first, second)), 1.0 if towards else -1.0
+    for limit in (1.5, 9.0):
+        limited = replace(of, effort=np.array([[-limit, limit]]))
+        held, efforts, a = limited.at(0.0, SPEED, towards=towards)
+        assert (held[0], efforts[0]) == ((AT_FORCE + tighter) * effort, pytest.approx(effort))
+        assert a == pytest.approx((1.0 - 0.5 * SPEED**2 - 0.25 * SPEED + 3 * effort) / 2)
+    assert kept(of, towards)
+
+
+@pytest.mark.parametrize("towards", [True, False])
+def test_no_effort_keeps_two_pins_that_contradict_each_other(towards):
+    assert kept(replace(field(np.inf), pins=two_pins((-2.0, 2.0), (1.0, 3.0))), towards)
+    assert not kept(replace(field(np.inf), pins=two_pins((-2.0, 2.0), (3.0, 4.5))), towards)
+    assert not kept(replace(field(np.inf), pins=two_pins((3.0, 4.5), (-2.0, 2.0))), towards)
+
+
+def kept(limited: LegField, towards: bool = True) -> bool:
+    limited = replace(limited, curves=lambda _: np.array([[2.0, 1.0, -0.5, -0.25, 3.0]]))
+    return limited.keeps(np.zeros(1), np.array([SPEED]), towards=towards)
+
+
+@pytest.mark.parametrize("towards", [True, False])
+def test_a_state_at_the_power_s_limit_is_kept(towards):
+    loose = replace(field(12.0), pins=pin((0.0, 0.0), (1e-3, 0.0)))
+    assert abs(loose.at(0.0, SPEED, towards=towards)[0][0]) == AT_POWER
+    assert kept(loose, towards)
+
+
+@pytest.mark.parametrize(("beyond", "keeps"), [(3e-7, True), (3e-6, False)])
+@pytest.mark.parametrize("side", [+1, -1])
+def test_a_pin_that_asks_for_more_power_than_there_is_allows_nothing_but_rounding(side, beyond, keeps):
+    """Its forces ask for 2 to 6 N.m with this sign; at that speed 2 N.m are 12 W."""
+    asking = pin((-2.0 * side, 0.0), (0.5, 0.0))
+    assert sorted(abs(x.item()) for x in asking.efforts(0.0, SPEED)[:2]) == pytest.approx([2.0, 6.0])
+    limited = replace(field(12.0 * (1 - beyond)), pins=asking, effort=np.array([[-9.0, 9.0]]))
+    assert kept(limited, towards=side < 0) is keeps
+
+
+@pytest.mark.parametrize(("beyond", "keeps"), [(2e-6, True), (2e-5, False)])
+@pytest.mark.parametrize("side", [+1, -1])
+def test_a_pin_that_asks_for_more_effort_than_there_is_allows_nothing_but_rounding(side, beyond, keeps):
+    """Its forces ask for 4 N.m at least with this sign, of 4 N.m."""
+    asking = pin((-3.0 * side, 0.0), (0.5, 0.0))
+    ends = [-4.0 + beyond, 0.0] if side < 0 else [0.0, 4.0 - beyond]
+    assert kept(replace(field(np.inf), pins=asking, effort=np.array([ends])), towards=side < 0) is keeps
+
+
+def test_arcs_end_where_the_power_comes_to_its_limit():
+    """Accelerated evenly from rest at 2 m/s2, 5 N.m spend 12 W from 0.8 rad/s on, which is 0.4 s after the leg began."""
+    limited = field(12.0)
+    leg = Leg(
+        field=limited,
+        state=lambda t: np.array([t**2, 2.0 * t]),
+        steps=np.linspace(-1.0, 3.0, 9),
+        towards=True,
+        begin=0.1,
+        end=1.3,
+        later=10.0,
+    )
+    (bang, first), (end, last) = leg.arcs()
+    assert (first, last) == ((1,), (AT_POWER,))
+    assert (bang, end) == pytest.approx((10.4, 11.3), abs=1e-12)
+    assert (leg.time_at(0.25), leg.speed_at(0.25)) == pytest.approx((0.5, 1.0))
+    # Four looks in each step of the integration: in the middles of its quarters.
+    np.testing.assert_allclose(leg._looks()[:5], [0.15, 0.25, 0.35, 0.45, 0.5625])
+    assert len(leg._looks()) == 12

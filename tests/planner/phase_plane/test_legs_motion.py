@@ -8,7 +8,7 @@ import pytest
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.phase_plane.legs_motion import legs_motion
+from linkplan.planner.phase_plane.legs_motion import _inside, legs_motion
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import load_problem
@@ -50,6 +50,24 @@ def test_a_waypoint_on_the_way_is_passed_at_a_break():
     passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
     certificate = certify(passing, legs_motion(passing, passing.start_pose()))
     assert certificate.passed, certificate.failures
+
+
+@pytest.mark.parametrize("place", [-0.8, 0.9])
+def test_of_either_leg_a_waypoint_s_instant_is_a_break(place):
+    """From -0.86 to 0.98 rad, the legs' switch lies between."""
+    problem = within(100.0)
+    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[place]),)))
+    motion, straight = (legs_motion(one, one.start_pose()) for one in (passing, problem))
+    breaks = motion.position_at(motion.breaks_s)[:, 0]
+    assert np.abs(breaks - place).min() < 1e-9
+    assert np.abs(straight.position_at(straight.breaks_s)[:, 0] - place).min() > 1e-6
+    assert motion.duration_s == pytest.approx(straight.duration_s, rel=ROOM)
+
+
+def test_limits_inside_are_nearer_to_zero_by_a_share_of_their_own_size():
+    np.testing.assert_allclose(_inside(np.array([[-3.0, 5.0]])) - [[-3.0, 5.0]], [[3e-8, -5e-8]], rtol=1e-6)
+    np.testing.assert_allclose(_inside(np.array([[1.0, np.inf]])), [[1.0 + 1e-8, np.inf]], rtol=1e-15)
+    np.testing.assert_allclose(_inside(np.array([[-np.inf, 2.0]])), [[-np.inf, 2.0 - 2e-8]], rtol=1e-15)
 
 
 @pytest.mark.slow

@@ -54,6 +54,20 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
     assert plan.objective == pytest.approx(np.pi * half_swings, rel=MINIMUM_TIME)
 
 
+def test_the_guess_on_a_spring_swings_where_the_push_is_too_weak(spring):
+    """A half swing about -1 or 1 m takes pi and brings the end 2 m nearer: from 3.5 m it takes two, the second shorter."""
+    problem = spring(3.5)
+    guess = least_time_guess(problem, problem.start_pose())
+    assert guess.swings in (2, 3)
+    assert np.pi < guess.duration_s <= 2 * np.pi
+    times = np.linspace(0.0, guess.duration_s, 101)
+    s, v = guess.position(times)[:, 0], guess.velocity(times)[:, 0]
+    assert (s[0], v[0], s[-1], v[-1]) == pytest.approx((3.5, 0.0, 0.0, 0.0), abs=1e-9)
+    # A push of 1 N adds at most its work to v^2 / 2 + s^2 / 2.
+    added = np.abs(np.diff(0.5 * v**2 + 0.5 * s**2))
+    assert np.all(added <= np.abs(np.diff(s)) + 1e-3)
+
+
 @pytest.mark.parametrize("way", [+1, -1])
 @pytest.mark.parametrize("backwards", [False, True])
 @pytest.mark.parametrize("share", [np.inf, 0.5])

@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.phase_plane.power_legs import AT_POWER, power_legs
+from linkplan.models.poses.assembly import close_at
+from linkplan.planner.limits.samples import closure_forces
+from linkplan.planner.phase_plane.bang_bang_motions import parts_of
+from linkplan.planner.phase_plane.power_legs import AT_POWER, _field, power_legs
 from linkplan.planner.problem.motion import Waypoint
-from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.least_time import least_time
 
 # The legs' integration, of the least time.
@@ -64,3 +67,90 @@ def test_where_no_power_is_at_its_limit_there_are_no_such_legs():
 
 def test_a_way_that_weight_shuts_has_no_such_legs():
     assert knee("limits.power_w.act_O=10", "limits.effort.act_O=[-1, 1]")[1] is None
+
+
+# A crank of 0.3 m and a slider in a loop, with weight, a damper and dry friction on the crank.
+CRANK = """<mujoco><worldbody>
+<body><joint name="O" axis="0 1 0" damping="0.4" {friction}/><inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
+<body pos="0.3 0 0"><joint name="A" axis="0 1 0"/><inertial pos="0.4 0 0" mass="1" diaginertia="0.05 0.05 0.05"/>
+<site name="tip" pos="0.8 0 0"/></body></body>
+<body pos="1.1 0 0"><joint name="P" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<site name="pin"/></body></worldbody>
+<equality><connect name="pin" site1="tip" site2="pin"/></equality>
+<actuator><motor name="u" joint="{driven}" gear="2" ctrlrange="-60 50"/></actuator></mujoco>"""
+
+
+def crank(start_deg: float, goal_deg: float, friction: str = "", driven: str = "O", **limits) -> Problem:
+    motion = {"kind": "reach", "start_deg": {"O": start_deg}, "goal_deg": {"O": goal_deg}, "duration_s": "free"}
+    tables = {
+        "mechanism": {"model": CRANK.format(friction=friction, driven=driven)},
+        "motion": motion,
+        "objective": {"minimize": "time"},
+    }
+    return Problem.from_tables("crank", tables | ({"limits": limits} if limits else {}))
+
+
+@pytest.mark.parametrize(("start", "goal"), [(20.0, 80.0), (80.0, 20.0)])
+@pytest.mark.parametrize("friction", ["", 'frictionloss="1.5"'])
+def test_the_field_has_the_mechanism_s_accelerations(start, goal, friction):
+    problem = crank(start, goal, friction)
+    mechanism, way = problem.mechanism, np.sign(goal - start)
+    found = _field(problem, parts_of(problem.motion)[0], problem.start_pose())
+    for place, speed, effort in ((25.0, 0.5, 9.0), (50.0, 3.0, -20.0), (77.0, 7.0, 3.0)):
+        s, v, u = np.radians(place), way * speed, np.array([effort])
+        pose = close_at(mechanism, np.array([s]))
+        exact = float(mechanism.dynamics.acceleration(pose, [v], u))
+        inertia, still, square, linear, by = found.curves(s)
+        assert (still + square * v**2 + linear * v + by * effort) / inertia == pytest.approx(exact, rel=1e-6)
+        assert inertia == pytest.approx(float(mechanism.dynamics.reduced_inertia(pose)))
+    assert found.way == way
+
+
+@pytest.mark.parametrize(("start", "goal"), [(20.0, 80.0), (80.0, 20.0)])
+def test_the_field_has_the_mechanism_s_pin_forces(start, goal):
+    problem = crank(start, goal, driven="A", closure_force={"pin": 400.0})
+    mechanism, way = problem.mechanism, np.sign(goal - start)
+    found = _field(problem, parts_of(problem.motion)[0], problem.start_pose())
+    (closure,) = problem.limits.limited_closures
+    for place, speed, effort in ((25.0, 0.5, 9.0), (50.0, 3.0, -20.0), (77.0, 7.0, 3.0)):
+        s, v, u = np.radians(place), np.array([[way * speed]]), np.array([[effort]])
+        pose = close_at(mechanism, np.array([s]))[None]
+        a = np.array(mechanism.dynamics.acceleration(pose[0], v[0], u[0])).reshape(1, 1)
+        exact = closure_forces(problem, pose, v, a, u)[0, closure] / 400.0
+        still, square, linear, by = found.pins.curves(s)
+        force = still + square * v[0, 0] ** 2 + linear * v[0, 0] + by * effort
+        assert np.linalg.norm(force) == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_descent_that_no_effort_brakes_has_no_legs():
+    """A hinge that is pulled down to 90 degrees by more than it is held with."""
+    rod = """<mujoco><worldbody><body><joint name="J" axis="0 1 0"/>
+    <inertial pos="0 0 0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+    <actuator><motor name="u" joint="J" ctrlrange="-{hold} 20"/></actuator></mujoco>"""
+    motion = {"kind": "reach", "start_deg": {"J": 80.0}, "goal_deg": {"J": 100.0}, "duration_s": "free"}
+    for hold, known in ((8.0, True), (4.0, False)):
+        tables = {"mechanism": {"model": rod.format(hold=hold)}, "limits": {"power_w": {"u": 10.0}}, "motion": motion}
+        problem = Problem.from_tables("descent", tables | {"objective": {"minimize": "time"}})
+        assert (power_legs(problem, problem.start_pose()) is not None) is known
+
+
+def test_parts_that_turn_follow_each_other_in_time():
+    """Up to a waypoint at which it turns and back: the legs of each part alone, one after the other."""
+    there, back = crank(20.0, 80.0, power_w={"u": 30.0}), crank(80.0, 20.0, power_w={"u": 30.0})
+    problem = crank(20.0, 20.001, power_w={"u": 30.0})
+    turning = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=np.radians([80.0])),)))
+    legs, boundaries = power_legs(turning, turning.start_pose())
+    times = [power_legs(one, one.start_pose())[1][-1] for one in (there, back)]
+    assert boundaries == pytest.approx([0.0, times[0], sum(times)], rel=1e-4)
+    assert [leg.later + leg.begin for leg in legs] == pytest.approx(
+        [0.0, legs[0].end, times[0], times[0] + legs[2].end], rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("place", [25.0, 75.0])
+def test_a_waypoint_is_passed_on_the_leg_that_it_lies_on(place):
+    problem = crank(80.0, 20.0, power_w={"u": 30.0})
+    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=np.radians([place])),)))
+    legs, (_, at, _) = power_legs(passing, passing.start_pose())
+    passes = [leg for leg in legs if leg.begin <= at - leg.later <= leg.end]
+    assert [leg.state(at - leg.later)[0] for leg in passes] == pytest.approx([np.radians(place)])

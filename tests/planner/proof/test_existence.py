@@ -1,6 +1,7 @@
 """A motion of the model near a plan: the radius contains it, is hardly larger than it must be, and grows with an error."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,13 +9,14 @@ from flint import arb
 from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.proof import existence
 from linkplan.planner.proof.contraction import LinearBox, contracted
-from linkplan.planner.proof.existence import Tube
+from linkplan.planner.proof.existence import Neighbourhood, NoMotionError, Tube, _sizes, first_tube
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, body_plan
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import optimal
 
 
@@ -128,3 +130,102 @@ def test_the_first_tube_s_bounds_make_a_second_one_in_which_a_motion_is_proved(n
 def test_a_tube_is_as_wide_as_its_bounds_up_to_an_instant():
     tube = Tube(until_s=np.array([0.5, 1.0]), radii=np.array([[1.0, 2.0], [3.0, 4.0]]))
     assert [list(tube.at(t)) for t in (0.2, 0.5, 0.6, 1.0, 1.1)] == [[1, 2], [1, 2], [3, 4], [3, 4], [3, 4]]
+
+
+# Along t^2 (3 - 2 t) of the quarter turn in two seconds: the largest coefficient of its speed, and its acceleration.
+DURATION_S, SPEED, ACCELERATION = 2.0, 1.5 * TURN, 1.5 * TURN
+
+
+def near() -> Neighbourhood:
+    """Return the neighbourhood of the hinge's quarter turn, in its first tube."""
+    begin = np.radians(10.0)
+    trajectory = Trajectory(
+        breaks_s=np.array([0.0, DURATION_S]),
+        position=np.array([begin, begin, begin + TURN, begin + TURN])[:, None, None],
+        velocity=np.array([0.0, 1.5 * TURN, 0.0])[:, None, None],
+        effort=np.zeros((2, 1, 1)),
+        start_pose=np.array([begin]),
+        periodic=False,
+    )
+    mechanism = body_plan(HINGE, QUARTER_TURN + "duration_s = 1.0\n").problem.mechanism
+    return Neighbourhood(mechanism, trajectory, first_tube(trajectory))
+
+
+def form(*coefficients: float, remainder: float) -> TaylorForm:
+    return TaylorForm(coefficients=[arb(c) for c in coefficients], remainder=arb(remainder), whole=arb(0))
+
+
+@pytest.mark.parametrize(
+    ("contraction", "share", "words", "again"),
+    [
+        (0.49, 0.99, None, True),
+        (0.51, 0.4, "the contraction is 0.51, which is above 0.5", True),
+        (0.2, 1.01, "the bound on its distance is", True),
+        (0.9, 1.5, "the contraction is 0.9", False),  # 3 of the tube, times 0.9: the next contraction is above one
+        (0.9, 0.55, "the contraction is 0.9", True),  # 1.1 of it
+    ],
+)
+def test_one_motion_is_in_a_tube_that_is_wider_than_its_bound_and_contracts_by_half(
+    monkeypatch, contraction, share, words, again
+):
+    """The bound is W / (1 - Z), here a share of the tube, or, where Z is above a half, W alone; the next tube is 2 W."""
+    tube = np.array([3e-3, 5e-3])
+    box = SimpleNamespace(end_s=DURATION_S, tube=tube)
+    bounds = (share * tube * ((1 - contraction) if contraction <= 0.5 else 1.0))[None]
+    monkeypatch.setattr(existence, "contracted", lambda *_: (bounds, contraction))
+    found = near()
+    found._boxes.append(box)
+    found._tube = Tube(until_s=np.array([np.inf]), radii=tube[None])
+    if words is None:
+        np.testing.assert_allclose(found.radii(), share * tube)
+    else:
+        with pytest.raises(NoMotionError, match=words):
+            found.radii()
+    assert (found.next_tube is not None) is again
+    if again:
+        np.testing.assert_allclose(found.next_tube.radii, 2 * bounds)
+
+
+@pytest.mark.parametrize(("share", "answer"), [(0.99, "proved"), (1.01, "sampled")])
+def test_a_radius_is_proved_up_to_what_a_certificate_allows(monkeypatch, share, answer):
+    """A hundredth of a degree, and a fiftieth of the largest speed."""
+    monkeypatch.setattr(Neighbourhood, "radii", lambda _: share * np.array([np.radians(0.01), 0.02 * SPEED]))
+    position, speed = near().findings()
+    assert (position.answer, speed.answer) == (answer, answer)
+    assert (position.mark, speed.mark) == pytest.approx((0.01, np.degrees(0.02 * SPEED)))
+    assert position.margin == pytest.approx((1 - share) * 0.01)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "remainder", "small"),
+    [
+        ((0.0,), 0.9e-7 * ACCELERATION, True),
+        ((0.0,), 1.1e-7 * ACCELERATION, False),
+        ((1e-3, -1e-3), 0.49e-3, True),
+        ((1e-3, -1e-3), 0.51e-3, False),
+    ],
+)
+def test_a_defect_is_small_by_the_acceleration_or_by_its_polynomial(coefficients, remainder, small):
+    assert near()._is_small([form(*coefficients, remainder=remainder)]) is small
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "tight"),
+    [
+        (form(0.0, remainder=0.24), form(0.0, remainder=0.49), True),  # 1 / T^2 and 1 / T
+        (form(0.0, remainder=0.26), form(0.0, remainder=0.49), False),
+        (form(0.0, remainder=0.24), form(0.0, remainder=0.51), False),
+        (form(-3.0, remainder=2.9), form(2.0, remainder=1.9), True),
+        (form(-3.0, remainder=3.1), form(2.0, remainder=1.9), False),
+    ],
+)
+def test_slopes_are_tight_by_their_own_size_or_by_the_motion_s_rates(stiffness, damping, tight):
+    assert near()._is_tight([[stiffness, damping]]) is tight
+
+
+def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth_of_the_others():
+    position = np.array([[[1.0, 0.0], [3.0, 1e-3]]])
+    motion = SimpleNamespace(position=position, velocity=np.array([[[-5.0, 4.0], [2.0, 0.0]]]))
+    np.testing.assert_allclose(_sizes(motion), [2.0, 0.02, 5.0, 4.0], rtol=1e-6)
+    still = SimpleNamespace(position=0 * position, velocity=0 * position)
+    np.testing.assert_allclose(_sizes(still), 1e-9)

@@ -118,6 +118,60 @@ def test_a_signed_square_has_two_bounded_derivatives():
     assert off(ca.Function("damper", [x], [x * ca.fabs(x)]), walk, np.random.default_rng(0)) < ROUNDING
 
 
+@pytest.mark.parametrize(
+    ("expression", "low", "high"),
+    [
+        (lambda x: ca.fmax(x, 0.25), 0.25, 1.0),
+        (lambda x: ca.fmin(x, 0.25), -0.5, 0.25),
+        (ca.fabs, 0.0, 1.0),
+        (ca.sign, -1.0, 1.0),
+        (lambda x: x < 0.5, 0.0, 1.0),
+        (lambda x: x <= -0.6, 0.0, 0.0),
+        (lambda x: x <= 1.1, 1.0, 1.0),
+        (lambda x: x * ca.fabs(x), -0.25, 1.0),
+        (lambda x: ca.if_else(x > 2, 7, x), -0.5, 1.0),
+        (lambda x: x**5, -1 / 32, 1.0),
+        (ca.sinh, np.sinh(-0.5), np.sinh(1.0)),
+        (ca.tanh, np.tanh(-0.5), np.tanh(1.0)),
+        (ca.cosh, 1.0, np.cosh(1.0)),
+    ],
+)
+def test_over_an_interval_the_range_is_enclosed(expression, low, high):
+    """Of x from -0.5 to 1: all of it, and of functions without cancellation little more."""
+    x = ca.SX.sym("x")
+    (found,) = walk_of(ca.Function("f", [x], [expression(x)]))([arb(0.25, 0.75)])[0].values()
+    assert float(found.lower()) <= low + 1e-12
+    assert float(found.upper()) >= high - 1e-12
+    assert float(found.upper() - found.lower()) <= 2.0 * (high - low) + 1.5
+
+
+@pytest.mark.parametrize("middle", [-1.5, 1.5])
+def test_where_its_sign_is_known_a_signed_square_keeps_it(middle):
+    x = ca.SX.sym("x")
+    (found,) = walk_of(ca.Function("f", [x], [x * ca.fabs(x)]))([arb(middle, 0.1)])[0].values()
+    low, high = sorted(np.sign(middle) * np.square([1.4, 1.6]))
+    assert low - 0.05 <= float(found.lower()) <= low + 1e-12
+    assert high - 1e-12 <= float(found.upper()) <= high + 0.05
+
+
+@pytest.mark.parametrize("exponent", [5, 0, -3, 64])
+def test_a_whole_power_of_a_negative_number_is_that_of_numbers_and_finite_around_zero(exponent):
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    walk = walk_of(ca.Function("f", [x, y], [x**y]))
+    (found,) = walk([arb(-1.5)], [arb(exponent)])[0].values()
+    assert float(found.mid()) == pytest.approx((-1.5) ** exponent)
+    (around,) = walk([arb(0.125, 0.5)], [arb(exponent)])[0].values()
+    assert around.is_finite() == (exponent >= 0)
+
+
+def test_of_two_series_beside_a_kink_the_shorter_one_s_coefficients_are_known():
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    walk = walk_of(ca.Function("f", [x, y], [ca.fmax(x, y)]))
+    (found,) = walk([arb_series([arb(0, 0.5), 1], prec=5)], [arb_series([arb(0, 0.5), 2], prec=3)])[0].values()
+    assert found.prec == 3
+    assert all(found[1].contains(arb(slope)) for slope in (1, 2))
+
+
 def test_an_operation_without_an_enclosure_is_refused():
     x = ca.SX.sym("x")
     with pytest.raises(UnknownOperationError):

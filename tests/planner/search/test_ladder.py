@@ -219,3 +219,14 @@ def test_a_change_of_the_objective_by_a_ten_thousandth_is_said(monkeypatch, chan
     found = refine
     monkeypatch.setattr(attempts, "refine", lambda *given, **how: replace(found(*given, **how), moved=change))
     assert ("still changed its objective" in plan_motion(load_problem("knee-reach")).message) is said
+
+
+def test_a_lost_step_is_tried_again_with_roots_of_the_factor_as_often_as_is_allowed():
+    tried = []
+
+    def lost(_stage: float, value: float) -> None:
+        tried.append(value)
+
+    path = followed(1.0, Steps(begin=1.0, end=99.0, factor=16.0, halvings=2), lost)
+    assert not path.arrived
+    assert tried == pytest.approx([16.0, 4.0, 2.0])

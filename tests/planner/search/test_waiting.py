@@ -12,6 +12,7 @@ from linkplan.planner.planning import REPAIRS, plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import PENDULUM, body_problem
 
 DURATION_S = 0.8
@@ -118,3 +119,51 @@ def test_the_way_to_a_rest_beside_the_quickest_motion_is_gone_only_if_there_is_t
     else:
         assert plan.passed
         assert plan.trajectory.duration_s == pytest.approx(factor * least, rel=1e-6)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_rest_is_joined_to_a_motion_as_constants(first):
+    """A metre in a second, and a quarter of a second at rest under 3 N before or after it."""
+    motion = Trajectory(
+        breaks_s=np.array([0.0, 0.25, 1.0]),
+        position=np.array([[0.0, 0.0, 0.1], [0.1, 0.5, 1.0]]).T[:, :, None],
+        velocity=np.array([[0.0, 0.8], [0.5, 0.6]]).T[:, :, None],
+        effort=np.array([[6.0, -6.0]])[:, :, None],
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    joined = waiting._joined(motion, 0.25, np.array([3.0]), first=first)
+    assert joined.breaks_s.tolist() == ([0.0, 0.25, 0.5, 1.25] if first else [0.0, 0.25, 1.0, 1.25])
+    rest, moves = (0.1, 0.25 + np.array([0.1, 0.9])) if first else (1.1, np.array([0.1, 0.9]))
+    at = np.array([rest])
+    assert joined.position_at(at)[0, 0] == (0.0 if first else 1.0)
+    assert (joined.velocity_at(at)[0, 0], joined.effort_at(at)[0, 0]) == (0.0, 3.0)
+    for name in ("position_at", "velocity_at", "effort_at"):
+        np.testing.assert_allclose(getattr(joined, name)(moves), getattr(motion, name)(np.array([0.1, 0.9])))
+
+
+@pytest.mark.parametrize(("sign", "limit", "held"), [(1, 2.46, True), (1, 2.44, False), (-1, 2.46, True), (-1, 2.44, False)])
+def test_a_weight_is_held_on_either_side_up_to_the_limit_there(sign, limit, held):
+    """At 30 deg the rod weighs 2.4525 N.m; the other limit is 9 N.m, and the goal is beyond it."""
+    motion = f'kind = "reach"\nstart_deg = {{ J = {sign * 30.0} }}\ngoal_deg = {{ J = {sign * 60.0} }}\nduration_s = 4.0\n'
+    limits = f"limits.effort.m=[-9, {limit}]" if sign > 0 else f"limits.effort.m=[-{limit}, 9]"
+    problem = body_problem(PENDULUM.format(limit=9), motion, limits)
+    effort = waiting._held(problem, "start")
+    assert (effort is not None) is held
+    if held:
+        assert effort == pytest.approx([sign * 9.81 * 0.25])
+    assert waiting._held(problem, "goal") is None
+    moving = replace(problem, motion=replace(problem.motion, start_speed=np.array([-0.1])))
+    assert waiting._held(moving, "start") is None
+
+
+@pytest.mark.parametrize(("angle", "held"), [(0.0, True), (30.0, False)])
+def test_a_pose_in_which_an_undriven_rod_would_fall_is_not_held(angle, held):
+    """Two rods hang side by side, the first one driven; the second one begins at an angle."""
+    rod = PENDULUM.format(limit=9)
+    body = rod[rod.index('<body name="rod">') : rod.index("</worldbody>")]
+    both = rod.replace("</worldbody>", body.replace("rod", "free").replace('"J"', '"K"') + "</worldbody>")
+    motion = (
+        f'kind = "reach"\nstart_deg = {{ J = 0.0, K = {angle} }}\ngoal_deg = {{ J = 60.0, K = 10.0 }}\nduration_s = 4.0\n'
+    )
+    assert (waiting._held(body_problem(both, motion), "start") is not None) is held

@@ -1,4 +1,4 @@
-"""Newton steps on programs of one unknown: error bounds, active bounds, violations."""
+"""Newton steps on programs of one or two unknowns: error bounds, active bounds, violations, the nearest feasible point."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.solvers.newton import Conditions, NewtonStep, Optimum, _sides, _violation, newton_step
+from linkplan.planner.solvers.newton import (
+    Conditions,
+    NewtonStep,
+    Optimum,
+    _changed,
+    _sides,
+    _violation,
+    nearest_feasible,
+    newton_step,
+)
 
 WIDE = np.array([1e3])
 
@@ -69,3 +78,98 @@ def test_a_bound_is_active_where_its_multiplier_exceeds_the_distance_to_it(value
 @pytest.mark.parametrize(("value", "beyond"), [(3.0, 0.0), (1.5, 0.5), (7.0, 2.0)])
 def test_a_violation_is_the_distance_to_the_nearer_bound(value, beyond):
     assert _violation(np.array([value]), np.array([2.0]), np.array([5.0])) == beyond
+
+
+def moved(gradient, row, begin: Optimum, asked: float, target: float = 0.0, start: float = 0.0) -> NewtonStep:
+    """Return Newton steps on grad f = p, g = target, from a point at p = `start` and g = 0; x has the size of `begin`."""
+    n = len(begin.x)
+    x, p, lam = ca.MX.sym("x", n), ca.MX.sym("p"), ca.MX.sym("lam")
+    slope, g = gradient(x, p), row(x)
+    J = ca.jacobian(g, x)
+    H = ca.jacobian(slope + J.T * lam, x)
+    K = ca.densify(ca.blockcat([[H, J.T], [J, ca.MX(1, 1)]]))
+    conditions = Conditions(
+        slopes=ca.Function("slopes", [x, p, lam], [ca.densify(slope), g, K]),
+        gaps=ca.Function("gaps", [x, p, lam], [ca.densify(slope + J.T * lam), g]),
+        rows=np.tile(np.arange(n + 1), n + 1),
+        columns=np.repeat(np.arange(n + 1), n + 1),
+    )
+
+    def numbers(p: float, row: float) -> SimpleNamespace:
+        wide = {"lower": np.full(n, -1e3), "upper": np.full(n, 1e3)}
+        return SimpleNamespace(parameters=np.array([p]), row_lower=np.array([row]), row_upper=np.array([row]), **wide)
+
+    return newton_step(conditions, numbers(start, 0.0), begin, numbers(asked, target), 3)
+
+
+def test_an_unknown_that_stays_leaves_the_bound_to_the_one_that_moves():
+    """x_0 + 0.1 x_0^2 = p from the root of 1.1 towards that of 0; x_1 = 0 all along."""
+    begin = Optimum(x=np.array([1.0, 0.0]), rows=np.zeros(1), bounds=np.zeros(2))
+    found = moved(lambda x, p: ca.vertcat(x[0] + 0.1 * x[0] ** 2 - p, 0.0), lambda x: x[1], begin, 0.0, start=1.1)
+    assert 1e-3 < abs(found.optimum.x[0]) == pytest.approx(found.error_bound, rel=0.2)
+
+
+def test_a_multiplier_that_moves_more_than_the_unknown_is_what_the_bound_is_for():
+    """x + 100 x^2 = 1e-4 with lambda (1 + 200 x) = p: while x moves by 1e-4, lambda goes from 0 to 1 / sqrt(1.04)."""
+    begin = Optimum(x=np.zeros(1), rows=np.zeros(1), bounds=np.zeros(1))
+    found = moved(lambda _x, p: -p, lambda x: x + 100.0 * x**2, begin, 1.0, target=1e-4)
+    error = abs(found.optimum.rows[0] - 1.0 / np.sqrt(1.04))
+    assert error > 1e-5
+    assert error <= found.error_bound < 1e-2
+
+
+def test_the_same_numbers_leave_the_optimum_where_it_is():
+    begin = Optimum(x=np.array([1.0]), rows=np.zeros(1), bounds=np.zeros(1))
+    found = moved(lambda x, p: x - p, lambda x: 1e-3 * (x - 1.0), begin, 1.0, start=1.0)
+    assert (found.optimum.x[0], found.error_bound, found.violation) == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("side", "value", "push", "after"),
+    [
+        (0, 5.0, 0.0, 0),  # at the bound, not beyond it
+        (0, 5.0 + 3e-10, 0.0, 0),
+        (0, 5.0 + 3e-9, 0.0, 1),
+        (0, 2.0, 0.0, 0),
+        (0, 2.0 - 3e-10, 0.0, 0),
+        (0, 2.0 - 3e-9, 0.0, -1),
+        (1, 5.0, -3e-10, 1),
+        (1, 5.0, -3e-9, 0),
+        (-1, 2.0, 3e-10, -1),
+        (-1, 2.0, 3e-9, 0),
+        (1, 5.0, 1.0, 1),
+        (-1, 2.0, -1.0, -1),
+    ],
+)
+def test_a_bound_becomes_active_where_it_is_violated_and_inactive_where_it_pulls(side, value, push, after):
+    bounds = np.array([2.0]), np.array([5.0])
+    assert _changed(np.array([side]), np.array([value]), np.array([push]), *bounds).tolist() == [after]
+    assert _changed(np.array([1]), np.array([value]), np.array([-1.0]), bounds[0], bounds[0]).tolist() == [1]
+
+
+@pytest.mark.parametrize(("distance", "held"), [(0.0, True), (3e-8, True), (3e-7, False)])
+@pytest.mark.parametrize("side", [+1, -1])
+def test_the_nearest_feasible_point_keeps_unknowns_that_are_at_a_bound(side, distance, held):
+    """x_0 - side x_1 = 2 from (0, 0): half each, but for x_1, which stays where it is within 1e-7 of a bound of it."""
+    x, p = ca.MX.sym("x", 2), ca.MX.sym("p", 0)
+    row = x[0] - side * x[1]
+    functions = {
+        "jac_g": ca.Function("jac_g", [x, p], [row, ca.jacobian(row, x)]),
+        "grad_f": ca.Function("grad_f", [x, p], [x[0], ca.vertcat(1.0, 0.0)]),
+    }
+    layout = SimpleNamespace(effort=lambda: np.arange(2), durations=lambda: np.zeros(0, dtype=int))
+    bound = np.array([9.0, 9.0]), np.array([9.0, distance])
+    lower, upper = (-bound[0], bound[1]) if side > 0 else (-bound[1], bound[0])
+    transcribed = SimpleNamespace(
+        program=SimpleNamespace(functions=functions, layout=layout),
+        parameters=np.zeros(0),
+        lower=lower,
+        upper=upper,
+        row_lower=np.array([2.0]),
+        row_upper=np.array([2.0]),
+        objective_scale=3.0,
+    )
+    found = nearest_feasible(transcribed, np.zeros(2))
+    assert found.converged
+    assert found.x == pytest.approx([2.0, 0.0] if held else [1.0, -side * 1.0])
+    assert found.objective == pytest.approx(3.0 * found.x[0])

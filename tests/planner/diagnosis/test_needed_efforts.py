@@ -1,0 +1,174 @@
+"""What a motion needs of its actuators, in closed form: of a trajectory's efforts, and of a path's inverse dynamics."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.diagnosis.reasons import effort_sentence, far_too_short, path_effort, share_sentence
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_problem
+
+# The quarter turn in a second along t^2 (3 - 2 t): 6 I b (1 - 2 t) N.m.
+PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
+
+
+def problem(limit: str = "[-4, 4]", mjcf: str = HINGE) -> Problem:
+    name = "motor" if mjcf is HINGE else "m"
+    return body_problem(mjcf, QUARTER_TURN + "duration_s = 1.0\n", f"limits.effort.{name}={limit}")
+
+
+def two_hinges(actuators: str) -> Problem:
+    """Return the quarter turn of two hinges with equal inertias."""
+    body = HINGE[HINGE.index('<body name="arm">') : HINGE.index("</worldbody>")]
+    both = HINGE.replace("</worldbody>", body.replace("arm", "other").replace('"J"', '"K"') + "</worldbody>")
+    ends = 'kind = "reach"\nstart_deg = { J = 10.0, K = 10.0 }\ngoal_deg = { J = 100.0, K = 100.0 }\nduration_s = 1.0\n'
+    return body_problem(both.replace("</actuator>", f"{actuators}</actuator>"), ends)
+
+
+def with_efforts(first: float, last: float) -> Trajectory:
+    begin = np.radians(10.0)
+    return Trajectory(
+        breaks_s=np.array([0.0, 1.0]),
+        position=np.array([begin, begin, begin + TURN, begin + TURN])[:, None, None],
+        velocity=np.array([0.0, 3 * TURN, 0.0])[:, None, None],
+        effort=np.array([first, last])[:, None, None],
+        start_pose=np.array([begin]),
+        periodic=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("limit", "first", "last", "words"),
+    [
+        ("[-4, 4]", 5.0, -4.0, "would have to give 5 N.m at t = 0 s, 1 N.m beyond its limit of 4"),
+        ("[-4, 4]", -5.0, 4.0, "would have to give 5 N.m at t = 0 s, 1 N.m beyond its limit of 4"),
+        ("[-2, 9]", 5.0, -5.0, "would have to give 5 N.m at t = 1 s, 3 N.m beyond its limit of 2"),
+    ],
+)
+def test_the_largest_excess_of_an_effort_is_named_with_its_limit(limit, first, last, words):
+    least = SimpleNamespace(trajectory=with_efforts(first, last), factor=1.25)
+    said, numbers = effort_sentence(problem(limit), least)
+    assert said == f"motor on joint J {words}"
+    assert numbers == {"needed_effort": pytest.approx(5.0), "needed_limit_factor": 1.25}
+
+
+def test_of_two_actuators_the_one_with_the_larger_excess_is_named():
+    """The other is always just within its limit."""
+    asked, one = two_hinges('<motor name="m" joint="K" ctrlrange="-4 4"/>'), with_efforts(5.0, -5.0)
+    arrays = {name: np.repeat(getattr(one, name), 2, axis=2) for name in ("position", "velocity", "effort")}
+    arrays["effort"][:, :, 1] = 3.9
+    both = replace(one, **arrays, start_pose=np.repeat(one.start_pose, 2))
+    assert effort_sentence(asked, SimpleNamespace(trajectory=both, factor=1.25))[0].startswith("motor on joint J")
+
+
+def test_what_no_actuator_gives_is_named_with_its_joint():
+    asked, one = two_hinges(""), with_efforts(0.0, 0.0)
+    arrays = {name: np.repeat(getattr(one, name), 2, axis=2) for name in ("position", "velocity")}
+    both = replace(one, **arrays, start_pose=np.repeat(one.start_pose, 2))
+    found = path_effort(asked, motion_of(both))
+    assert found.sentence.endswith(f", and no actuator gives the {PEAK_EFFORT:.4g} N.m on K")
+    assert "no actuator gives" not in path_effort(problem(), motion_of(one)).sentence
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.09, True), (0.11, False)])
+def test_a_tenth_of_the_least_time_is_far_too_short(share, refused):
+    least = 2 * np.sqrt(HINGE_INERTIA * TURN / 4.0)
+    asked = body_problem(HINGE, QUARTER_TURN + f"duration_s = {share * least}\n")
+    found = far_too_short(Search(problem=asked, start_pose=asked.start_pose()))
+    assert (found is not None) is refused
+    if refused:
+        said, numbers = found
+        assert numbers["shortest_duration_s"] == pytest.approx(least, rel=2e-3)
+        assert f"is {1 / share:.3g} times too short" in said
+
+
+def test_of_an_excess_that_lasts_its_first_instant_is_named():
+    effort = np.array([[0.0, 5.0, 0.0], [0.0, 5.0, 0.0]])[:, :, None]
+    trajectory = with_efforts(0.0, 0.0)
+    halves = np.repeat(trajectory.position[:1], 4, axis=0)
+    still = Trajectory(
+        breaks_s=np.array([0.0, 0.25, 0.5, 1.0]),
+        position=np.repeat(halves, 3, axis=1),
+        velocity=np.zeros((3, 3, 1)),
+        effort=effort,
+        start_pose=trajectory.start_pose,
+        periodic=False,
+    )
+    said, _ = effort_sentence(problem(), SimpleNamespace(trajectory=still, factor=1.25))
+    assert "5 N.m at t = 0.25 s" in said
+
+
+@pytest.mark.parametrize(
+    ("limit", "factor", "words"),
+    [
+        ("[-4, 4]", PEAK_EFFORT / 4, f"give {PEAK_EFFORT:.4g} N.m at t = 0 s, {PEAK_EFFORT / 4:.4g} times its limit of 4"),
+        ("[-2, 4]", PEAK_EFFORT / 2, f"give -{PEAK_EFFORT:.4g} N.m at t = 1 s, {PEAK_EFFORT / 2:.4g} times its limit of -2"),
+    ],
+)
+def test_a_path_needs_the_effort_of_its_inertia_as_a_share_of_the_limit_on_its_side(limit, factor, words):
+    found = path_effort(problem(limit), motion_of(with_efforts(0.0, 0.0)))
+    assert found.factor == pytest.approx(factor)
+    assert words in found.sentence
+    low, high = np.fromstring(limit.strip("[]"), sep=",")
+    assert found.inertial_factor == pytest.approx(PEAK_EFFORT / max(-low, high))
+
+
+def test_in_a_direction_in_which_an_actuator_gives_nothing_the_other_limit_is_its_measure():
+    pushing = motion_of(with_efforts(0.0, 0.0))
+    found = path_effort(problem("[-2, 0]"), pushing)
+    assert found.factor == pytest.approx(PEAK_EFFORT / 2)
+    first, last = found.sentence.split(" at t = ")
+    assert first.endswith(f"{PEAK_EFFORT:.4g} N.m")
+    assert "a direction in which it gives nothing" in last if last.startswith("0 s") else "times its limit of -2" in last
+
+
+def test_the_weight_that_a_path_is_held_against_is_no_effort_of_its_inertia():
+    """A pendulum of 4.905 N.m and 0.26 kg m2, so slow that only its weight counts, and so fast that its inertia does."""
+    asked = problem("[-10, 10]", PENDULUM.format(limit=10))
+    inertia, angle, turn = 0.26, np.radians(100.0), motion_of(with_efforts(0.0, 0.0))
+    for duration in (100.0, 0.5):
+        slow = Guess(
+            position=lambda t, d=duration: turn.position(t / d),
+            velocity=lambda t, d=duration: turn.velocity(t / d) / d,
+            acceleration=lambda t, d=duration: turn.acceleration(t / d) / d**2,
+            effort=None,
+            duration_s=duration,
+            start_pose=np.radians([10.0]),
+        )
+        found = path_effort(asked, slow)
+        of_inertia = 6 * inertia * TURN / duration**2
+        assert found.inertial_factor == pytest.approx(of_inertia / 10, rel=1e-6)
+        if duration == 100.0:
+            assert found.factor == pytest.approx(4.905 / 10, rel=1e-3)
+        else:
+            at_start = of_inertia + 4.905 * np.sin(np.radians(10.0))
+            at_end = abs(4.905 * np.sin(angle) - of_inertia)
+            assert found.factor == pytest.approx(max(at_start, at_end) / 10, rel=1e-6)
+
+
+@pytest.mark.parametrize("slowest", [0.5, 1.5])
+def test_the_slowest_passage_is_looked_for_between_both_ends_and_not_where_it_turns(slowest):
+    """A speed of 1 but near the slowest instant, in the first and last 2 % and where it turns back, at 1 s."""
+
+    def speed(t: np.ndarray) -> np.ndarray:
+        dips = [
+            1.0 - depth * np.exp(-(((t - at) / 0.01) ** 2)) for at, depth in ((slowest, 0.9), (0.02, 0.95), (1.98, 0.95))
+        ]
+        return (np.where(t < 1.0, 1.0, -1.0) * np.minimum(1.0, 20 * np.abs(t - 1.0)) * np.prod(dips, axis=0))[:, None]
+
+    guess = Guess(
+        position=lambda t: t[:, None],
+        velocity=speed,
+        acceleration=speed,
+        effort=lambda t: 2.0 + t[:, None],
+        duration_s=2.0,
+        start_pose=np.zeros(1),
+    )
+    said = share_sentence(problem(), 1.25, guess, at_all=True)
+    assert f"t = {slowest:.3g} s" in said
+    assert f"give {2 + slowest:.4g} N.m, 1.25 times its limit of {(2 + slowest) / 1.25:.4g}" in said

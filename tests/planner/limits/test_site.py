@@ -1,0 +1,130 @@
+"""Margins of limits on a site that goes round a hinge on an arm of 1 m, in closed form."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.planner.limits.kinds import SitePathLimit
+from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
+
+ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/></body></worldbody>
+<actuator><motor name="m" joint="J" ctrlrange="-9 9"/></actuator></mujoco>"""
+# From 20 to 110 degrees: x from 0.94 to -0.34, z up to 1 at 90 degrees; t^2 (3 - 2 t) over three seconds.
+BEGIN, END, DURATION_S = np.radians(20.0), np.radians(110.0), 3.0
+# Of an extreme between samples, by a parabola through three of a fine grid. Measured 2e-9.
+FINE_GRID = 1e-8
+
+
+def problem(**site) -> Problem:
+    motion = {"kind": "reach", "start_deg": {"J": 20.0}, "goal_deg": {"J": 110.0}, "duration_s": DURATION_S}
+    tables = {"mechanism": {"model": ARM}, "motion": motion, "limits": {"site": {"tip": site}}}
+    return Problem.from_tables("arm", tables | {"objective": {"minimize": "effort"}})
+
+
+def motion(n: int = 3) -> Trajectory:
+    """Return it in `n` intervals, by the cubic through the breaks' places and speeds, which is the same polynomial."""
+    breaks = np.linspace(0.0, DURATION_S, n + 1)
+    share = breaks / DURATION_S
+    place = BEGIN + (END - BEGIN) * share**2 * (3 - 2 * share)
+    speed = (END - BEGIN) * 6 * share * (1 - share) / DURATION_S
+    h = np.diff(breaks)
+    p = np.array([place[:-1], place[:-1] + h * speed[:-1] / 3, place[1:] - h * speed[1:] / 3, place[1:]])
+    return Trajectory(
+        breaks_s=breaks,
+        position=p[:, :, None],
+        velocity=(3 * np.diff(p, axis=0) / h)[:, :, None],
+        effort=np.zeros((1, n, 1)),
+        start_pose=np.array([BEGIN]),
+        periodic=False,
+    )
+
+
+def margin_of(asked: Problem) -> Margin:
+    (limit,) = SitePathLimit.of(asked)
+    return limit.margin(samples_of(asked, motion()))
+
+
+def time_at(angle: float) -> float:
+    share = np.linspace(0.0, 1.0, 200_001)
+    return DURATION_S * float(np.interp(angle, BEGIN + (END - BEGIN) * share**2 * (3 - 2 * share), share))
+
+
+@pytest.mark.parametrize(
+    ("site", "value", "limit", "upper", "when"),
+    [
+        ({"z": [-9.0, 0.97]}, 1.0, 0.97, True, np.pi / 2),  # inside of the last interval
+        ({"z": [-9.0, 1.25]}, 1.0, 1.25, True, np.pi / 2),
+        ({"z": [-0.5, 0.97]}, 1.0, 0.97, True, np.pi / 2),
+        ({"x": [-0.1, 9.0]}, np.cos(END), -0.1, False, END),
+        ({"x": [-9.0, 0.5]}, np.cos(BEGIN), 0.5, True, BEGIN),
+        ({"x": [-0.5, 2.0]}, np.cos(END), -0.5, False, END),
+        ({"normal": [0.0, 0.0, -2.0], "at": [3.0, 4.0, 0.97]}, -0.03, 0.0, False, np.pi / 2),
+    ],
+)
+def test_a_margin_is_that_of_the_nearest_instant_to_the_bound(site, value, limit, upper, when):
+    found = margin_of(problem(**site))
+    assert found.upper is upper
+    assert (found.value, found.limit) == pytest.approx((value, limit), abs=FINE_GRID)
+    assert found.left == pytest.approx(limit - value if upper else value - limit, abs=FINE_GRID)
+    assert found.time_s == pytest.approx(time_at(when), abs=2e-3)
+    assert found.kept is (found.left >= 0)
+
+
+def test_overruns_are_shares_of_the_mechanism_s_extent_in_each_interval():
+    asked = problem(z=[-9.0, 0.97])
+    found = margin_of(asked)
+    assert found.overrun[0] == 0.0
+    assert found.overrun[2] == pytest.approx(0.03 / asked.mechanism.extent_m, rel=1e-6)
+    # The second interval ends at 20 + 90 * 20 / 27 degrees.
+    end = np.sin(BEGIN + (END - BEGIN) * 20 / 27)
+    assert found.overrun[1] == pytest.approx(max(0.0, end - 0.97) / asked.mechanism.extent_m, rel=1e-6)
+
+
+@pytest.mark.parametrize("radius", [0.03, 0.08])
+def test_in_a_tube_the_distance_from_the_chord_counts(radius):
+    """Of an arc of 90 degrees on a circle of 1 m, the middle of the chord is 1 - sqrt(1/2) away."""
+    along = [[float(np.cos(a)), 0.0, float(np.sin(a))] for a in (BEGIN, END)]
+    found = margin_of(problem(along=along, radius_m=radius))
+    away = 1 - np.sqrt(0.5)
+    assert (found.value, found.limit, found.upper) == (pytest.approx(away, abs=1e-8), radius, True)
+    assert found.overrun.max() == pytest.approx((away - radius) / radius, rel=1e-6)
+    assert found.time_s == pytest.approx(DURATION_S / 2, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "site", [{"z": [-0.5, 0.97]}, {"x": [-0.5, 0.97]}, {"normal": [2.0, 0.0, 1.0], "at": [0.25, 5.0, 7.0]}]
+)
+def test_the_scaled_row_is_at_its_bounds_where_the_site_is_at_its_limits(site):
+    asked = problem(**site)
+    (limit,), (one,) = SitePathLimit.of(asked), asked.limits.site
+    for bound, end in zip(limit.bounds(asked, None), (one.low, one.high), strict=True):
+        if np.isfinite(end):
+            place = (end + one.origin) * one.normal + np.cross(one.normal, [0.3, -0.2, 0.4])
+            assert one.value(place[None]) == pytest.approx(end)
+            places = ca.DM.zeros(3, one.index + 1)
+            places[:, one.index] = place
+            at = SimpleNamespace(mechanism=asked.mechanism, of_pose=lambda _, p=places: p)
+            assert float(limit.row(at, ca.SX())) == pytest.approx(bound)
+
+
+def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_asked_for_keeps_the_motion():
+    asked = problem(z=[-0.5, 0.97])
+    wider = SitePathLimit.scaled(asked, 1.1).limits.site[0]
+    room = 0.1 * asked.mechanism.extent_m
+    assert (wider.low, wider.high) == pytest.approx((-0.5 - room, 0.97 + room))
+    factor = SitePathLimit.factor(asked, motion())
+    assert factor == pytest.approx(1 + 0.03 / asked.mechanism.extent_m, rel=1e-3)
+    assert margin_of(SitePathLimit.scaled(asked, factor)).kept
+    assert not margin_of(SitePathLimit.scaled(asked, 1 + 0.9 * (factor - 1))).kept
+    over = [SimpleNamespace(left=left) for left in (-0.01, -0.03, -0.02)]
+    assert SitePathLimit.factor_of(asked, over) == pytest.approx(factor, rel=1e-6)
+    tube = problem(along=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], radius_m=0.5)
+    assert SitePathLimit.scaled(tube, 1.1).limits.site[0].low == tube.limits.site[0].low
+    assert SitePathLimit.factor(replace(asked, limits=replace(asked.limits, site=())), motion()) is None

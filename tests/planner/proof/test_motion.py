@@ -1,0 +1,134 @@
+"""A motion's kinetics as series, of a slider-crank with a damper, against the planner's functions of numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flint import arb, ctx
+
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import demanded, joint_rates
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.instant import Corner
+from linkplan.planner.proof.branch import newton
+from linkplan.planner.proof.motion import Kinetics, Piece, _least, _squared
+from linkplan.planner.proof.prove import TAYLOR_ORDER, states_of
+from linkplan.planner.proof.walk import blocks_of
+from linkplan.planner.trajectory import Trajectory
+
+CRANK = """<mujoco><worldbody>
+<body><joint name="O" axis="0 1 0" damping="0.4"/><inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
+<body pos="0.3 0 0"><joint name="A" axis="0 1 0"/><inertial pos="0.4 0 0.1" mass="1" diaginertia="0.05 0.05 0.05"/>
+<site name="tip" pos="0.8 0 0"/></body></body>
+<body pos="1.1 0 0"><joint name="P" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+<site name="pin"/></body></worldbody><equality><connect name="pin" site1="tip" site2="pin"/></equality>
+<actuator>{actuators}</actuator></mujoco>"""
+ONE = '<motor name="o" joint="A" gear="2" ctrlrange="-9 9"/>'
+TWO = ONE + '<motor name="p" joint="P" gear="-3" ctrlrange="-9 9"/>'
+TAU = 0.375
+
+
+@pytest.fixture(autouse=True)
+def precision():
+    before = ctx.prec, ctx.cap
+    ctx.prec = 100
+    yield
+    ctx.prec, ctx.cap = before
+
+
+def motion(mechanism: Mechanism) -> Trajectory:
+    """Return a cubic in 0.8 s, with linear efforts that are not its own."""
+    position = np.array([0.4, 0.5, 0.9, 1.0])[:, None, None]
+    efforts = np.array([[5.0, -1.0], [3.0, 2.0]])[:, None, : mechanism.n_u]
+    start = follow(mechanism, np.linspace(0.0, 0.4, 5)[:, None], mechanism.home)[-1]
+    return Trajectory(
+        breaks_s=np.array([1.0, 1.8]),
+        position=position,
+        velocity=3 * np.diff(position, axis=0) / 0.8,
+        effort=efforts,
+        start_pose=start,
+        periodic=False,
+    )
+
+
+def kinetics(mechanism: Mechanism) -> tuple[list[Kinetics], np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the series at a share of the interval, and pose, speed, acceleration and efforts there."""
+    trajectory, blocks = motion(mechanism), blocks_of(mechanism)
+    time = np.array([1.0 + TAU * 0.8])
+    q = follow(mechanism, trajectory.position_at(np.linspace(1.0, time[0], 9)), trajectory.start_pose)[-1:]
+    guess = newton(blocks, trajectory.position_at(time)[0], q[0, list(blocks.dependent)])
+    middle, _, _ = states_of(blocks, Piece.of(trajectory, 0), (TAU, 2.0**-8), guess, [arb(0)], TAYLOR_ORDER)
+    ctx.cap = TAYLOR_ORDER
+    numbers = (f(time) for f in (trajectory.velocity_at, trajectory.acceleration_at, trajectory.effort_at))
+    return [middle.of_position, middle.of_velocity], q, *numbers
+
+
+def values(found) -> np.ndarray:
+    return np.array([float((x if isinstance(x, arb) else x[0]).mid()) for x in found])
+
+
+@pytest.mark.parametrize("actuators", [ONE, TWO], ids=["one motor", "two motors"])
+def test_rates_efforts_and_forces_are_those_of_numbers(actuators):
+    mechanism = load_mechanism(CRANK.format(actuators=actuators))
+    both, q, v, a, u = kinetics(mechanism)
+    tau, maps = demanded(mechanism, q, v, a)
+    lacking = tau[0] - maps[0] @ u[0]
+    forces = np.array(mechanism.dynamics.closure_force(q[0], v[0], a[0], u[0])).ravel()
+    for one in both:  # from the positions, and from the velocities
+        np.testing.assert_allclose(values(one.rates), joint_rates(mechanism, q, v)[0], rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(values(one.tau[0]), tau[0], rtol=1e-10)
+        np.testing.assert_allclose(values(one.residual), lacking, rtol=1e-9)
+        np.testing.assert_allclose(values(one.efforts()), u[0] + np.linalg.pinv(maps[0]) @ lacking, rtol=1e-9)
+        np.testing.assert_allclose(values(one.closure_forces), forces, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(values(one.actuator_speeds), maps[0].T @ v[0], rtol=1e-10)
+
+
+@pytest.mark.parametrize("actuators", [ONE, TWO], ids=["one motor", "two motors"])
+def test_a_corner_s_machine_has_other_friction_and_weaker_motors(actuators):
+    """Friction of 0.7 v + 0.2 on the slider, and nine tenths of the torque."""
+    mechanism = load_mechanism(CRANK.format(actuators=actuators))
+    (one, _), q, v, a, u = kinetics(mechanism)
+    slide = [joint.name for joint in mechanism.joints].index("P")
+    corner = Corner(payload_factor=1.0, torque_factor=0.9, friction=((slide, 0.7, 0.2),))
+    tau, maps = demanded(mechanism, q, v, a)
+    ratio = np.array(mechanism.dynamics.velocity_map(q[0]))[slide]
+    needed = (tau[0] + ratio * (0.7 * (ratio @ v[0]) + 0.2)) / 0.9
+    expected = u[0] + np.linalg.pinv(maps[0]) @ (needed - maps[0] @ u[0])
+    np.testing.assert_allclose(values(one.efforts(corner)), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (3, 2), (3, 3), (1, 4)])
+def test_the_least_solution_is_that_of_the_pseudoinverse(shape):
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=shape), rng.normal(size=shape[0])
+    entries = {(i, k): arb(float(x)) for (i, k), x in np.ndenumerate(A)}
+    found = values(_least(entries, [arb(float(x)) for x in b], shape[1]))
+    np.testing.assert_allclose(found, np.linalg.pinv(A) @ b, rtol=1e-9)
+    square = _squared(entries, shape[0])
+    np.testing.assert_allclose([[float(square[i, j].mid()) for j in range(shape[0])] for i in range(shape[0])], A @ A.T)
+
+
+def test_a_piece_knows_its_width_and_when_it_begins_in_the_motion():
+    mechanism = load_mechanism(CRANK.format(actuators=ONE))
+    one = motion(mechanism)
+    two = replace(
+        one,
+        breaks_s=np.array([1.0, 1.8, 2.1]),
+        **{name: np.repeat(getattr(one, name), 2, axis=1) for name in ("position", "velocity", "effort")},
+    )
+    piece = Piece.of(two, 1)
+    assert (piece.begin_s, float(piece.since), float(piece.width)) == pytest.approx((1.8, 0.8, 0.3))
+    for share in (0.0, 0.3, 1.0):
+        exact = two.position_at(np.array([1.8 + share * 0.3 - 1e-12 * share]))[0, 0]
+        assert float(piece.position[0](arb(share)).mid()) == pytest.approx(exact, abs=1e-10)
+    # The second interval is shorter than the first, whose speeds it has.
+    assert Piece.of(two, 0).one_velocity
+    assert not piece.one_velocity
+
+
+@pytest.mark.parametrize(("share", "agrees"), [(0.9e-8, True), (1.1e-8, False), (-1.1e-8, False)])
+def test_a_velocity_is_the_slope_to_a_hundred_millionth_of_the_largest_speed(share, agrees):
+    one = motion(load_mechanism(CRANK.format(actuators=ONE)))
+    speeds = np.array(one.velocity)
+    speeds += share * np.abs(speeds).max()
+    assert Piece.of(replace(one, velocity=speeds), 0).one_velocity is agrees

@@ -1,0 +1,81 @@
+"""The sweep of a proof: boxes of an interval and their halves, links from box to box, and the record of the closure."""
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from flint import arb
+
+from linkplan.planner.proof.claim import Record
+from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
+from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+
+
+@pytest.mark.parametrize("halvings", [0, 1, 3])
+def test_an_interval_s_boxes_cover_it_in_order_from_the_last_of_the_list(halvings):
+    boxes = _boxes(halvings, [4, 5])[::-1]
+    assert len(boxes) == 2**halvings
+    assert boxes[0].centre - boxes[0].radius == 0.0
+    assert boxes[-1].centre + boxes[-1].radius == 1.0
+    assert all(a.centre + a.radius == b.centre - b.radius for a, b in itertools.pairwise(boxes))
+    assert {(box.halvings, *box.claims) for box in boxes} == {(halvings, 4, 5)}
+
+
+def test_halves_of_a_box_lie_side_by_side_in_it_the_first_one_last():
+    box = _Box(centre=0.375, radius=0.125, halvings=2, claims=[1, 2])
+    second, first = box.halves([2])
+    assert (first.centre - first.radius, first.centre + first.radius) == (0.25, 0.375)
+    assert (second.centre - second.radius, second.centre + second.radius) == (0.375, 0.5)
+    assert {(one.halvings, *one.claims) for one in (first, second)} == {(3, 2)}
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "tau", "linked"),
+    [
+        (arb(0.1), arb(9), 0.0, True),  # the box begins in the region of the one before
+        (arb(2), arb(0.5), 0.5, True),  # the one before ends in the box's region, next to it
+        (arb(2), arb(0.5), 0.4, False),  # not next to it
+        (arb(2), arb(9), 0.5, False),
+        (arb(0.95, 0.1), arb(9), 0.5, False),  # partly outside
+    ],
+)
+def test_a_box_is_linked_to_the_one_before_by_the_region_of_either(begin, end, tau, linked):
+    anchor = _Anchor(region=[arb(0, 1)], end=[end], z=np.zeros(1), slope=np.zeros(1), tau=tau)
+    box = _Box(centre=0.75, radius=0.25, halvings=0, claims=[])
+    assert _linked(anchor, [arb(0, 1)], [begin], box) is linked
+
+
+@pytest.mark.parametrize(
+    ("gap", "undecided", "answer"), [(0.9e-6, [], "proved"), (1.1e-6, [], "refuted"), (0.9e-6, [(0.25, 0.5)], "undecided")]
+)
+def test_the_loops_close_where_the_start_pose_is_a_millionth_from_the_closed_one(gap, undecided, answer):
+    sweep = SimpleNamespace(blocks=SimpleNamespace(rank=2), closure=Record(boxes=7, undecided=undecided), start_gap=gap)
+    (found,) = _closure_findings(sweep)
+    assert (found.answer, found.boxes) == (answer, 7)
+    if answer == "proved":
+        assert found.margin == pytest.approx(1e-6 - gap)
+    assert _closure_findings(SimpleNamespace(blocks=SimpleNamespace(rank=0))) == []
+
+
+def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():
+    """The box from a quarter to three quarters of an interval of two seconds that begins after one."""
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
+    motion = Trajectory(
+        breaks_s=np.array([0.0, 1.0]),
+        position=np.zeros((2, 1, 1)),
+        velocity=np.zeros((1, 1, 1)),
+        effort=np.zeros((1, 1, 1)),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    sweep = _Sweep(problem=problem, trajectory=motion, blocks=None, claims=[], until=None, order=6)
+    sweep.records = [Record(), Record()]
+    box = _Box(centre=0.5, radius=0.25, halvings=1, claims=[0, 1])
+    piece = SimpleNamespace(begin_s=1.0, width=arb(2))
+    sweep._leave(piece, box, [1], closed=True)
+    assert (sweep.records[0].undecided, sweep.records[1].undecided) == ([], [(1.5, 2.5)])
+    assert sweep.closure.undecided == []
+    sweep._leave(piece, box, [], closed=False)
+    assert sweep.closure.undecided == [(1.5, 2.5)]

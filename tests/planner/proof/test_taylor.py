@@ -1,0 +1,102 @@
+"""Taylor forms on a box: what is known beside kinks, values at both ends, and verdicts on either side of a mark."""
+
+import math
+
+import numpy as np
+import pytest
+from flint import arb, arb_series, ctx
+
+from linkplan.planner.proof.taylor import TaylorForm, above, below
+
+UNKNOWN = arb(0, math.inf)
+
+
+@pytest.fixture(autouse=True)
+def precision():
+    before = ctx.prec, ctx.cap
+    ctx.prec, ctx.cap = 100, 10
+    yield
+    ctx.prec, ctx.cap = before
+
+
+def form(*coefficients: float, remainder: float = 0.0, whole: float = math.inf) -> TaylorForm:
+    return TaylorForm(coefficients=[arb(c) for c in coefficients], remainder=arb(remainder), whole=arb(0, whole))
+
+
+def test_values_at_the_ends_of_a_box_are_those_of_its_polynomial_and_remainder():
+    found = form(1.0, 2.0, 4.0, 8.0, remainder=0.25)
+    for value, exact in ((found.at_start(), 1 - 2 + 4 - 8), (found.at_end(), 15)):
+        assert (below(value), above(value)) == pytest.approx((exact - 0.25, exact + 0.25))
+
+
+@pytest.mark.parametrize(
+    ("box", "coefficients", "remainder"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0], 4.0),
+        ([1.0, 2.0, -3.0, None], [10.0, 20.0], 3.0),
+        ([1.0, 2.0, None, None], [10.0], 2.0),
+        ([1.0, None, None, None], [1.0], 0.0),
+    ],
+)
+def test_beside_a_kink_a_form_has_as_many_coefficients_as_are_known(box, coefficients, remainder):
+    """Three at most here, those at the middle; the next one over the whole box bounds the rest."""
+    over = arb_series([UNKNOWN if c is None else arb(c) for c in box], prec=4)
+    found = TaylorForm.of(arb_series([10, 20, 30, 40], prec=4), over, 3)
+    assert [float(c.mid()) for c in found.coefficients] == coefficients
+    assert float(found.remainder) == remainder
+    assert float(found.whole.mid()) == 1.0
+
+
+@pytest.mark.parametrize(("low", "high", "answer"), [(-1.0, 4.0, True), (0.0, 4.0, None), (-1.0, 3.0, None)])
+def test_without_a_remainder_the_range_over_the_box_alone_is_judged(low, high, answer):
+    found = TaylorForm(coefficients=[arb(1)], remainder=UNKNOWN, whole=arb(1.5, 2.0)).verdict(arb(low), arb(high))
+    assert found.answer is answer
+    assert (found.least, found.greatest) == pytest.approx((-0.5, 3.5))
+
+
+@pytest.mark.parametrize("sign", [+1.0, -1.0])
+@pytest.mark.parametrize(("mark", "answer"), [(3.01, True), (2.99, False)])
+def test_a_line_is_kept_or_broken_at_the_end_where_it_is_largest(sign, mark, answer):
+    """1 + 2 x is -1 to 3; with the other sign it is low that is broken."""
+    for slope in (2.0, -2.0):
+        found = form(sign, sign * slope).verdict(*sorted((arb(sign * mark), arb(-sign * 1.01)), key=lambda x: float(x)))
+        assert found.answer is answer
+        if answer:
+            assert sorted((sign * found.least, sign * found.greatest)) == pytest.approx([-1.0, 3.0])
+        else:
+            assert found.at == pytest.approx(math.copysign(1.0, slope))
+            assert sign * found.least == pytest.approx(3.0)
+
+
+def test_a_remainder_leaves_open_what_it_may_break_and_is_counted_on_both_sides():
+    assert form(1.0, 2.0, remainder=0.1).verdict(arb(-1.11), arb(3.11)).answer is True
+    assert form(1.0, 2.0, remainder=0.1).verdict(arb(-1.09), arb(3.11)).answer is None
+    assert form(1.0, 2.0, remainder=0.1).verdict(arb(-1.11), arb(3.09)).answer is None
+    broken = form(1.0, 2.0, remainder=0.1).verdict(arb(-1.11), arb(2.89))
+    assert broken.answer is False
+    assert (broken.least, broken.greatest) == pytest.approx((2.9, 3.1))
+    found = form(1.0, 2.0, remainder=0.1).verdict(arb(-1.09), arb(3.11))
+    assert (found.least, found.greatest) == pytest.approx((-1.1, 3.1), rel=0.1)
+
+
+@pytest.mark.parametrize(("room", "answer"), [(1e-10, True), (1e-15, None), (-1e-10, False)])
+def test_a_box_is_halved_up_to_a_million_times(room, answer):
+    """1 - (x - r)^2 is 1 at r = 1 / sqrt(2); over a millionth of the box it differs from its polygon by 1e-12."""
+    r = math.sqrt(0.5)
+    curve = form(1.0 - r * r, 2.0 * r, -1.0)
+    for sign in (+1.0, -1.0):
+        signed = form(*(sign * float(c) for c in curve.coefficients))
+        marks = (arb(-9), arb(1.0 + room)) if sign > 0 else (arb(-1.0 - room), arb(9))
+        assert signed.verdict(*marks).answer is answer
+
+
+def test_bounds_of_verdicts_contain_the_range_tightly():
+    rng = np.random.default_rng(0)
+    x = np.linspace(-1.0, 1.0, 4001)
+    for _ in range(5):
+        c = rng.normal(size=6)
+        values = np.polynomial.polynomial.polyval(x, c)
+        found = form(*c).verdict(arb(values.min() - 1e-3), arb(values.max() + 1e-3))
+        assert found.answer is True
+        assert values.min() - 1e-3 <= found.least <= values.min() + 1e-9
+        assert values.max() - 1e-9 <= found.greatest <= values.max() + 1e-3
