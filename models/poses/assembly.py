@@ -10,6 +10,7 @@ stride that is not regular.
 """
 
 import functools
+from collections.abc import Iterator
 
 import casadi as ca
 import numpy as np
@@ -240,6 +241,14 @@ def advance(
     mechanism: Mechanism, q: np.ndarray, target: np.ndarray, deadline: Deadline = NO_DEADLINE
 ) -> tuple[np.ndarray, bool]:
     """Return the pose at `target` and True, or the last pose on the branch before the loop opens and False."""
+    last = [np.array(q, dtype=float), *steps_to(mechanism, q, target, deadline)][-1]
+    return last, bool(np.all(last[mechanism.independent] == target))
+
+
+def steps_to(
+    mechanism: Mechanism, q: np.ndarray, target: np.ndarray, deadline: Deadline = NO_DEADLINE
+) -> Iterator[np.ndarray]:
+    """Yield the poses after regular steps from pose q on, up to that at `target` or to the last before the loop opens."""
     independent, dependent = mechanism.independent, mechanism.dependent
     step_size = step_sizes(mechanism)
     q = np.array(q, dtype=float)
@@ -255,7 +264,7 @@ def advance(
         left = target - q[independent]
         longest = np.max(np.abs(left) / step_size[independent], initial=0.0)
         if longest == 0.0:
-            return q, True
+            return
         fraction = min(1.0, share / longest)
         ds = left if fraction == 1.0 else fraction * left
         trial = q + gamma @ ds
@@ -269,10 +278,11 @@ def advance(
         if regular and (not mechanism.projected or _on_branch(mechanism, np.array([q, trial]))):
             q, gamma, determinants = trial, gamma_trial, dets_trial
             share = min(1.0, 2 * share)
+            yield q
             continue
         share = 0.5 * min(share, longest)
         if share < _LEAST_STEP_SHARE:
-            return q, False
+            return
 
 
 def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

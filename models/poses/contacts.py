@@ -89,7 +89,7 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
         pairs, distance, _ = _detected(model, data, qpos)
         points.append(np.column_stack([np.full(len(pairs), k), pairs, -distance])[-distance > rounding])
     number, *geoms, depth = np.vstack(points).T
-    pairs, of = np.unique(np.array(geoms, dtype=int), axis=1, return_inverse=True)
+    pairs, of = np.unique(np.ravel_multi_index(np.array(geoms, dtype=int), 2 * (model.ngeom,)), return_inverse=True)
     return tuple(
         ContactPair(
             first=geom_name(model, first),
@@ -98,7 +98,7 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
             poses=tuple(np.unique(number[of == i].astype(int)).tolist()),
             depth_m=float(depth[of == i].max()),
         )
-        for i, (first, second) in enumerate(pairs.T.tolist())
+        for i, (first, second) in enumerate(np.transpose(np.unravel_index(pairs, 2 * (model.ngeom,))).tolist())
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled
-from linkplan.models.poses.assembly import advance, continue_to, in_loops, step_sizes
+from linkplan.models.poses.assembly import advance, continue_to, in_loops, step_sizes, steps_to, strides
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,
@@ -236,24 +236,59 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
 @functools.lru_cache(maxsize=64)
 def toggles(mechanism: Mechanism, coordinate: int = 0) -> tuple[tuple[int, float], ...]:
     """Return the dead centres (joint, independent position) in a reach: where rates of dependent joints change sign."""
-    index, poses = mechanism.independent[coordinate], reach(mechanism, coordinate).poses
     if not in_loops(mechanism)[coordinate]:
         return ()
+    poses = reach(mechanism, coordinate).poses
+    found = _turning_points(mechanism, coordinate, poses)
+    fast = {gap for gap, _, position in found if np.isnan(position)}
+    if fast:  # near a singular pose, where no single stride joins two poses: those between them are needed too
+        parts = [[pose] for pose in poses]
+        for gap in fast:
+            parts[gap] += steps_to(mechanism, poses[gap], poses[gap + 1, mechanism.independent])
+        poses = np.array([pose for part in parts for pose in part])
+        found = _turning_points(mechanism, coordinate, poses)
+    turning = [
+        (joint, _turning_point(mechanism, coordinate, poses[k : k + 2], joint) if np.isnan(position) else position)
+        for k, joint, position in found
+    ]
+    return tuple(sorted(turning, key=lambda item: item[1]))
 
-    def rate(pose: np.ndarray, joint: int) -> float:
+
+def _turning_point(mechanism: Mechanism, coordinate: int, ends: np.ndarray, joint: int) -> float:
+    """Return the independent position where a joint's rate changes sign between two poses (2, n_q)."""
+
+    def rate(pose: np.ndarray) -> float:
         return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])
 
-    found = []
+    return float(_pose_where(mechanism, *ends, coordinate, rate)[mechanism.independent[coordinate]])
+
+
+def _turning_points(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[tuple[int, int, float]]:
+    """Return (number of the pose before, joint, independent position) where a dependent joint's rate changes sign.
+
+    The position is NaN if no single stride leads there from the pose before.
+    """
+    index, found, between = mechanism.independent[coordinate], [], []
     rates = sampled(mechanism.dynamics.velocity_map, poses)[:, :, coordinate]
     rates[np.abs(rates) < ROUNDING_SHARE] = 0.0
-    for joint in mechanism.dependent:
-        moving = np.flatnonzero(rates[:, joint])  # the rate at a dead centre itself has no sign
+    for joint in mechanism.dependent.tolist():
+        moving = np.flatnonzero(rates[:, joint]).tolist()  # the rate at a dead centre itself has no sign
         for before, after in pairwise(moving):
             if rates[before, joint] * rates[after, joint] > 0:
                 continue
             if after > before + 1:
-                found.append((int(joint), float(poses[(before + after) // 2, index])))
-                continue
-            pose = _pose_where(mechanism, poses[before], poses[after], coordinate, lambda p, j=int(joint): rate(p, j))
-            found.append((int(joint), float(pose[index])))
-    return tuple(sorted(found, key=lambda item: item[1]))
+                found.append((before, joint, float(poses[(before + after) // 2, index])))
+            else:
+                between.append((before, joint))
+    if not between:
+        return found
+    gaps, joints = np.array(between).T
+
+    def rate(x: np.ndarray) -> np.ndarray:
+        s = poses[gaps][:, mechanism.independent]
+        s[:, coordinate] = x
+        there = strides(mechanism, poses[gaps], s, step_sizes(mechanism))
+        return sampled(mechanism.dynamics.velocity_map, there)[np.arange(len(gaps)), joints, coordinate]
+
+    places = sign_change(rate, poses[gaps, index], poses[gaps + 1, index], xtol=1e-11)
+    return [*found, *zip(gaps.tolist(), joints.tolist(), places.tolist(), strict=True)]

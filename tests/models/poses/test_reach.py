@@ -124,6 +124,11 @@ def test_the_slider_turns_back_at_every_half_turn_of_the_crank():
     assert np.abs(found - np.pi * np.array([-1, 0, 1, 2])).max() < BRACKET_RAD
 
 
+def test_turning_points_between_regular_poses_are_found_together(monkeypatch):
+    monkeypatch.setattr("linkplan.models.poses.reach._pose_where", lambda *of: pytest.fail(f"alone: {of}"))
+    assert len(toggles.__wrapped__(load_mechanism(SLIDER_CRANK))) == 4
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("coordinate", [0, 1])
 def test_the_other_motor_of_a_five_bar_stays_at_home_over_the_reach(coordinate):

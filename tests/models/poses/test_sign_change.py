@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from linkplan.models.poses.sign_change import sign_change
@@ -32,3 +33,10 @@ def test_a_smooth_function_is_asked_a_few_times_only():
 @pytest.mark.parametrize("end", [0.0, 1.0])
 def test_an_end_that_is_a_root_is_returned(end):
     assert sign_change(lambda x: x - end, 0.0, 1.0, xtol=1e-14) == end
+
+
+def test_many_places_are_found_together_and_none_where_the_function_has_no_value():
+    roots, asked = np.array([0.1, 0.5, np.nan, 0.9]), []
+    found = sign_change(lambda x: asked.append(x) or np.exp(3 * x) - np.exp(3 * roots), np.zeros(4), np.ones(4), xtol=1e-14)
+    np.testing.assert_allclose(found, roots, atol=2e-14)
+    assert len(asked) < 20
