@@ -9,7 +9,7 @@ import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled
+from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled, whole_turns
 from linkplan.models.poses.assembly import advance, continue_to, in_loops, step_sizes, steps_to, strides
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
@@ -39,19 +39,26 @@ class End:
 class Reach:
     """The interval of one independent joint while the other independent joints stay at home.
 
-    `poses` (n, n_q) samples the interval, ends included. `singular` are positions where J_z loses rank: det J_z crosses zero
-    at an end or touches zero on the way. `branching` are pairs (position, rank of the closure) at singular positions where J
-    loses rank as well, so that the mechanism may branch. At the other singular positions only the coordinate is at a dead
-    centre. `single` are branching positions through which only one motion passes to second order.
+    `poses` (n, n_q) samples the interval, ends included; it `repeats` if the turn above home has the poses of the turn
+    below, a turn later. `singular` are positions where J_z loses rank: det J_z crosses zero at an end or touches zero on the
+    way. `branching` are pairs (position, rank of the closure) at singular positions where J loses rank as well, so that the
+    mechanism may branch. At the other singular positions only the coordinate is at a dead centre. `single` are branching
+    positions through which only one motion passes to second order.
     """
 
     coordinate: int
     lower: End
     upper: End
     poses: np.ndarray
+    repeats: bool
     singular: tuple[float, ...]
     branching: tuple[tuple[float, int], ...]
     single: tuple[float, ...]
+
+    @property
+    def poses_once(self) -> np.ndarray:
+        """The poses without those that repeat others a turn later."""
+        return self.poses[len(self.poses) // 2 :] if self.repeats else self.poses
 
     @property
     def turns_fully(self) -> bool:
@@ -65,8 +72,9 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
 
     It ends at the range of a joint or a ball joint, at a singular pose, or after a turn.
     """
-    down, lower, singular_down = _walk(mechanism, coordinate, -1)
     up, upper, singular_up = _walk(mechanism, coordinate, +1)
+    turned = _turned_back(mechanism, coordinate, up, upper)
+    down, lower, singular_down = turned or _walk(mechanism, coordinate, -1)
     poses = np.array([*down[::-1], mechanism.home, *up])
     index = int(mechanism.independent[coordinate])
     turns = bool(in_loops(mechanism)[coordinate])
@@ -78,10 +86,28 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
         lower=lower,
         upper=upper,
         poses=poses,
+        repeats=turned is not None,
         singular=tuple(float(pose[index]) for pose in singular),
         branching=tuple((float(pose[index]), closure_rank(mechanism, pose)) for pose in lost),
         single=tuple(float(pose[index]) for pose in lost if has_single_motion(mechanism, pose)),
     )
+
+
+def _turned_back(mechanism: Mechanism, coordinate: int, up: list[np.ndarray], upper: End) -> tuple | None:
+    """Return what `_walk` returns for the turn below home, if the turn above has led back home: the same poses, turned back.
+
+    None if it has not, or if a range is left on the way.
+    """
+    if upper.reason != "full turn" or mechanism.joints[mechanism.independent[coordinate]].kind != "hinge":
+        return None
+    turn = whole_turns(mechanism, up[-1] - mechanism.home)
+    below = np.array([*up[-2::-1], mechanism.home]) - turn
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
+    inside = (below >= ranges[:, 0] - RANGE_ROUNDING) & (below <= ranges[:, 1] + RANGE_ROUNDING)
+    if np.abs(up[-1] - turn - mechanism.home).max() > RANGE_ROUNDING or not np.all(inside[:, turn != 0]):
+        return None
+    position = float(below[-1, mechanism.independent[coordinate]])
+    return list(below), End(position=position, reason="full turn", joint=None), []
 
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:

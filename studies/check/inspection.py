@@ -75,7 +75,7 @@ def inspect(
     """
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
     floating = floating_columns(mechanism)
-    swept = [can.poses for can in reaches if can.coordinate not in floating] or [mechanism.home[None]]
+    swept = [can.poses_once for can in reaches if can.coordinate not in floating] or [mechanism.home[None]]
     poses, sweeps = np.vstack(swept), [len(one) for one in swept]
     touching = contact_pairs(mechanism, poses)
     problems, notes = _findings(mechanism, reaches)

@@ -6,6 +6,7 @@ import scipy.optimize
 
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses import reach as reach_file
 from linkplan.models.poses.reach import reach, toggles
 from tests.support.four_bars import PLAIN, RANGED, load, random_bars
 from tests.support.mechanisms import (
@@ -122,6 +123,24 @@ def test_a_driven_slider_of_any_size_reaches_from_dead_centre_to_dead_centre(siz
 def test_the_slider_turns_back_at_every_half_turn_of_the_crank():
     found = np.array([at for joint, at in toggles(load_mechanism(SLIDER_CRANK)) if joint == 2])
     assert np.abs(found - np.pi * np.array([-1, 0, 1, 2])).max() < BRACKET_RAD
+
+
+@pytest.mark.parametrize(
+    ("text", "once"),
+    [
+        (SLIDER_CRANK, True),
+        (replaced(SLIDER_CRANK, '<joint name="crank"', '<joint name="crank" limited="true" range="-5 20"'), False),
+    ],
+)
+def test_a_turn_that_leads_back_home_is_walked_once(text, once, monkeypatch):
+    walked, walk = [], reach_file._walk
+    monkeypatch.setattr(reach_file, "_walk", lambda *of: walked.append(of[-1]) or walk(*of))
+    mechanism = load_mechanism(text)
+    r = reach.__wrapped__(mechanism)
+    assert (walked, r.repeats) == ([1], True) if once else ([1, -1], False)
+    assert max(mechanism.gap_m(q) for q in r.poses) < CLOSURE + CLOSED_M
+    assert np.all(np.diff(r.poses[:, mechanism.independent[0]]) > 0)
+    assert len(r.poses_once) == (len(r.poses) + 1) // 2 if once else len(r.poses)
 
 
 def test_turning_points_between_regular_poses_are_found_together(monkeypatch):
