@@ -33,13 +33,18 @@ Point = tuple[int, np.ndarray]  # a body and a position (3,) [m] in its frame
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ContactPair:
-    """Two geoms in contact at some of the checked poses: the indices of these poses and the largest depth [m]."""
+    """Two geoms in contact at some of the checked poses: the indices of these poses and the largest depth [m].
+
+    One of them is the ground if it is a plane, or a part of the world larger than the mechanism; smaller parts of the world
+    are the machine's base.
+    """
 
     first: str
     second: str
     bodies: tuple[str, str]
     poses: tuple[int, ...]
     depth_m: float
+    on_ground: bool
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -57,6 +62,7 @@ class Meeting:
     depth_m: float
     deepest_at: float
     home_depth_m: float
+    on_ground: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -97,6 +103,7 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
             bodies=_bodies(model, (first, second)),
             poses=tuple(np.unique(number[of == i].astype(int)).tolist()),
             depth_m=float(depth[of == i].max()),
+            on_ground=_on_ground(mechanism, (first, second)),
         )
         for i, (first, second) in enumerate(np.transpose(np.unravel_index(pairs, 2 * (model.ngeom,))).tolist())
     )
@@ -156,6 +163,7 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sampl
         depth_m=float(depth[deepest]),
         deepest_at=seen[deepest][0],
         home_depth_m=max(0.0, -at_home.clearance.get(pair, (np.inf, np.inf))[0]),
+        on_ground=_on_ground(mechanism, pair),
     )
 
 
@@ -307,6 +315,13 @@ def body_name(model: mujoco.MjModel, index: int) -> str:
 def _bodies(model: mujoco.MjModel, pair: Pair) -> tuple[str, str]:
     first, second = (body_name(model, model.geom_bodyid[geom]) for geom in pair)
     return first, second
+
+
+def _on_ground(mechanism: Mechanism, pair: Pair) -> bool:
+    """Tell if a geom of a pair is a plane, or a part of the world larger than the mechanism."""
+    model, geoms = mechanism.model, list(pair)
+    radius = model.geom_rbound[geoms]
+    return bool(np.any((model.geom_bodyid[geoms] == 0) & ((radius == 0) | (radius > mechanism.extent_m))))
 
 
 def exclusion(bodies: tuple[str, str]) -> str:

@@ -71,14 +71,14 @@ def contact_findings(
 
 
 def _meet_at_an_end(pair: ContactPair, sweeps: Sequence[int]) -> bool:
-    """Tell if two moving bodies meet towards one end of reaches only, and stay apart before it."""
+    """Tell if two links meet towards one end of reaches only, and stay apart before it."""
     meets = np.zeros(sum(sweeps), dtype=bool)
     meets[list(pair.poses)] = True
     for of_one in np.split(meets, np.cumsum(sweeps)[:-1]):
         changes = np.count_nonzero(np.diff(of_one.astype(int)))
         if of_one.any() and changes != 1:
             return False
-    return "world" not in pair.bodies
+    return not pair.on_ground
 
 
 def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: KinematicLoopPath, position_at) -> str:

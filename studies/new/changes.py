@@ -23,7 +23,7 @@ from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, effort_within, needed_effort
 from linkplan.models.poses.assembly import in_loops
-from linkplan.models.poses.contacts import Meeting, contact_pairs
+from linkplan.models.poses.contacts import ContactPair, Meeting, contact_pairs
 from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.selection import floating_joints, floating_words
@@ -191,9 +191,16 @@ def left_out_notes(mechanism: Mechanism) -> list[str]:
 
 
 def overlapping_bodies(contacts: Iterable[Meeting]) -> list[list[str]]:
-    """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the world are kept."""
-    pairs = dict.fromkeys(meeting.bodies for meeting in contacts if meeting.since is None)
-    return [list(pair) for pair in pairs if "world" not in pair]
+    """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the ground are kept."""
+    return _not_on_ground(meeting for meeting in contacts if meeting.since is None)
+
+
+def _not_on_ground(contacts: Iterable[Meeting | ContactPair]) -> list[list[str]]:
+    """Return the pairs of bodies of contacts, without those that touch the ground in one of them."""
+    pairs: dict[tuple[str, str], bool] = {}
+    for contact in contacts:
+        pairs[contact.bodies] = pairs.get(contact.bodies, False) or contact.on_ground
+    return [list(pair) for pair, on_ground in pairs.items() if not on_ground]
 
 
 def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
@@ -205,9 +212,8 @@ def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
 
 
 def _overlapping_at_home(mechanism: Mechanism) -> list[list[str]]:
-    """Return the pairs of bodies that overlap at home, where a motion may begin; contacts with the world are kept."""
-    pairs = dict.fromkeys(pair.bodies for pair in contact_pairs(mechanism, mechanism.home[None]))
-    return [list(pair) for pair in pairs if "world" not in pair]
+    """Return the pairs of bodies that overlap at home, where a motion may begin; contacts with the ground are kept."""
+    return _not_on_ground(contact_pairs(mechanism, mechanism.home[None]))
 
 
 def _pressed(mechanism: Mechanism) -> dict[str, float]:

@@ -204,6 +204,9 @@ def test_links_that_overlap_at_home_pass_through_each_other_but_not_through_the_
     assert "one and other are excluded" in note
     apart, notes = changed_mechanism({"model": text.replace('pos="0.15 0 0"', 'pos="0.25 0 0"')})
     assert (apart.model.nexclude, notes) == (0, ())
+    # A base link that is fixed to the world, as a URDF's, is a link, and MuJoCo has the world's children collide with it.
+    base = text.replace('size="1 1 0.1" pos="0 0 -0.1"', 'size="0.05 0.05 0.1" pos="0 0 -0.1"')
+    assert changed_mechanism({"model": base})[0].source["exclude_contacts"] == [["world", "one"], ["one", "other"]]
 
 
 def arms(count: int, friction: float) -> str:
