@@ -19,6 +19,7 @@ from linkplan.models.closure.initial_assembly import (
     assemble,
     home_of,
     home_positions,
+    idle_drives,
     locked_or_singular,
     nearby_poses,
     needless_gaps,
@@ -64,8 +65,8 @@ class Mechanism:
     They count as closed below a gap of `closed_m`, which is larger if the file's numbers are rounded. Overconstrained loops
     are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
     that no actuator drives and that can move while all other bodies rest, such as the spin of a rod between two ball joints.
-    `notes` are remarks on the assembly. `source` is the [mechanism] table of a problem file. `equations` has mass matrix,
-    bias, closure, transmission and inverse dynamics, for arrays and as CasADi functions.
+    `notes` are remarks on the assembly, `faults` what a file's rounding takes from it. `source` is the [mechanism] table of
+    a problem file. `equations` has mass matrix, bias, closure, transmission and inverse dynamics, as arrays and by CasADi.
 
     Example:
         knee = linkplan.load_mechanism("optimus-knee")
@@ -97,6 +98,7 @@ class Mechanism:
     coordinates: Coordinates
     passive_dofs: tuple[int, ...]
     notes: tuple[str, ...]
+    faults: tuple[str, ...]
     source: Mapping[str, object]
 
     def __reduce__(self) -> tuple:
@@ -322,8 +324,9 @@ def load_mechanism(
     rank = len(dependent)
     poses = [q for q in (pose, *about) if loop.rank(q) == rank]
     passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
-    notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
-    notes = [*left_out, *(shift.sentence for shift in moved), *notes, *friction_notes(model, transition, extent)]
+    notes += lost_freedoms(joints, dynamics, poses, mobility, tolerance)
+    idle, faults = idle_drives(joints, actuators, dynamics, poses, mobility, extent)
+    notes = [*left_out, *(shift.sentence for shift in moved), *notes, *idle, *friction_notes(model, transition, extent)]
     notes += [*conversion_notes(source, driven=model.nu > 0), *_reference_notes(loop, reference, rank)]
     asked = {
         "payload": None if payload is None else payload.table(),
@@ -360,6 +363,7 @@ def load_mechanism(
         coordinates=tree.coordinates,
         passive_dofs=passive_dofs,
         notes=tuple(notes),
+        faults=tuple(faults),
         source={"model": str(source)} | {key: value for key, value in asked.items() if value is not None},
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):

@@ -19,8 +19,9 @@ import numpy as np
 
 from linkplan.models.closure import newton
 from linkplan.models.closure.equations import Closure, earlier_pin
-from linkplan.models.closure.mobility import locked_by
+from linkplan.models.closure.mobility import Mobility, judge_mobility, locked_by
 from linkplan.models.closure.newton import KinematicLoop, nearest_closed_pose
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.kinematics import data_at, tied_points
 from linkplan.models.tree.coordinates import Coordinates
@@ -153,6 +154,46 @@ def home_text(tables: dict[str, dict[str, float]]) -> str:
 def _key(name: str) -> str:
     """Return a name as a TOML key, quoted if it contains anything but letters, digits, dashes and underscores."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+
+
+def idle_drives(joints, actuators, dynamics, poses, mobility: Mobility, extent_m: float) -> tuple[list[str], list[str]]:
+    """Return notes on the actuators that the loops leave without effect at closed poses (n_q,), and faults.
+
+    It is a fault if a closure tolerance frees the actuator's target: a gap of rounding, by the size `extent_m`.
+    """
+    maps = [np.array(dynamics.effort_map(q)).reshape(dynamics.effort_map.size1_out(0), -1) for q in poses]
+    full = [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses]
+    moves, arms = (np.array([np.abs(one).max(axis=0) for one in matrices]) for matrices in (maps, full))
+    idle = np.flatnonzero(np.all(moves <= ROUNDING_SHARE * np.maximum(arms, ROUNDING_SHARE), axis=0)).tolist()
+    notes, faults = [], []
+    for j, tolerance in zip(idle, _freeing_tolerances(mobility, poses[0], full[0][:, idle], extent_m), strict=True):
+        said = f"actuator {actuators[j].name} has no effect: the loops lock {actuators[j].target}"
+        freeing = f"they open by {(tolerance or 0) / 1.01:.2g} m as it moves, which mechanism.closure_tolerance_m ="
+        (notes if tolerance is None else faults).append(
+            said if tolerance is None else f"{said}; {freeing} {tolerance:.3g} allows"
+        )
+    return notes, faults
+
+
+def _freeing_tolerances(mobility: Mobility, pose: np.ndarray, arms: np.ndarray, extent_m: float) -> list[float | None]:
+    """Return the closure tolerance [m] that frees the target of each of some actuators at a closed pose (n_q,), or None.
+
+    `arms` (n_q, n) are their efforts on the coordinates. Only gaps that rounding may leave in a mechanism of the size
+    `extent_m` are tried, from the smallest on; a freedom that ends next to the pose is none.
+    """
+    found: list[float | None] = [None] * arms.shape[1]
+    freed_m = judge_mobility(mobility.loop, pose, 0.1 * SHIFT_SHARE * extent_m).freed_m if found else ()
+    for gap in np.maximum.accumulate(freed_m[len(mobility.freed_m) :]):
+        if None not in found:
+            break
+        loop = judge_mobility(mobility.loop, pose, 1.01 * float(gap)).loop
+        rank = loop.rank(pose)
+        if any(loop.rank(q) != rank for q in nearby_poses(loop, pose)):
+            continue
+        kernel = np.linalg.svd(loop.jacobian(pose))[2][rank:]
+        moved = np.abs(kernel @ arms).max(axis=0, initial=0.0) > FILE_ROUNDING_SHARE * np.abs(arms).max(axis=0)
+        found = [1.01 * float(gap) if moves and one is None else one for one, moves in zip(found, moved, strict=True)]
+    return found
 
 
 def with_closed_pose(

@@ -165,13 +165,15 @@ def judge_mobility(loop: KinematicLoop, pose: np.ndarray, tolerance_m: float) ->
     values, directions = _all_values(jacobian)
     share = values / max(values[0], np.finfo(float).tiny)
     freed, locked, rank = [], [], int(np.sum(share > RANK_TOLERANCE))
-    while rank > 1 and share[rank - 1] < WEAK_SHARE:
+    # Even the shortest trial motion along a larger singular value [m] would open the loops by more than the tolerance.
+    weak = max(WEAK_SHARE, tolerance_m / (_LEAST_TRIAL_LENGTH * max(values[0], np.finfo(float).tiny)))
+    while rank > 1 and share[rank - 1] < weak:
         cut = float(np.sqrt(share[rank - 2] * share[rank - 1]))
         free_loop = replace(loop, rank_tolerance=cut, closed_m=tolerance_m)
         gap = _gap_of_motion(free_loop, pose, directions[rank - 1], rank - 1)
         if gap > tolerance_m:
-            weak = [directions[k] for k in range(rank) if share[k] < WEAK_SHARE]
-            locked = [(direction, _gap_of_step(loop, pose, direction)) for direction in weak]
+            along = [directions[k] for k in range(rank) if share[k] < WEAK_SHARE]
+            locked = [(direction, _gap_of_step(loop, pose, direction)) for direction in along]
             break
         freed.append(gap)
         rank -= 1
@@ -223,12 +225,11 @@ def _gap_of_step(loop: KinematicLoop, pose: np.ndarray, direction: np.ndarray) -
     return newton.least_gap(loop, trial, [i for i in range(len(pose)) if i != lead])
 
 
-def lost_freedoms(joints, actuators, dynamics, poses, mobility: Mobility, tolerance_m: float) -> list[str]:
-    """Return notes on motions that rounding frees or locks, on joints that the loops lock and on idle actuators.
+def lost_freedoms(joints, dynamics, poses, mobility: Mobility, tolerance_m: float) -> list[str]:
+    """Return notes on motions that rounding frees or locks, and on joints that the loops lock.
 
     Args:
         joints: of the mechanism.
-        actuators: of the mechanism.
         dynamics: its reduced dynamics.
         poses: closed poses (n_q,).
         mobility: of the mechanism.
@@ -242,17 +243,7 @@ def lost_freedoms(joints, actuators, dynamics, poses, mobility: Mobility, tolera
         if all(np.abs(gamma[i]).max(initial=0.0) <= ROUNDING_SHARE * largest for gamma in gammas)
     ]
     locked = [f"the loops lock joint{'s' if len(still) > 1 else ''} {', '.join(still)}"] if still else []
-    maps = [np.array(dynamics.effort_map(q)).reshape(gammas[0].shape[1], -1) for q in poses]
-    full = [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses]
-    idle = [
-        f"actuator {actuator.name} has no effect: the loops lock {actuator.target}"
-        for j, actuator in enumerate(actuators)
-        if all(
-            np.abs(m[:, j]).max() <= ROUNDING_SHARE * max(np.abs(b[:, j]).max(), ROUNDING_SHARE)
-            for m, b in zip(maps, full, strict=True)
-        )
-    ]
-    return [*_rounding_notes(joints, mobility, tolerance_m), *locked, *idle]
+    return [*_rounding_notes(joints, mobility, tolerance_m), *locked]
 
 
 def _rounding_notes(joints, mobility: Mobility, tolerance_m: float) -> list[str]:

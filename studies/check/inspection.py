@@ -208,7 +208,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
         notes.append("the model has no active loop closure: it is an open tree")
     soft = softness_note(mechanism)
     notes += [] if soft is None else [soft]
-    problems += massless_findings(mechanism)
+    problems += [*massless_findings(mechanism), *mechanism.faults]
     if mechanism.n_u == 0:
         problems.append(f"the model has no actuator that a plan can use: {motors_hint(mechanism)}")
     named = [name for k in range(mechanism.model.nkey) if (name := mechanism.model.key(k).name)]

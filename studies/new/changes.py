@@ -76,7 +76,7 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             "the loops are open or singular at the model's own pose: home is the nearest closed pose that was found, on one"
             f" of the branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
         )
-    return mechanism, tuple(notes)
+    return mechanism, (*notes, *mechanism.faults)
 
 
 def _base_fixed(model: mujoco.MjModel) -> Change | None:

@@ -1,6 +1,7 @@
 """Overconstrained linkages: mobility, a full turn, closed forms and least-norm forces, exact and with a file's rounding."""
 
 import copy
+import re
 from functools import cache
 
 import mujoco
@@ -184,3 +185,27 @@ def test_every_joint_that_the_loops_lock_and_every_idle_actuator_is_named():
     assert any("lock joint neck" in note for note in notes)
     assert any("actuator neck has no effect" in note for note in notes)
     assert not any("hip" in note for note in notes)
+
+
+TILTED = """<mujoco model="two drives"><compiler angle="radian"/><worldbody>
+  <body name="arm" pos="0 0.5 0"><joint name="arm" axis="0 1 0"/><geom size="0.02" pos="0 0 0.1"/></body>
+  <body name="crank"><joint name="crank" axis="0 1 {tilt}"/><geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.05"/>
+    <body name="coupler" pos="0 0 0.05"><joint name="coupler" axis="0 1 0"/>
+      <geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0.05"/></body></body>
+  <body name="rocker" pos="0.2 0 0"><joint name="rocker" axis="0 1 0"/>
+    <geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.1"/></body></worldbody>
+  <equality><connect body1="coupler" body2="rocker" anchor="0.2 0 0.05"/></equality>
+  <actuator><motor name="arm" joint="arm" ctrlrange="-9 9"/><motor name="crank" joint="crank" ctrlrange="-9 9"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize("tilt", [1e-4, 1e-3])
+def test_a_drive_that_rounding_locks_is_a_fault_with_the_tolerance_that_frees_it(tilt):
+    locked = load_mechanism(TILTED.format(tilt=tilt))
+    (fault,) = locked.faults
+    assert fault.startswith("actuator crank has no effect: the loops lock joint crank; they open by ")
+    tolerance = float(re.search(r"closure_tolerance_m = (\S+) allows", fault).group(1))
+    freed = load_mechanism(TILTED.format(tilt=tilt), closure_tolerance_m=tolerance)
+    assert (locked.dof, freed.dof, freed.faults) == (1, 2, ())
+    assert 0.05 * tilt < tolerance < 0.2 * tilt  # links of a decimetre
+    assert load_mechanism(TILTED.format(tilt=0.5)).faults == ()
