@@ -286,7 +286,7 @@ def _turning_point(mechanism: Mechanism, coordinate: int, ends: np.ndarray, join
     def rate(pose: np.ndarray) -> float:
         return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])
 
-    return float(_pose_where(mechanism, *ends, coordinate, rate)[mechanism.independent[coordinate]])
+    return float(_pose_where(mechanism, ends[0], ends[1], coordinate, rate)[mechanism.independent[coordinate]])
 
 
 def _turning_points(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[tuple[int, int, float]]:

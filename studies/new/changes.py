@@ -1,7 +1,8 @@
 """What a first motion changes of a model that has none as it is, each with a sentence for the user.
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
-are locked there, since a stop's force is not planned for, and so are joints that a tendon's narrow range couples. Of a rod
+are locked there, since a stop's force is not planned for, and so are joints that a tendon's narrow range couples, or that
+nothing drives and dry friction holds. Of a rod
 that spins while all else rests, a hinge is locked: nothing drives the spin, and its equations are too small beside the
 others for the solver. Of a rod between ball joints, a universal joint takes the place of one. Dry friction of a robot's leg
 sets in over a wider range of speeds: joints that hardly move would have a mesh as fine as the default range asks for. Links
@@ -16,28 +17,21 @@ import mujoco
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError, listed
-from linkplan.models.kinematics import STIFF, data_at, rod_line
+from linkplan.models.kinematics import STIFF
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, effort_within, needed_effort
-from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.contacts import ContactPair, Meeting, contact_pairs
 from linkplan.models.poses.felt_inertia import equality_rows
-from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.selection import floating_joints, floating_words
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
-from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
-from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.check.softness import STIFF_KEY
-from linkplan.studies.new.hanging import hanging_columns
+from linkplan.studies.new.locks import HOLD_MULTIPLE, coupled_with_play, held_by_friction, pressed, rods_on_balls, spins
 from linkplan.studies.new.pace import is_large
-
-# An effort limit is raised to this multiple of the effort that holds the weight at home: the rest moves the machine.
-_HOLD_MULTIPLE = 2.0
 
 # Keys of the [mechanism] table that a change sets, and the sentence on it.
 Change = tuple[dict[str, object], str]
@@ -91,7 +85,7 @@ def _base_fixed(model: mujoco.MjModel) -> Change | None:
 
 
 def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
-    rods = _rods_on_balls(mechanism) if _moves(mechanism) else []
+    rods = rods_on_balls(mechanism) if _moves(mechanism) else []
     if not rods:
         return None
     given = table.get("lock_spin")
@@ -153,7 +147,7 @@ def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
     for effort, ends in zip(hold, limits, strict=True):
         end = ends[1] if effort > 0 else ends[0]
         if abs(effort) > abs(end) > 0:
-            factors[ends] = max(factors.get(ends, 0.0), _HOLD_MULTIPLE * abs(effort) / abs(end))
+            factors[ends] = max(factors.get(ends, 0.0), HOLD_MULTIPLE * abs(effort) / abs(end))
     return {
         actuator.name: [float(f"{x * factors[ends]:.3g}") for x in ends]
         for actuator, ends in zip(mechanism.actuators, limits, strict=True)
@@ -214,81 +208,6 @@ def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
 def _overlapping_at_home(mechanism: Mechanism) -> list[list[str]]:
     """Return the pairs of bodies that overlap at home, where a motion may begin; contacts with the ground are kept."""
     return _not_on_ground(contact_pairs(mechanism, mechanism.home[None]))
-
-
-def _pressed(mechanism: Mechanism) -> dict[str, float]:
-    """Return the positions [deg or m] of the hinges and slides that rest on their stops, by name."""
-    resting = [*pressed_joints(mechanism), *sprung_stops(mechanism)]
-    return {joint.name: joint.shown(x) + 0.0 for joint, x in resting if joint.chart is None}
-
-
-def _coupled_with_play(mechanism: Mechanism) -> dict[str, float]:
-    """Return the home positions [deg or m] of the joints that narrow ranges of fixed tendons couple with undriven hinges.
-
-    Exporters describe differential drives in this way: a tendon leaves a waist a tenth of a degree of play.
-    """
-    hanging = set(mechanism.independent[hanging_columns(mechanism)].tolist())
-    found: dict[str, float] = {}
-    for tendon in limited_tendons(mechanism.model):
-        coupled = tendon_joints(mechanism.model, tendon.index) if is_fixed(mechanism.model, tendon.index) else {}
-        if tendon.unit == "" and tendon.span < 0.1 and not hanging.isdisjoint(coupled):  # [rad]
-            found |= {mechanism.joints[k].name: mechanism.joints[k].shown(mechanism.home[k]) + 0.0 for k in sorted(coupled)}
-    return found
-
-
-def _spins(mechanism: Mechanism) -> dict[str, float]:
-    """Return the home positions [deg or m] of the independent hinges about which undriven rods spin, by name."""
-    swings = [column for column in hanging_columns(mechanism) if _is_spin(mechanism, column)]
-    spins = [*np.flatnonzero(~mechanism.steered).tolist(), *swings]
-    joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
-    return {
-        joint.name: float(f"{joint.shown(mechanism.home[index]):.9g}")
-        for index, joint in joints.items()
-        if joint.chart is None and joint.kind == "hinge"
-    }
-
-
-def _rods_on_balls(mechanism: Mechanism) -> list[str]:
-    """Return the ball joints of rods that spin about their own lines and whose spins can be locked, by name.
-
-    The coordinate of a rod's spin may be an angle of another ball joint: what turns is read from the bodies.
-    """
-    model, found = mechanism.model, []
-    lines = {j: rod_line(model, j) for j in range(model.njnt) if spin_refusal(model, j) is None}
-    data = data_at(model, mechanism.qpos_of(mechanism.home))
-    for column in np.flatnonzero(~mechanism.steered):
-        rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
-        data.qvel[:] = mechanism.qvel_of(mechanism.home, rates)
-        mujoco.mj_comVel(model, data)
-        least = FILE_ROUNDING_SHARE * np.abs(data.cvel[:, :3]).max()
-        for j, line in lines.items():
-            body = int(model.jnt_bodyid[j])
-            turn = data.xmat[body].reshape(3, 3).T @ data.cvel[body, :3]
-            if line is not None and np.linalg.norm(turn) > least > np.linalg.norm(np.cross(turn, line)):
-                found.append(joint_label(model, j))
-    return list(dict.fromkeys(found))
-
-
-def _is_spin(mechanism: Mechanism, column: int) -> bool:
-    """Tell if the bodies that an independent coordinate of a loop moves at home all turn about one line, as one rod.
-
-    Bodies of less than a thousandth of the moving mass, as the crosses of universal joints, do not count.
-    """
-    if not in_loops(mechanism)[column]:
-        return False
-    model = mechanism.model
-    data = data_at(model, mechanism.qpos_of(mechanism.home))
-    qvel = mechanism.qvel_of(mechanism.home, np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column])
-    rows, twists = np.zeros((6, model.nv)), np.zeros((model.nbody, 6))
-    for body in range(1, model.nbody):
-        mujoco.mj_jac(model, data, rows[:3], rows[3:], np.zeros(3), body)  # of the point at the world's origin
-        twists[body] = rows @ qvel
-    moves = np.abs(twists).max(axis=1) > ROUNDING_SHARE * np.abs(twists).max()
-    heavy = twists[moves & (model.body_mass > 1e-3 * model.body_mass[moves].sum())]
-    speed, turn = heavy[0, :3], heavy[0, 3:]
-    same = np.abs(heavy - heavy[0]).max() < ROUNDING_SHARE * np.abs(heavy).max()
-    about = abs(float(speed @ turn)) <= ROUNDING_SHARE * np.linalg.norm(turn) * np.linalg.norm(speed)  # and not along it
-    return bool(same and about and turn.any())
 
 
 def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> Mechanism:
@@ -368,20 +287,26 @@ def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
     functools.partial(
         _locked,
-        _pressed,
+        pressed,
         "weight and springs press joints onto their stops: they are locked there ({locks}); a motion on which they would"
         " leave their stops is another mechanism's",
     ),
     functools.partial(
         _locked,
-        _coupled_with_play,
+        held_by_friction,
+        "dry friction holds joints that nothing drives: they are locked where they stand ({locks}); a motion that slides"
+        " them is another mechanism's",
+    ),
+    functools.partial(
+        _locked,
+        coupled_with_play,
         "only the narrow range of a tendon holds undriven joints, and a limit's force is not planned for: they are locked"
         " with what drives them ({locks}); with an equality of the tendon they would move",
     ),
     _ball_rods_locked,
     functools.partial(
         _locked,
-        _spins,
+        spins,
         "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked ({locks})",
     ),
     _overlaps_excluded,

@@ -226,6 +226,20 @@ def test_dry_friction_of_a_large_mechanism_sets_in_over_more_speeds_and_says_so(
     assert any("mechanism.friction_transition_deg_s" in note for note in notes)
 
 
+CAMERA = """<mujoco><worldbody><body><joint name="pan" axis="0 0 1"/><geom size="0.1"/>
+  <body pos="0 0 0.2"><joint name="tilt" axis="0 1 0" frictionloss="{friction}"/>
+    <geom size="0.02" mass="0.1" pos="{arm} 0 0"/></body></body></worldbody>
+  <actuator><motor name="pan" joint="pan" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("friction", "arm", "held"), [(0.07, 0.03, True), (0.05, 0.03, False), (0.01, 0.0, True)])
+def test_undriven_joints_are_locked_that_dry_friction_holds_at_any_position(friction, arm, held):
+    """The weight of 0.1 kg on an arm of 30 mm needs 0.029 N.m at the most; on the axis it needs none."""
+    mechanism, notes = changed_mechanism({"model": CAMERA.format(friction=friction, arm=arm)})
+    assert (mechanism.dof, mechanism.source.get("lock")) == ((1, {"tilt": 0.0}) if held else (2, None))
+    assert any("dry friction holds joints that nothing drives" in note for note in notes) == held
+
+
 @pytest.mark.parametrize(
     "table", [{"model": arms(7, 0.0)}, {"model": arms(2, 0.1)}, {"model": arms(7, 0.1), "friction_transition_deg_s": 3.0}]
 )

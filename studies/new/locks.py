@@ -1,0 +1,112 @@
+"""The joints that a first motion locks: on stops, held by dry friction, coupled with play, and the spins of rods."""
+
+import mujoco
+import numpy as np
+
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
+from linkplan.models.kinematics import data_at, rod_line
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import demanded, sliding_friction
+from linkplan.models.poses.assembly import in_loops
+from linkplan.models.poses.reach import reach
+from linkplan.models.rod_spins import spin_refusal
+from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
+from linkplan.studies.check.drives import pressed_joints, sprung_stops
+from linkplan.studies.new.hanging import hanging_columns
+
+# What holds this multiple of the weight at home holds in motion too: the rest moves the machine, or withstands its motion.
+HOLD_MULTIPLE = 2.0
+
+
+def pressed(mechanism: Mechanism) -> dict[str, float]:
+    """Return the positions [deg or m] of the hinges and slides that rest on their stops, by name."""
+    resting = [*pressed_joints(mechanism), *sprung_stops(mechanism)]
+    return {joint.name: joint.shown(x) + 0.0 for joint, x in resting if joint.chart is None}
+
+
+def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
+    """Return the home positions [deg or m] of the undriven joints that dry friction holds over their whole reach, by name.
+
+    Half of it holds weight and springs; the other half holds against a motion of the others.
+    """
+    found: dict[str, float] = {}
+    for column in hanging_columns(mechanism):
+        joint = mechanism.independent_joints[column]
+        if joint.chart is not None or not sliding_friction(mechanism, mechanism.home[None], column).any():
+            continue
+        poses = reach(mechanism, column).poses_once
+        still = np.zeros((len(poses), mechanism.dof))
+        needed = np.abs(demanded(mechanism, poses, still, still)[0][:, column])
+        if np.all(HOLD_MULTIPLE * needed <= sliding_friction(mechanism, poses, column)):
+            found[joint.name] = joint.shown(float(mechanism.home[mechanism.independent[column]])) + 0.0
+    return found
+
+
+def coupled_with_play(mechanism: Mechanism) -> dict[str, float]:
+    """Return the home positions [deg or m] of the joints that narrow ranges of fixed tendons couple with undriven hinges.
+
+    Exporters describe differential drives in this way: a tendon leaves a waist a tenth of a degree of play.
+    """
+    hanging = set(mechanism.independent[hanging_columns(mechanism)].tolist())
+    found: dict[str, float] = {}
+    for tendon in limited_tendons(mechanism.model):
+        coupled = tendon_joints(mechanism.model, tendon.index) if is_fixed(mechanism.model, tendon.index) else {}
+        if tendon.unit == "" and tendon.span < 0.1 and not hanging.isdisjoint(coupled):  # [rad]
+            found |= {mechanism.joints[k].name: mechanism.joints[k].shown(mechanism.home[k]) + 0.0 for k in sorted(coupled)}
+    return found
+
+
+def spins(mechanism: Mechanism) -> dict[str, float]:
+    """Return the home positions [deg or m] of the independent hinges about which undriven rods spin, by name."""
+    swings = [column for column in hanging_columns(mechanism) if _is_spin(mechanism, column)]
+    spins = [*np.flatnonzero(~mechanism.steered).tolist(), *swings]
+    joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
+    return {
+        joint.name: float(f"{joint.shown(mechanism.home[index]):.9g}")
+        for index, joint in joints.items()
+        if joint.chart is None and joint.kind == "hinge"
+    }
+
+
+def rods_on_balls(mechanism: Mechanism) -> list[str]:
+    """Return the ball joints of rods that spin about their own lines and whose spins can be locked, by name.
+
+    The coordinate of a rod's spin may be an angle of another ball joint: what turns is read from the bodies.
+    """
+    model, found = mechanism.model, []
+    lines = {j: rod_line(model, j) for j in range(model.njnt) if spin_refusal(model, j) is None}
+    data = data_at(model, mechanism.qpos_of(mechanism.home))
+    for column in np.flatnonzero(~mechanism.steered):
+        rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
+        data.qvel[:] = mechanism.qvel_of(mechanism.home, rates)
+        mujoco.mj_comVel(model, data)
+        least = FILE_ROUNDING_SHARE * np.abs(data.cvel[:, :3]).max()
+        for j, line in lines.items():
+            body = int(model.jnt_bodyid[j])
+            turn = data.xmat[body].reshape(3, 3).T @ data.cvel[body, :3]
+            if line is not None and np.linalg.norm(turn) > least > np.linalg.norm(np.cross(turn, line)):
+                found.append(joint_label(model, j))
+    return list(dict.fromkeys(found))
+
+
+def _is_spin(mechanism: Mechanism, column: int) -> bool:
+    """Tell if the bodies that an independent coordinate of a loop moves at home all turn about one line, as one rod.
+
+    Bodies of less than a thousandth of the moving mass, as the crosses of universal joints, do not count.
+    """
+    if not in_loops(mechanism)[column]:
+        return False
+    model = mechanism.model
+    data = data_at(model, mechanism.qpos_of(mechanism.home))
+    qvel = mechanism.qvel_of(mechanism.home, np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column])
+    rows, twists = np.zeros((6, model.nv)), np.zeros((model.nbody, 6))
+    for body in range(1, model.nbody):
+        mujoco.mj_jac(model, data, rows[:3], rows[3:], np.zeros(3), body)  # of the point at the world's origin
+        twists[body] = rows @ qvel
+    moves = np.abs(twists).max(axis=1) > ROUNDING_SHARE * np.abs(twists).max()
+    heavy = twists[moves & (model.body_mass > 1e-3 * model.body_mass[moves].sum())]
+    speed, turn = heavy[0, :3], heavy[0, 3:]
+    same = np.abs(heavy - heavy[0]).max() < ROUNDING_SHARE * np.abs(heavy).max()
+    about = abs(float(speed @ turn)) <= ROUNDING_SHARE * np.linalg.norm(turn) * np.linalg.norm(speed)  # and not along it
+    return bool(same and about and turn.any())
