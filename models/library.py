@@ -136,7 +136,7 @@ mujoco.set_mju_user_warning(_keep)
 # Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
 MAX_MODEL_BYTES = 32_000_000
 
-_COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack|memory)\s*=\s*["']([^"']*)["']""")
+_COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
 _SDF = re.compile(rb"<sdf[\s>]")
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 
@@ -177,8 +177,8 @@ def refuse_oversized(content: bytes, what: str) -> None:
             " loops by <connect> elements"
         )
     for name, value in _COUNT.findall(content):
-        # Bytes, numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
-        most = {b"memory": 1e9, b"nstack": 1e8}.get(name, 20_000)
+        # Numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
+        most = {b"nstack": 1e8}.get(name, 20_000)
         if any(_number(word) > most for word in value.decode("utf-8", "replace").split()):
             text = shown(value.decode("utf-8", "replace"), 40)
             raise ModelError(f'{what} has {name.decode()} = "{text}"; at most {most:g} is read')
@@ -304,6 +304,7 @@ def _compiled(
             name, spec, notes = _selected(source, selection)
             if payload is not None:
                 attach(spec, payload)
+            spec.memory = min(spec.memory, 10**9)  # no mechanism needs more for its contacts; scenes ask for gigabytes
             with warnings.catch_warnings(record=True) as caught:  # MuJoCo's bindings issue some messages as Python warnings
                 warnings.simplefilter("always")
                 model = spec.compile()

@@ -281,29 +281,46 @@ def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
             )
 
 
+# Kinds of actuators whose force follows their control by a filter.
+FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+
+
 def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> list[str]:
     """Add a motor on each of the named joints, within the effort limit that the joint has, and return notes.
 
-    Plugins that act on such a joint are deleted with their sensors, since no plan can use them.
+    Plugins that act on such a joint are deleted with their sensors, since no plan can use them. An actuator there with a
+    filter, as a hydraulic cylinder, loses the filter and is the motor.
 
     Raises:
         ModelError: for a name that is no joint's, or a joint that has no motor's axis.
     """
-    replaced = []
+    added, replaced, unfiltered = [], [], []
     for name in names:
         joint = _joint(spec, name)
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             raise ModelError(f"joint '{name}' is no hinge and no slide, so that a motor has no axis there")
         on_joint = mujoco.mjtTrn.mjTRN_JOINT
-        plugins = [a for a in spec.actuators if a.plugin.active and a.trntype == on_joint and a.target == joint.name]
+        own = [a for a in spec.actuators if a.trntype == on_joint and a.target == joint.name]
+        filters = [a for a in own if not a.plugin.active and a.dyntype in FILTERS]
+        for one in filters:
+            one.dyntype, one.actlimited = mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtLimited.mjLIMITED_FALSE
+        unfiltered += [one.name or f"an actuator on {joint.name}" for one in filters]
+        plugins = [a for a in own if a.plugin.active]
         named = {plugin.name for plugin in plugins}
         sensors = [s for s in spec.sensors if s.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and s.objname in named]
         replaced += [plugin.name or f"a plugin on {joint.name}" for plugin in plugins]
         for one in [*plugins, *sensors]:
             spec.delete(one)
+        if filters:
+            continue
+        added.append(name)
         motor = spec.add_actuator(name=name, target=joint.name, trntype=on_joint)
         motor.set_to_motor()
         if joint.actfrcrange[1] > 0:
             motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, joint.actfrcrange
-    notes = [f"motors added (mechanism.drive): {', '.join(names)}"] if names else []
-    return notes + ([f"actuators replaced by motors, with their sensors: {', '.join(replaced)}"] if replaced else [])
+    said = {
+        "motors added (mechanism.drive)": added,
+        "actuators without their filters, in simulation too (mechanism.drive)": unfiltered,
+        "actuators replaced by motors, with their sensors": replaced,
+    }
+    return [f"{what}: {', '.join(of)}" for what, of in said.items() if of]

@@ -115,7 +115,9 @@ def _unusable_dynamics(model: mujoco.MjModel, index: int) -> str | None:
         return None if _is_line(model, index) else "its cogging, rate limit or temperature makes it no torque-speed line"
     if int(model.actuator_dyntype[index]) != int(mujoco.mjtDyn.mjDYN_NONE) or int(model.actuator_actnum[index]) > 0:
         dynamics = mujoco.mjtDyn(int(model.actuator_dyntype[index])).name.removeprefix("mjDYN_").lower()
-        return f"it has a state of its own ({dynamics} dynamics)"
+        at_joint = dynamics.startswith("filter") and attachment(model, index).dof is not None
+        remedy = ", which mechanism.drive with its joint leaves out" if at_joint else ""
+        return f"it has a state of its own ({dynamics} dynamics{remedy})"
     return None
 
 

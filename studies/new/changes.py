@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import mujoco
 import numpy as np
 
+from linkplan.models.actuation.actuators import label
 from linkplan.models.audit import audit
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError, listed
@@ -28,6 +29,7 @@ from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.selection import floating_joints, floating_words
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
+from linkplan.models.urdf_loops import FILTERS
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
 from linkplan.studies.check.softness import STIFF_KEY
 from linkplan.studies.new.locks import HOLD_MULTIPLE, coupled_with_play, held_by_friction, pressed, rods_on_balls, spins
@@ -95,6 +97,20 @@ def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     )
 
 
+def _filters_left_out(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    model, given = mechanism.model, table.get("drive")
+    driven = list(given) if isinstance(given, list) else []
+    filtered = np.isin(model.actuator_dyntype, FILTERS) & (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+    on_joints = {model.joint(int(model.actuator_trnid[a, 0])).name: label(model, int(a)) for a in np.flatnonzero(filtered)}
+    named = {joint: actuator for joint, actuator in on_joints.items() if joint}
+    if not named:
+        return None
+    return {"drive": [*driven, *named]}, (
+        f"actuators with filters, whose states no plan has, act without them, in simulation too: {', '.join(named.values())}"
+        f" (mechanism.drive: {', '.join(named)})"
+    )
+
+
 def _overlaps_excluded(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
     pairs = _overlapping_at_home(mechanism) if mechanism.dof else []
     return (with_exclusions(table, pairs), overlap_sentence(pairs)) if pairs else None
@@ -117,12 +133,24 @@ def _locked(
     find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
 ) -> Change | None:
     """Return the locks of joints [deg or m] that `find` finds beside those that a table has; None without any."""
-    locks = find(mechanism) if _moves(mechanism) else {}
+    locks = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
     if not locks:
         return None
     given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
     whole = {**(given if isinstance(given, Mapping) else {}), **locks}
     return {"lock": whole}, why.replace("{locks}", f"mechanism.lock: {said}")
+
+
+def _with_coupled(mechanism: Mechanism, locks: dict[str, float]) -> dict[str, float]:
+    """Return locks of joints with those of the joints that couplings move with them, which rest at home too [deg or m]."""
+    model, found = mechanism.model, dict(locks)
+    couplings = np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0) & model.eq_active0)
+    tied = [{joint_label(model, int(j)) for j in (model.eq_obj1id[k], model.eq_obj2id[k])} for k in couplings]
+    for _ in tied:
+        names = set().union(*(pair for pair in tied if not pair.isdisjoint(found)))
+        homes = zip(mechanism.joints, mechanism.home, strict=True)
+        found = {joint.name: joint.shown(float(x)) + 0.0 for joint, x in homes if joint.name in names} | found
+    return found
 
 
 def _moves(mechanism: Mechanism) -> bool:
@@ -285,6 +313,7 @@ def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 # In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
 _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
+    _filters_left_out,
     functools.partial(
         _locked,
         pressed,

@@ -224,3 +224,15 @@ def test_every_refusal_here_is_a_linkplan_error(error):
 
 def test_a_bare_four_bar_is_refused_nothing():
     assert load_mechanism(BARE_BAR).notes == ()
+
+
+def test_a_scene_that_asks_for_gigabytes_is_read():
+    assert load_mechanism(replaced(BARE_BAR, "<worldbody>", '<size memory="900G"/><worldbody>')).model.narena <= 10**9
+
+
+def test_a_flexible_body_beside_the_mechanism_is_refused_with_its_remedy():
+    cloth = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="1 1 1" dim="2"><edge equality="true"/></flexcomp>'
+    with pytest.raises(
+        ModelError, match=r"of kind 'flex'.* mechanism.keep = .NAMES. .--keep A,B. reads the mechanism without"
+    ):
+        load_mechanism(two("").replace("<worldbody>", f"<worldbody>{cloth}"))

@@ -48,7 +48,6 @@ NONSENSE = {
     "an endless name": (bar().replace('"bar"', '"' + 600 * "a" + '"'), "600 characters"),
     "a million copies": (bar(more='<worldbody><replicate count="1000000"><site/></replicate></worldbody>'), "count"),
     "a huge field": (bar(more='<asset><hfield name="f" nrow="100000" ncol="9" size="1 1 1 1"/></asset>'), "nrow"),
-    "huge memory": (bar(more='<size memory="900G"/>'), "memory"),
     "huge stack": (bar(more='<size nstack="900000000"/>'), "nstack"),
 }
 

@@ -240,6 +240,25 @@ def test_undriven_joints_are_locked_that_dry_friction_holds_at_any_position(fric
     assert any("dry friction holds joints that nothing drives" in note for note in notes) == held
 
 
+def test_cylinders_act_without_their_filters():
+    ram = ARM.replace("<motor", '<cylinder area="0.1"').format(effort=300.0)
+    mechanism, notes = changed_mechanism({"model": ram})
+    assert (mechanism.n_u, mechanism.model.na, mechanism.source["drive"]) == (1, 0, ["arm"])
+    assert "act without them, in simulation too: drive (mechanism.drive: arm)" in notes[0]
+
+
+def test_what_a_coupling_moves_with_a_locked_joint_is_locked_with_it():
+    coupled = (
+        CAMERA.format(friction=0.07, arm=0.03)
+        .replace(
+            "</body></body>", '<body><joint name="lens" axis="0 1 0"/><geom size="0.001" contype="0"/></body></body></body>'
+        )
+        .replace("<actuator>", '<equality><joint joint1="lens" joint2="tilt" polycoef="0 2 0 0 0"/></equality><actuator>')
+    )
+    mechanism, _ = changed_mechanism({"model": coupled})
+    assert (mechanism.dof, mechanism.source["lock"]) == (1, {"tilt": 0.0, "lens": 0.0})
+
+
 @pytest.mark.parametrize(
     "table", [{"model": arms(7, 0.0)}, {"model": arms(2, 0.1)}, {"model": arms(7, 0.1), "friction_transition_deg_s": 3.0}]
 )
