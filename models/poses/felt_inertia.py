@@ -37,9 +37,10 @@ def equality_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarra
 
 def equality_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Return the rows J (n, nv) of MuJoCo's equality constraints at the pose of a forward pass."""
-    rows = np.zeros((data.nefc, model.nv))
+    rows = np.zeros((data.ne, model.nv))  # they stand before the rows of limits and contacts
     if mujoco.mj_isSparse(model):
-        mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        of_rows = (data.efc_J_rownnz[: data.ne], data.efc_J_rowadr[: data.ne])
+        mujoco.mju_sparse2dense(rows, data.efc_J, *of_rows, data.efc_J_colind)
     else:
-        rows[:] = data.efc_J.reshape(rows.shape)
-    return rows[: data.ne]
+        rows[:] = data.efc_J[: rows.size].reshape(rows.shape)
+    return rows

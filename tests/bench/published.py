@@ -22,6 +22,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan
@@ -48,12 +49,7 @@ class Row:
 def constraint_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Return MuJoCo's Jacobian (n, nv) of the active equalities at the data's pose."""
     mujoco.mj_forward(model, data)
-    rows = np.zeros((data.nefc, model.nv))
-    if mujoco.mj_isSparse(model):
-        mujoco.mju_sparse2dense(rows, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
-    else:
-        rows[:] = data.efc_J.reshape(data.nefc, model.nv)
-    return rows[: data.ne]
+    return equality_jacobian(model, data)
 
 
 def freedoms_by_rank(mechanism: Mechanism) -> int:

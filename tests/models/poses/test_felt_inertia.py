@@ -41,3 +41,14 @@ def test_behind_soft_loops_a_drive_feels_little_more_than_its_own_link():
     felt = felt_inertia(mechanism, mechanism.home)
     assert felt.min() < 0.9 * rigid(mechanism)[felt.argmin()]
     assert felt == pytest.approx(simulated(mechanism), rel=1e-3)
+
+
+def test_contacts_asked_for_between_parts_that_stand_still_do_not_count():
+    """MuJoCo makes room for their rows in its Jacobian, and leaves them out."""
+    mechanism = load_mechanism(
+        """<mujoco><worldbody><geom name="a" size="0.1"/><body pos="0.1 0 0"><geom name="b" size="0.1"/></body>
+          <body pos="0 3 0"><joint name="arm" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" mass="2"/></body></worldbody>
+          <contact><pair geom1="a" geom2="b"/></contact>
+          <actuator><motor joint="arm" ctrlrange="-9 9"/></actuator></mujoco>"""
+    )
+    assert felt_inertia(mechanism, mechanism.home) == pytest.approx([2 * (0.2**2 + 0.4 * 0.1**2)])
