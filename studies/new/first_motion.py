@@ -378,7 +378,12 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
 def moves_of(motion: Mapping) -> list[str]:
     """Return a phrase with start and goal for each joint that moves in a motion's table."""
     ends = [(unit, *(motion.get(f"{end}_{unit}", {}) for end in ("start", "goal"))) for unit in ("deg", "m")]
-    return [f"{j} from {x:g} to {goal[j]:g} {unit}" for unit, start, goal in ends for j, x in start.items() if goal[j] != x]
+    return [
+        f"{j} from {round(x, 9) + 0.0:g} to {goal[j]:g} {unit}"  # an equilibrium at zero is found to 1e-15
+        for unit, start, goal in ends
+        for j, x in start.items()
+        if goal[j] != x
+    ]
 
 
 def model_beside(model: str, place: Path | None) -> str:

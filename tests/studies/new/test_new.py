@@ -357,3 +357,7 @@ def test_where_the_smooth_path_is_the_plan_of_a_small_mechanism_planning_searche
     found = first_motion({"model": "five-bar"}, print)
     assert found.tables["solver"]["max_time_s"] > 0
     assert any("planning searches no longer" in change for change in found.changes)
+
+
+def test_a_start_at_rest_at_zero_is_said_as_zero():
+    assert moves_of({"start_deg": {"elbow": -1.6e-15}, "goal_deg": {"elbow": 15.0}}) == ["elbow from 0 to 15 deg"]
