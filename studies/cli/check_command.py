@@ -27,7 +27,8 @@ def run_check(arguments: argparse.Namespace) -> int:
         mechanism, problem, notes = mechanism_and_problem(name, sections, folder)
     except REFUSED as error:
         refused = RefusedModel(name=Path(name).stem, error=error)
-        deliver(arguments, target, refused.record(), refused.blocks(), lambda reports: reports.check_report(refused))
+        blocks = [*refused.blocks(), *_begun_elsewhere(error, arguments)]
+        deliver(arguments, target, refused.record(), blocks, lambda reports: reports.check_report(refused))
         return NO  # a problem of the model, not bad input
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
     found = whole.found
@@ -59,19 +60,27 @@ def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
     mechanism = whole.found.mechanism
     if mechanism.n_u == 0 and not joints_to_drive(mechanism):
         further = f"linkplan check {subject}, with an actuator that a plan can use in the model's <actuator>"
+    elif mechanism.n_u == 0:
+        drive = ",".join(joints_to_drive(mechanism))
+        further = f"linkplan new {subject} --drive {shlex.quote(drive)} -o problem.toml puts motors on these joints"
     elif floating_bodies(mechanism.model)[0]:
         further = (
             f"linkplan new {subject} -o problem.toml writes a first motion on the fixed base; --keep NAMES --fix-base takes"
             " one chain with its loops out of the robot"
         )
-    elif mechanism.n_u == 0:
-        drive = ",".join(joints_to_drive(mechanism))
-        further = f"linkplan new {subject} --drive {shlex.quote(drive)} -o problem.toml puts motors on these joints"
     elif arguments.model.endswith(".toml") or arguments.model in PROBLEMS:
         further = f"linkplan plan {subject} -o planned"
     else:
         further = f"linkplan new {subject} -o problem.toml writes a first motion and names what it changes"
     return Facts(rows=[("next", further), ("everything", f"linkplan check {subject} --all")])
+
+
+def _begun_elsewhere(error: Exception, arguments: argparse.Namespace) -> list[Facts]:
+    """Return the command to go on with, if a model is refused at its own pose and another one is known."""
+    if not getattr(error, "home", None) or arguments.model.endswith(".toml"):
+        return []
+    subject = shlex.join([arguments.model, *_selection_options(arguments)])
+    return [Facts(rows=[("next", f"linkplan new {subject} -o problem.toml begins at that pose")])]
 
 
 def _selection_options(arguments: argparse.Namespace) -> list[str]:

@@ -3,6 +3,7 @@
 import pytest
 
 from linkplan.studies.cli.main import main
+from tests.support.mechanisms import FLAT_PARALLELOGRAM
 
 PROBLEM = """[mechanism]
 model = "optimus-knee"
@@ -71,3 +72,18 @@ def test_it_is_refused_in_a_line_that_says_what_was_meant(argv, words, here, cap
 def test_a_goal_of_thousands_of_turns_is_no_work_for_check(capsys):
     assert main(["check", "slider-crank-turn", "--set", "motion.goal_deg.O=1e6"]) == 0
     assert "the problem cannot be planned: motion.goal_deg of joint O is within 100 turns" in capsys.readouterr().out
+
+
+def test_check_goes_on_with_a_command_that_finds_a_pose_or_puts_motors(tmp_path, ask):
+    """A floating robot without motors was told to go on without them, and a singular one nothing."""
+    flat, floating = tmp_path / "flat.xml", tmp_path / "floating.xml"
+    flat.write_text(FLAT_PARALLELOGRAM, encoding="utf-8")
+    _, out, _ = ask("check", str(flat))
+    assert f"next: linkplan new {flat} -o problem.toml begins at that pose" in out
+    floating.write_text(
+        """<mujoco><worldbody><body><freejoint/><geom size="0.1"/><body pos="0.2 0 0"><joint name="arm" axis="0 1 0"/>
+          <geom size="0.05" pos="0.1 0 0"/></body></body></worldbody></mujoco>""",
+        encoding="utf-8",
+    )
+    _, out, _ = ask("check", str(floating))
+    assert f"next: linkplan new {floating} --drive arm -o problem.toml puts motors on these joints" in out
