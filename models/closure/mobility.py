@@ -165,8 +165,10 @@ def judge_mobility(loop: KinematicLoop, pose: np.ndarray, tolerance_m: float) ->
     values, directions = _all_values(jacobian)
     share = values / max(values[0], np.finfo(float).tiny)
     freed, locked, rank = [], [], int(np.sum(share > RANK_TOLERANCE))
-    # Even the shortest trial motion along a larger singular value [m] would open the loops by more than the tolerance.
-    weak = max(WEAK_SHARE, tolerance_m / (_LEAST_TRIAL_LENGTH * max(values[0], np.finfo(float).tiny)))
+    # Even the shortest trial motion along a larger singular value [m] would open the loops by more than the tolerance; values
+    # ten times as large as rounding's are geometry, whatever the tolerance.
+    opening = tolerance_m / (_LEAST_TRIAL_LENGTH * max(values[0], np.finfo(float).tiny))
+    weak = min(max(WEAK_SHARE, opening), 10 * WEAK_SHARE)
     while rank > 1 and share[rank - 1] < weak:
         cut = float(np.sqrt(share[rank - 2] * share[rank - 1]))
         free_loop = replace(loop, rank_tolerance=cut, closed_m=tolerance_m)
