@@ -165,7 +165,7 @@ def judge_mobility(loop: KinematicLoop, pose: np.ndarray, tolerance_m: float) ->
     values, directions = _all_values(jacobian)
     share = values / max(values[0], np.finfo(float).tiny)
     freed, locked, rank = [], [], int(np.sum(share > RANK_TOLERANCE))
-    # Even the shortest trial motion along a larger singular value [m] would open the loops by more than the tolerance; values
+    # Even the shortest trial motion along a larger singular value would open the loops by more than the tolerance. Values
     # ten times as large as rounding's are geometry, whatever the tolerance.
     opening = tolerance_m / (_LEAST_TRIAL_LENGTH * max(values[0], np.finfo(float).tiny))
     weak = min(max(WEAK_SHARE, opening), 10 * WEAK_SHARE)

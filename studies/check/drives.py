@@ -38,7 +38,7 @@ def motors_hint(mechanism: Mechanism) -> str:
     names = json.dumps(joints_to_drive(mechanism), ensure_ascii=False)
     if names == "[]":
         return "none of its joints is a hinge or slide with a name, on which mechanism.drive puts a motor"
-    return f"mechanism.drive = {names} (--drive A,B) puts motors on joints that fix its pose, within their effort limits"
+    return f"mechanism.drive = {names} puts motors on joints that fix its pose, within their effort limits"
 
 
 def _depth(parents: np.ndarray, body: int) -> int:

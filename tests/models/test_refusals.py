@@ -232,7 +232,5 @@ def test_a_scene_that_asks_for_gigabytes_is_read():
 
 def test_a_flexible_body_beside_the_mechanism_is_refused_with_its_remedy():
     cloth = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="1 1 1" dim="2"><edge equality="true"/></flexcomp>'
-    with pytest.raises(
-        ModelError, match=r"of kind 'flex'.* mechanism.keep = .NAMES. .--keep A,B. reads the mechanism without"
-    ):
+    with pytest.raises(ModelError, match=r"of kind 'flex'.* mechanism.keep = .NAMES. reads the mechanism without"):
         load_mechanism(two("").replace("<worldbody>", f"<worldbody>{cloth}"))
