@@ -22,6 +22,7 @@ from linkplan.models.errors import LinkplanError
 _LOCK = threading.RLock()
 Asked = ParamSpec("Asked")
 Answer = TypeVar("Answer")
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 def one_thread_at_a_time(function: Callable[Asked, Answer]) -> Callable[Asked, Answer]:
@@ -38,9 +39,6 @@ def one_thread_at_a_time(function: Callable[Asked, Answer]) -> Callable[Asked, A
             return function(*args, **kwargs)
 
     return alone
-
-
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class _State:

@@ -12,6 +12,8 @@ import mujoco
 
 from linkplan.models.errors import ModelError, listed, shown
 
+_OPENING = "opening file"
+
 
 def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], at_zero: set[str]) -> list[str]:
     """Delete what refers to locked joints, and return the names of their actuators and couplings.
@@ -105,9 +107,6 @@ def leave_the_ground(spec: mujoco.MjSpec) -> list[str]:
     names = list(dict.fromkeys(geom.name or "geoms without a name" for geom in ground))
     delete_geoms(spec, ground)
     return [f"the base is fixed in the air: left out are the world's {', '.join(names)}"] if ground else []
-
-
-_OPENING = "opening file"
 
 
 def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:

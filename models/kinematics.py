@@ -10,6 +10,13 @@ HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+# The only legal value of `mechanism.solref`.
+STIFF = "stiff"
+# The impedance of the built-in models, close to MuJoCo's maximum of 0.9999, as MJCF text and as numbers (MuJoCo, "Solver
+# parameters": d_0, d_width, width [m], midpoint, power).
+STIFF_IMPEDANCE = "0.999 0.999 0.001"
+STIFF_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
+CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 
 
 def data_at(model: mujoco.MjModel, qpos: np.ndarray | None = None) -> mujoco.MjData:
@@ -56,14 +63,6 @@ def fix_in_parent(part: "mujoco._specs.MjsBody", model: mujoco.MjModel, data: mu
     part.pos, part.quat = in_body(data, parent, data.xpos[body]), turn
 
 
-# The only legal value of `mechanism.solref`.
-STIFF = "stiff"
-# The impedance of the built-in models, close to MuJoCo's maximum of 0.9999, as MJCF text and as numbers (MuJoCo, "Solver
-# parameters": d_0, d_width, width [m], midpoint, power).
-STIFF_IMPEDANCE = "0.999 0.999 0.001"
-STIFF_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
-
-
 def stiff_time_constant_s(model: mujoco.MjModel) -> float:
     """Return the least time constant [s] that MuJoCo admits for constraints, two timesteps."""
     return 2.0 * float(model.opt.timestep)
@@ -98,9 +97,6 @@ def make_dry(model: mujoco.MjModel, dofs: np.ndarray) -> None:
     """
     model.dof_solref[dofs] = stiff_time_constant_s(model), 1.0
     model.dof_solimp[dofs] = np.array(STIFF_SOLIMP)
-
-
-CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 
 
 def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:

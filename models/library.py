@@ -31,6 +31,26 @@ from linkplan.models.urdf_loops import complete
 
 _READ_IN_MUJOCO = ("compiler", "option", "size")
 _READ = ("link", "joint", "material", "mujoco", "transmission", "loop_joint")
+# Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
+MAX_MODEL_BYTES = 32_000_000
+_COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
+_SDF = re.compile(rb"<sdf[\s>]")
+_UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
+MAX_NAME_LENGTH = 500
+# Fields of a compiled model that must not be negative: the element's prefix and the word of MJCF.
+_NOT_NEGATIVE = (
+    "body_mass", "body_inertia", "dof_armature", "dof_frictionloss", "dof_damping", "tendon_frictionloss", "tendon_damping",
+    "tendon_armature", "actuator_armature", "actuator_damping",
+)  # fmt: skip
+# Fields that the compiler derives for its own scaling. They are huge for a nearly massless body.
+_DERIVED = ("oct_coeff", "actuator_acc0", "body_invweight0", "dof_invweight0", "tendon_invweight0")
+# Legal range of the simulator's timestep [s].
+TIMESTEP_RANGE_S = (1e-8, 1.0)
+# The element kind of each field prefix of mjModel.
+_OWNERS = {
+    "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator",
+    "eq": "equality", "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
+}  # fmt: skip
 
 
 def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
@@ -131,30 +151,6 @@ def mujoco_warnings() -> Iterator[list[str]]:
 
 # Set once for the process: MuJoCo can deadlock when one thread sets the handler while another compiles a model.
 mujoco.set_mju_user_warning(_keep)
-
-
-# Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
-MAX_MODEL_BYTES = 32_000_000
-
-_COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
-_SDF = re.compile(rb"<sdf[\s>]")
-_UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
-
-MAX_NAME_LENGTH = 500
-# Fields of a compiled model that must not be negative: the element's prefix and the word of MJCF.
-_NOT_NEGATIVE = (
-    "body_mass", "body_inertia", "dof_armature", "dof_frictionloss", "dof_damping", "tendon_frictionloss", "tendon_damping",
-    "tendon_armature", "actuator_armature", "actuator_damping",
-)  # fmt: skip
-# Fields that the compiler derives for its own scaling. They are huge for a nearly massless body.
-_DERIVED = ("oct_coeff", "actuator_acc0", "body_invweight0", "dof_invweight0", "tendon_invweight0")
-# Legal range of the simulator's timestep [s].
-TIMESTEP_RANGE_S = (1e-8, 1.0)
-# The element kind of each field prefix of mjModel.
-_OWNERS = {
-    "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator",
-    "eq": "equality", "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
-}  # fmt: skip
 
 
 def refuse_oversized(content: bytes, what: str) -> None:

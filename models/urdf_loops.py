@@ -23,6 +23,17 @@ from linkplan.models.reading import read_file
 
 _MOST_YAML_BYTES = 1_000_000
 Table = TypeVar("Table", bound=msgspec.Struct)
+_CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+_AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+# Where closures and motors come from, in notes.
+_BESIDE, _CUT = "the YAML file beside the URDF", "loop_closures.yaml"
+_CLOSING = re.compile(r"closing_(.+)_1")
+# The distance [m] of a hinge's two points.
+_HINGE_WIDTH_M = 0.05
+# What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
+LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
+# Kinds of actuators whose force follows their control by a filter.
+FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
 class Beside(msgspec.Struct, frozen=True):
@@ -98,17 +109,6 @@ def _table(place: Path, kind: type[Table], keys: set[str]) -> Table | None:
         return msgspec.convert(found, kind)
     except msgspec.ValidationError as error:
         raise ModelError(f"'{place}' is not what closes a URDF's loops: {error}") from error
-
-
-_CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
-_AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-# Where closures and motors come from, in notes.
-_BESIDE, _CUT = "the YAML file beside the URDF", "loop_closures.yaml"
-_CLOSING = re.compile(r"closing_(.+)_1")
-# The distance [m] of a hinge's two points.
-_HINGE_WIDTH_M = 0.05
-# What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
-LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
 
 
 def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple[str, ...]:
@@ -279,10 +279,6 @@ def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
             raise ModelError(
                 f"joint '{name}' has the unknown type '{kind}'; legal: SPHERICAL, UJOINT_XY and its like, FIXED"
             )
-
-
-# Kinds of actuators whose force follows their control by a filter.
-FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
 def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> list[str]:

@@ -23,9 +23,9 @@ from linkplan.planner.search.smooth_path import along_smooth_path
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
-
-
 Climb = Callable[[Search, Budget], Plan | None]
+# The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
+_DETAIL = "objective_as_modelled"
 
 
 def _with_time_to_wait(start: Climb) -> Climb:
@@ -228,10 +228,6 @@ class Price:
             f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the machine as"
             f" modelled within its whole limits, {dearer}"
         )
-
-
-# The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
-_DETAIL = "objective_as_modelled"
 
 
 def nominal_of(problem: Problem) -> Problem | None:

@@ -36,6 +36,16 @@ _LEAST_SHIFT_M = 1e-13
 _STILL_SHARE = 1e-5
 # Poses about the reference at which J is taken, and their distance from it [rad; extents on a slide].
 _NEARBY_POSES, _POSE_DISTANCE = 6, 0.2
+# Decimals of an angle [deg] in a problem file; assembly removes the rounding. Lengths [m] have three more.
+_ANGLE_DECIMALS = 6
+# Significant digits of a keyframe: its loops then close to a nanometre without assembly.
+_KEYFRAME_DIGITS = 10
+# Largest distance [rad or m] between a dependent joint's position in `home` and its closed position on the same branch.
+HOME_TOLERANCE = np.radians(5.0)
+# Steps that test whether a joint can move from home [rad; extents on a slide]. The short one serves next to an end of reach.
+_HOME_STEPS = (0.02, 0.002)
+# Distance of the sampled nearby poses from home [rad; extents on a slide].
+_NEARBY_STEP = 0.15
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -119,12 +129,6 @@ def apply_shifts(model: mujoco.MjModel, found: Sequence[Shift]) -> None:
     for shift in found:
         _, point = tied_points(model, shift.index)[shift.end]
         point += shift.by
-
-
-# Decimals of an angle [deg] in a problem file; assembly removes the rounding. Lengths [m] have three more.
-_ANGLE_DECIMALS = 6
-# Significant digits of a keyframe: its loops then close to a nanometre without assembly.
-_KEYFRAME_DIGITS = 10
 
 
 def keyframe_of(coordinates: Coordinates, pose: np.ndarray) -> str:
@@ -232,15 +236,6 @@ def locked_or_singular(error: LockedError, loop: KinematicLoop, pose: np.ndarray
     if other is not None and loop.rank(pose) < loop.rank(other) < len(loop.joints):
         return _offering(UnassembledError(str(error)), loop, other)
     return locked_by(error, loop, pose)
-
-
-# Largest distance [rad or m] between a dependent joint's position in `home` and its closed position on the same branch.
-HOME_TOLERANCE = np.radians(5.0)
-
-# Steps that test whether a joint can move from home [rad; extents on a slide]. The short one serves next to an end of reach.
-_HOME_STEPS = (0.02, 0.002)
-# Distance of the sampled nearby poses from home [rad; extents on a slide].
-_NEARBY_STEP = 0.15
 
 
 def home_positions(loop: KinematicLoop, home: Mapping[str, float] | None) -> dict[int, float]:

@@ -40,6 +40,10 @@ CLOSED_M = 1e-11
 _MAX_STEP = 0.3
 # Newton ignores singular values of J below this share of the largest.
 _LEAST_SINGULAR_SHARE = 1e-10
+# Distances of the random start poses from the reference [rad; extents on a slide].
+_START_DISTANCES = (0.3, 1.0, 2.0)
+# A pose is nearly singular if a singular value of its closure is below this share of the largest.
+_NEARLY_SINGULAR_SHARE = 0.02
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -267,12 +271,6 @@ def _components(sparsity: ca.Sparsity, dependent: Sequence[int]) -> list[tuple[l
         left -= columns
         groups.append((sorted(rows), sorted(columns)))
     return groups
-
-
-# Distances of the random start poses from the reference [rad; extents on a slide].
-_START_DISTANCES = (0.3, 1.0, 2.0)
-# A pose is nearly singular if a singular value of its closure is below this share of the largest.
-_NEARLY_SINGULAR_SHARE = 0.02
 
 
 def nearest_closed_pose(loop: KinematicLoop, reference: np.ndarray) -> np.ndarray | None:

@@ -1,11 +1,12 @@
 """The roots of functions of one variable by Ridders' method. Importing scipy.optimize takes longer than the search."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 
-def sign_change(function: Callable, a, b, xtol: float):
+def sign_change(function: Callable, a: float | np.ndarray, b: float | np.ndarray, xtol: float) -> Any:
     """Return x between a and b where f(x) = 0, to xtol, by Ridders' method (IEEE Trans. Circuits Syst. 26, 1979).
 
     The values of f at the ends have opposite signs, or one of them is 0. The root stays bracketed. With arrays a and b (n,)

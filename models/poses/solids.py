@@ -15,6 +15,10 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import pins_in_space
 from linkplan.models.tree.coordinates import rotation_from_quaternion
 
+_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+# Distance from a mechanism's middle, in its extents, beyond which geoms of the ground are scenery.
+_SCENERY_EXTENTS = 2.0
+
 
 def simplified(vertices: np.ndarray, most: int = 120) -> np.ndarray:
     """Return at most `most` of the vertices (n, 3): the corners of the hull, or the furthest in evenly spread directions."""
@@ -95,10 +99,6 @@ def _around(points: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> list
 _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH")
 )
-_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-
-# Distance from a mechanism's middle, in its extents, beyond which geoms of the ground are scenery.
-_SCENERY_EXTENTS = 2.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

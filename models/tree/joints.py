@@ -15,6 +15,9 @@ from linkplan.models.errors import ModelError, nearest
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, Coordinates, joint_label, turned_quaternion
 from linkplan.models.tree.passive import limits_off
 
+# Positions below this are zero to rounding [rad or m]: assembly closes loops to about 1e-12.
+POSITION_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class BallRange:
@@ -44,10 +47,6 @@ def ball_turns(model: mujoco.MjModel, coordinates: Coordinates, q: ca.SX) -> ca.
         real = chart.centre[0] * w - (chart.centre[1] * x + chart.centre[2] * y + chart.centre[3] * z)
         turns.append(1 - real**2)
     return ca.vertcat(ca.SX(0, 1), *turns)
-
-
-# Positions below this are zero to rounding [rad or m]: assembly closes loops to about 1e-12.
-POSITION_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

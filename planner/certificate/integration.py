@@ -29,11 +29,11 @@ from linkplan.planner.transcription.bernstein import bernstein_value
 # Boundary states, and sites at them, are constraints of the program and kept to rounding: the allowed error as a share of
 # the motion's span or largest speed, or of the mechanism's extent.
 BOUNDARY_SHARE = 1e-6
-
-
 Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
 # Start and goal may exceed a limit by this share of its size, because inverse kinematics and rounding are inexact.
 POSE_SLACK = 2e-9
+# Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
+RESTART_GROWTH = 1e4
 
 
 def relative_violation(values: np.ndarray, bounds: Bounds, size: np.ndarray | float) -> float:
@@ -98,10 +98,6 @@ def waypoint_off_m(problem: Problem, trajectory: Trajectory, waypoint: Waypoint,
     q = poses[back[len(trajectory.breaks_s) :]]
     places = [places_of(problem.mechanism, point.index, q) for point in waypoint.at]
     return np.array([[p.off_m(x) for x in at] for p, at in zip(waypoint.at, places, strict=True)]).T
-
-
-# Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
-RESTART_GROWTH = 1e4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -29,6 +29,9 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
+# The first word of an optimal plan's message, unless the phase plane shows that no motion is quicker.
+LOCALLY = "locally "
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MechanismCase:
@@ -162,10 +165,6 @@ def _tightened(problem: Problem, certificate: Certificate, *, speeds: bool) -> P
         if margin.of.tightened is None and not margin.kept and np.isfinite(margin.left):
             problem = margin.of.narrowed(problem, 1.1 * -margin.left)
     return problem
-
-
-# The first word of an optimal plan's message, unless the phase plane shows that no motion is quicker.
-LOCALLY = "locally "
 
 
 def slow_share(mechanism: Mechanism, trajectory: Trajectory) -> tuple[float, str] | None:

@@ -26,6 +26,15 @@ from linkplan.planner.trajectory import Trajectory
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 # Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.
 _MAX_COEFFICIENTS = 24
+# Column headers end in a unit; the first ending that fits counts.
+_UNITS = {
+    "_deg_s2": "deg/s2", "_deg_s": "deg/s", "_deg": "deg",
+    "_m_s2": "m/s2", "_m_s": "m/s", "_m": "m",
+    "_Nm": "N.m", "_N": "N", "time_s": "s",
+}  # fmt: skip
+Kind = Literal["number", "count", "flag", "word"]
+# The encodings of pyarrow's defaults. Others can expand to sizes that the metadata do not state.
+_ENCODINGS, _COMPRESSIONS = {"PLAIN", "RLE", "RLE_DICTIONARY", "PLAIN_DICTIONARY"}, {"SNAPPY", "UNCOMPRESSED"}
 
 
 def read_member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
@@ -94,17 +103,6 @@ def _array(archive: zipfile.ZipFile, name: str, wanted: type) -> np.ndarray:
     if any(length < 0 for length in shape) or size != len(content) - file.tell():
         raise ValueError(f"{name} is of shape {shape}, {size} bytes, and holds {len(content) - file.tell()}")
     return np.frombuffer(content, dtype=kind, offset=file.tell()).reshape(shape, order="F" if fortran else "C")
-
-
-# Column headers end in a unit; the first ending that fits counts.
-_UNITS = {
-    "_deg_s2": "deg/s2", "_deg_s": "deg/s", "_deg": "deg",
-    "_m_s2": "m/s2", "_m_s": "m/s", "_m": "m",
-    "_Nm": "N.m", "_N": "N", "time_s": "s",
-}  # fmt: skip
-Kind = Literal["number", "count", "flag", "word"]
-# The encodings of pyarrow's defaults. Others can expand to sizes that the metadata do not state.
-_ENCODINGS, _COMPRESSIONS = {"PLAIN", "RLE", "RLE_DICTIONARY", "PLAIN_DICTIONARY"}, {"SNAPPY", "UNCOMPRESSED"}
 
 
 def unit_of(head: str) -> str:

@@ -21,6 +21,25 @@ from linkplan.models.reading import MAX_FILE_BYTES, read_file, too_deep
 # The records of plans, experiments and reports have some hundred kilobytes.
 MAX_RECORD_BYTES = 8_000_000
 Record = TypeVar("Record")
+MANIFEST = ".linkplan.json"
+# A manifest of 10,000 cases lists some 40,000 files. The limit protects memory from other files.
+_MAX_LISTED_FILES = 400_000
+# The name of the record in each kind of result.
+RECORDS = (
+    "plan.json",
+    "track.json",
+    "compare.json",
+    "bode.json",
+    "tune.json",
+    "check.json",
+    "demo.json",
+    "experiment.json",
+    "decompose.json",
+    "batch.json",
+    "transfer.json",
+    "export.json",
+    "ode.json",
+)
 
 
 def read_record(path: Path, kind: type[Record], max_bytes: int = MAX_RECORD_BYTES) -> Record:
@@ -50,27 +69,6 @@ def read_record(path: Path, kind: type[Record], max_bytes: int = MAX_RECORD_BYTE
     if too_deep(msgspec.structs.asdict(record) if isinstance(record, msgspec.Struct) else record):
         raise PlanFileError(f"'{path}' is nested too deeply")
     return record
-
-
-MANIFEST = ".linkplan.json"
-# A manifest of 10,000 cases lists some 40,000 files. The limit protects memory from other files.
-_MAX_LISTED_FILES = 400_000
-# The name of the record in each kind of result.
-RECORDS = (
-    "plan.json",
-    "track.json",
-    "compare.json",
-    "bode.json",
-    "tune.json",
-    "check.json",
-    "demo.json",
-    "experiment.json",
-    "decompose.json",
-    "batch.json",
-    "transfer.json",
-    "export.json",
-    "ode.json",
-)
 
 
 class Manifest(Struct, frozen=True):

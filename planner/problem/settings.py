@@ -29,6 +29,13 @@ from linkplan.planner.transcription.schemes import scheme
 DERIVED: Any = None
 # Keys with tables of joint = value in [motion], its waypoints and [reference].
 _STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias")
+# The control period [s] of a model whose timestep is no longer; else a period is one timestep: the model runs as it is.
+DEFAULT_PERIOD_S = 1e-4
+# Control periods in which the whole effort limit reaches a default LQR error from rest. With 4, 13 of 400 light machines
+# with default imperfections chatter between their limits; with 5 none does, and 6 leaves a reserve.
+LQR_RESPONSE_PERIODS = 6
+# The share of a plan's time that is reserved for its certificate; solves end before it.
+CERTIFICATE_TIME_SHARE = 0.1
 
 
 def frozen(value: object) -> np.ndarray:
@@ -162,17 +169,6 @@ class MeshSettings:
             if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < MIN_INTERVAL_SHARE):
                 raise ProblemError(f"mesh.breaks is {BREAKS}, got {given!r}")
             _set(self, "breaks", breaks)
-
-
-# The control period [s] of a model whose timestep is no longer; else a period is one timestep: the model runs as it is.
-DEFAULT_PERIOD_S = 1e-4
-
-# Control periods in which the whole effort limit reaches a default LQR error from rest. With 4, 13 of 400 light machines
-# with default imperfections chatter between their limits; with 5 none does, and 6 leaves a reserve.
-LQR_RESPONSE_PERIODS = 6
-
-# The share of a plan's time that is reserved for its certificate; solves end before it.
-CERTIFICATE_TIME_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

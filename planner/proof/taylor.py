@@ -18,6 +18,8 @@ from flint import arb, arb_mat, arb_series, fmpq
 from linkplan.planner.proof.walk import Ball, constant_term
 
 Matrix = dict[tuple[int, int], Ball]
+# Halvings of a polynomial, which divide a box by up to a million.
+_MAX_HALVINGS = 20
 
 
 class NotSeparatedError(ArithmeticError):
@@ -88,10 +90,6 @@ def product(matrix: Matrix, x: Sequence[Ball], n_rows: int) -> list[Ball]:
     for (row, column), entry in matrix.items():
         found[row] = found[row] + entry * x[column]
     return found
-
-
-# Halvings of a polynomial, which divide a box by up to a million.
-_MAX_HALVINGS = 20
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -27,6 +27,16 @@ INTERVALS_TO_SAME_SWITCH = 2.5
 # If coefficients are at a limit and the curve is further from it than this share, the coefficients keep it away. The curve
 # is sampled at so many instants of an interval.
 SHARE_OFF_LIMIT, SAMPLES_OF_INTERVAL = 1e-7, 33
+# A multiplier of the wrong sign above this share of the largest one is more than rounding.
+WRONG_SIGN_SHARE = 1e-2
+# A multiplier of an inequality below this share of the largest of an equation is left by the barrier: the limit does not
+# bind.
+BINDING_SHARE = 1e-7
+# No effort changes the rate of these quantities at once: held, they are constraints of second order. Their multiplier is a
+# measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A transcription gives values that alternate
+# from interval to interval, so only the sum over the arc has a sign. Path quantities of a differential equation can be of
+# this kind.
+_SECOND_ORDER = ("site", "tube", "tendon", "singular", "path")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -174,18 +184,6 @@ def free_ends(ends_s: np.ndarray, fixed: FixedArcs) -> tuple[np.ndarray, FixedAr
         efforts += [fixed.efforts[k]] * len(parts)
         paths += parts
     return np.array(switch_times), FixedArcs(efforts=np.array(efforts), paths=np.array(paths))
-
-
-# A multiplier of the wrong sign above this share of the largest one is more than rounding.
-WRONG_SIGN_SHARE = 1e-2
-# A multiplier of an inequality below this share of the largest of an equation is left by the barrier: the limit does not
-# bind.
-BINDING_SHARE = 1e-7
-# No effort changes the rate of these quantities at once: held, they are constraints of second order. Their multiplier is a
-# measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A transcription gives values that alternate
-# from interval to interval, so only the sum over the arc has a sign. Path quantities of a differential equation can be of
-# this kind.
-_SECOND_ORDER = ("site", "tube", "tendon", "singular", "path")
 
 
 def arcs_against_their_limits(solution: Solution) -> np.ndarray:

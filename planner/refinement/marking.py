@@ -23,6 +23,25 @@ _MIN_TIGHTENING = 1e-7
 # Up to this share a limit is tightened evenly along the motion. A limit that is tighter on one interval than on its
 # neighbours increases the error of the polynomial at the ends of that interval.
 _EVEN_TIGHTENING = 2e-5
+# An interval is halved if its error is above this share of its allowance, and above the second share of the worst
+# interval's.
+MARKED_SHARE, SHARE_OF_WORST = 0.5, 0.01
+# If the dynamics are not satisfied, an interval with less than this share of the largest residual only carries on the error
+# of other intervals, and is not halved.
+SHARE_OF_RESIDUAL = 1e-6
+# An overrun between the nodes above this share of the limit is removed by a finer mesh. A smaller one is removed by
+# tightening, which costs about the same share of the objective.
+TIGHTENED_OVERRUN = 1e-7
+# When limits are loosened, intervals with an overrun above this share of the largest are halved.
+LARGE_OVERRUN_SHARE = 0.1
+# The degree is raised if at least this share of the intervals is inexact, and the worst error is at most this factor above
+# the median: the motion is smooth there.
+EVEN_SHARE = 0.5
+OUTLIER_FACTOR = 30.0
+# An arc along a limit has at least so many intervals; fewer are its end inside an interval.
+INTERVALS_OF_ARC = 3
+# An interval is rough if an effort bends there by at least this share of its largest bend.
+ROUGH_SHARE = 0.01
 
 
 class TightenedRow(NamedTuple):
@@ -113,27 +132,6 @@ def tightening_over(
         return np.minimum(amount, most)
 
     return tightening
-
-
-# An interval is halved if its error is above this share of its allowance, and above the second share of the worst
-# interval's.
-MARKED_SHARE, SHARE_OF_WORST = 0.5, 0.01
-# If the dynamics are not satisfied, an interval with less than this share of the largest residual only carries on the error
-# of other intervals, and is not halved.
-SHARE_OF_RESIDUAL = 1e-6
-# An overrun between the nodes above this share of the limit is removed by a finer mesh. A smaller one is removed by
-# tightening, which costs about the same share of the objective.
-TIGHTENED_OVERRUN = 1e-7
-# When limits are loosened, intervals with an overrun above this share of the largest are halved.
-LARGE_OVERRUN_SHARE = 0.1
-# The degree is raised if at least this share of the intervals is inexact, and the worst error is at most this factor above
-# the median: the motion is smooth there.
-EVEN_SHARE = 0.5
-OUTLIER_FACTOR = 30.0
-# An arc along a limit has at least so many intervals; fewer are its end inside an interval.
-INTERVALS_OF_ARC = 3
-# An interval is rough if an effort bends there by at least this share of its largest bend.
-ROUGH_SHARE = 0.01
 
 
 def marked_for(at: CertifiedIterate[Any, Any], strictness: float) -> np.ndarray:

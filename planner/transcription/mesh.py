@@ -10,6 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+# The default of `phase`, which __post_init__ sets: readers find an array.
+_ONE_PHASE: Any = None
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Layout:
@@ -121,10 +124,6 @@ def scatter(target: np.ndarray, size: int) -> ca.DM:
     """Return the matrix (size, n) that adds value i to entry target[i]."""
     n = len(target)
     return ca.DM(ca.Sparsity(size, n, list(range(n + 1)), np.asarray(target).tolist()), np.ones(n))
-
-
-# The default of `phase`, which __post_init__ sets: readers find an array.
-_ONE_PHASE: Any = None
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

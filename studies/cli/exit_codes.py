@@ -8,6 +8,8 @@ from linkplan.models.errors import one_line
 
 # The words of libraries for too little memory; each library has another kind of error.
 _WORDS = ("failed to map segment", "bad_alloc", "cannot allocate memory", "could not allocate", "unable to allocate")
+# A command that a signal ended has the sum of this and the signal's number: 130 for Ctrl-C, 143 for SIGTERM.
+SIGNAL_BASE = 128
 
 
 def is_of_memory(error: BaseException) -> bool:
@@ -56,5 +58,3 @@ class NoMotionError(Exception):
 
 
 DONE, NO, BAD_INPUT = ExitCode.DONE, ExitCode.ANSWER_IS_NO, ExitCode.BAD_INPUT
-# A command that a signal ended has the sum of this and the signal's number: 130 for Ctrl-C, 143 for SIGTERM.
-SIGNAL_BASE = 128

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block
 
 
+# ECMA-48, "Select graphic rendition": written here, because a refusal may be one for want of memory.
+_RED, _PLAIN = "\x1b[31m", "\x1b[0m"
+
+
 def is_terminal(stream: TextIO | None) -> bool:
     """Tell if a stream is a terminal."""
     try:
@@ -111,10 +115,6 @@ class Progress:
         from rich.text import Text
 
         return Text(self._line(self._text), style="dim", no_wrap=True, overflow="ellipsis")
-
-
-# ECMA-48, "Select graphic rendition": written here, because a refusal may be one for want of memory.
-_RED, _PLAIN = "\x1b[31m", "\x1b[0m"
 
 
 def refuse(command: str, text: str) -> None:

@@ -28,6 +28,9 @@ from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose.ladder import RUNGS, run_ladder
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of, imperfections_asked
 
+# Machines that are simulated by default and at most, if something is random. For more, use an experiment.
+DEFAULT_SAMPLES, MOST_SAMPLES = 16, 1000
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Shares:
@@ -58,10 +61,6 @@ def shares_of(errors: np.ndarray, increments: np.ndarray) -> Shares:
     projected = np.sum(increments * errors[-1], axis=(1, 2)) / instants
     of_joints = projected / rms if rms > 0 else np.zeros_like(projected)
     return Shares(rms=rms, parts=of_joints.sum(axis=1), of_joints=of_joints, alone=rms_of(increments), after=rms_of(errors))
-
-
-# Machines that are simulated by default and at most, if something is random. For more, use an experiment.
-DEFAULT_SAMPLES, MOST_SAMPLES = 16, 1000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -36,10 +36,24 @@ _STYLE = {
     "legend.framealpha": 0.85,
     "lines.linewidth": 1.6,
 }
-
-
 # The steps between matplotlib's ticks overflow at larger values, as in a diverged run.
 _LARGEST_DRAWN = 1e100
+_STYLES = {
+    "line": {"linestyle": "-"},
+    "dash": {"linestyle": "--"},
+    "dashdot": {"linestyle": "-."},
+    "dots": {"linestyle": ":"},
+    "points": {"linestyle": "", "marker": "o", "markersize": 4},
+    "steps": {"linestyle": "-", "drawstyle": "steps-post"},
+    "cross": {"linestyle": "", "marker": "x", "markersize": 6},
+    "star": {"linestyle": "", "marker": "*", "markersize": 13, "markeredgecolor": BLACK},
+}
+# Letters of a figure's title on an inch of its width.
+_TITLE_LETTERS_PER_INCH = 10
+# Letters of a panel's title and of its legend on an inch of its width.
+_PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
+# The share of a bar's place that its spans take.
+_BAR_SHARE = 0.76
 
 
 @contextmanager
@@ -101,23 +115,6 @@ def outside_legend(axes, *, narrow: bool = False, row_letters: int | None = None
 
 # A panel: a block of a document, a function of an Axes for what only one study draws, or None for an empty place.
 Panel = Plot | Plane | Bars | Callable[..., None] | None
-
-_STYLES = {
-    "line": {"linestyle": "-"},
-    "dash": {"linestyle": "--"},
-    "dashdot": {"linestyle": "-."},
-    "dots": {"linestyle": ":"},
-    "points": {"linestyle": "", "marker": "o", "markersize": 4},
-    "steps": {"linestyle": "-", "drawstyle": "steps-post"},
-    "cross": {"linestyle": "", "marker": "x", "markersize": 6},
-    "star": {"linestyle": "", "marker": "*", "markersize": 13, "markeredgecolor": BLACK},
-}
-# Letters of a figure's title on an inch of its width.
-_TITLE_LETTERS_PER_INCH = 10
-# Letters of a panel's title and of its legend on an inch of its width.
-_PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
-# The share of a bar's place that its spans take.
-_BAR_SHARE = 0.76
 
 
 def panels_of(blocks: Sequence[Block]) -> list[Panel]:

@@ -6,6 +6,10 @@ from itertools import pairwise
 import numpy as np
 
 _AXES = ("x", "y", "z")
+# Samples of a line: about half the width of a screen in pixels.
+MAX_SAMPLES = 800
+# A smaller range of values, as a share of the largest, may be rounding errors: it is not resolved.
+_LEAST_SPAN_SHARE = 1e-4
 
 
 def direction_name(direction: np.ndarray) -> str:
@@ -14,12 +18,6 @@ def direction_name(direction: np.ndarray) -> str:
     if 1.0 - abs(direction[k]) < 1e-6:
         return _AXES[k] if direction[k] > 0 else f"-{_AXES[k]}"
     return "along (" + ", ".join(f"{round(float(x), 6) + 0.0:.3g}" for x in direction) + ")"
-
-
-# Samples of a line: about half the width of a screen in pixels.
-MAX_SAMPLES = 800
-# A smaller range of values, as a share of the largest, may be rounding errors: it is not resolved.
-_LEAST_SPAN_SHARE = 1e-4
 
 
 def significant(value: float | None, digits: int = 4) -> float | None:

@@ -15,6 +15,11 @@ from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 
 # Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
+_TITLES = {
+    "refuted": "Refuted: the motion certainly breaks these",
+    "undecided": "Undecided: the smallest boxes did not decide these",
+    "proved": "Proved at every instant, for the model and the polynomials of the plan",
+}
 
 
 def known_digits(plan: Plan) -> int:
@@ -161,13 +166,6 @@ def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
     powers = zip(mechanism.actuators, certificate.peak_power, strict=True)
     return [*rows, *([f"largest power of {actuator.name}", power, "W"] for actuator, power in powers)]
-
-
-_TITLES = {
-    "refuted": "Refuted: the motion certainly breaks these",
-    "undecided": "Undecided: the smallest boxes did not decide these",
-    "proved": "Proved at every instant, for the model and the polynomials of the plan",
-}
 
 
 def proof_blocks(proof: Proof | None) -> list[Block]:
