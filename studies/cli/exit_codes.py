@@ -6,7 +6,7 @@ from enum import IntEnum
 
 from linkplan.models.errors import one_line
 
-# The words of libraries for too little memory; each library has another kind of error.
+# Phrases by which libraries report too little memory; the types of their errors differ.
 _WORDS = ("failed to map segment", "bad_alloc", "cannot allocate memory", "could not allocate", "unable to allocate")
 # A command that a signal ended has the sum of this and the signal's number: 130 for Ctrl-C, 143 for SIGTERM.
 SIGNAL_BASE = 128

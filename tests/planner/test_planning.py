@@ -1,4 +1,4 @@
-"""Which attempts of the search are made, with how much time, and what progress says; no motion is planned."""
+"""The search: which attempts it makes, their time limits, and its progress text. Solves are replaced: nothing is planned."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace

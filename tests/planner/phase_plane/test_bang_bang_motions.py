@@ -21,7 +21,7 @@ CRANK = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><body><joint name
 <inertial pos="0 0 -0.2" mass="1" diaginertia="0.26 0.26 0.26"/></body></worldbody>
 <actuator><motor name="u" joint="J" ctrlrange="{low} {high}"/></actuator></mujoco>"""
 MASS, PUSH, PULL = 2.0, 6.0, 4.0
-# The grid's own error, of a time.
+# Relative error of a time that the grid gives.
 GRID = 2e-3
 
 

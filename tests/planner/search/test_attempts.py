@@ -116,7 +116,7 @@ def tracked(own: float, n_intervals: int = 40, *, passed: bool = True):
 
 
 def unsmoothed(monkeypatch, first, lighter=(), finer=()):
-    """Return the motion without smoothing, from solves of less and less weight and on finer and finer meshes."""
+    """Return the result for a first motion; `lighter` are motions with less smoothing, `finer` ones on finer meshes."""
     case, rest = SimpleNamespace(smoothing=1.0), iter(finer)
     monkeypatch.setattr(attempts, "_own_objective", lambda at: at.own)
     monkeypatch.setattr(attempts, "refine", lambda _case, found, **_: found)
