@@ -10,7 +10,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.inspection_blocks import reach_table
-from linkplan.studies.output.document import Block, Facts, Text
+from linkplan.studies.output.document import Block, Facts, Text, pattern_of
 
 # So many problems, coordinates and notes at most: with two lines on what to do next the summary fits on a screen.
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
@@ -42,7 +42,7 @@ def summary_blocks(found: Inspection) -> list[Block]:
 
 def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
     """Return one sentence of each kind, with the number of the others; those of a kind differ in names and numbers alone."""
-    names = _names(mechanism)
+    names = pattern_of(_names(mechanism))
     kinds: dict[str, list[str]] = {}
     for sentence in sentences:
         kind = names.sub("_", sentence) if names is not None else sentence
@@ -56,8 +56,8 @@ def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
     return said
 
 
-def _names(mechanism: Mechanism) -> re.Pattern | None:
-    """Return the pattern of every name in a model, the longest first."""
+def _names(mechanism: Mechanism) -> set[str]:
+    """Return every name in a model."""
     model = mechanism.model
     sizes = {
         mujoco.mjtObj.mjOBJ_BODY: model.nbody,
@@ -69,9 +69,7 @@ def _names(mechanism: Mechanism) -> re.Pattern | None:
         mujoco.mjtObj.mjOBJ_TENDON: model.ntendon,
     }
     names = {mujoco.mj_id2name(model, kind, i) for kind, size in sizes.items() for i in range(size)}
-    names |= {joint.name for joint in mechanism.joints} | set(mechanism.closure_names)
-    known = sorted((re.escape(name) for name in names if name), key=len, reverse=True)
-    return re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w])") if known else None
+    return names | {joint.name for joint in mechanism.joints} | set(mechanism.closure_names)
 
 
 def _first(sentences: Sequence[str], most: int, what: str) -> list[str]:

@@ -65,6 +65,7 @@ def build_parser() -> Parser:
         "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
     )
     _add(plan, "problem", "PROBLEM", text)
+    _all(plan)
     _parquet(plan, "trajectory.csv")
     _flag(plan, "--jumps", "trajectory.csv has both sides of a jump in effort, at one time")
 
@@ -73,6 +74,7 @@ def build_parser() -> Parser:
     text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
     prove = command("prove", text, output=False)
     _add(prove, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _all(prove)
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     _add(batch, "batch", "BATCH", "a TOML file: problem, set, and [[case]] tables or a [sweep] table")
@@ -82,6 +84,7 @@ def build_parser() -> Parser:
 
     track = command("track", "run one tracker on a plan in MuJoCo", report=True)
     _add(track, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _all(track)
     _tracker(track)
     _add(track, "--sample", "N", "run this sample of an experiment again; PLAN is the experiment's folder", int)
     _mismatch(track, 1.0, 0)
@@ -89,6 +92,7 @@ def build_parser() -> Parser:
 
     compare = command("compare", "run trackers side by side on a plan, nominal and with a mismatch", report=True)
     _add(compare, "plan", "PROBLEM-or-PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _all(compare)
     text = "names with commas between them, as track takes them; or all (default: %(default)s)"
     _add(compare, "--trackers", "NAMES", text, default="pd, pd+ff, lqr")
     _mismatch(compare, 1.2, 1)
@@ -263,6 +267,10 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     _add(parser, "--tube-m", "L", "success: no slide is farther from the path (default: %(default)s)", float, 0.01)
     _engine(parser)
     _add(parser, "--threads", "N", "of the simulator for each worker (default: an equal share of the cores)", int, 0)
+
+
+def _all(parser: argparse.ArgumentParser) -> None:
+    _flag(parser, "--all", "print every row, also where many rows of a kind are shown by the worst one")
 
 
 def _engine(parser: argparse.ArgumentParser) -> None:

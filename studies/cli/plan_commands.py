@@ -94,7 +94,7 @@ def run_prove(arguments: argparse.Namespace) -> int:
     from linkplan.models.errors import ProblemError
     from linkplan.planner.plan_folder import read_to_prove
     from linkplan.studies.output.document import Text
-    from linkplan.studies.output.plan_blocks import proof_blocks
+    from linkplan.studies.output.plan_blocks import names_in, proof_blocks
 
     say, folder = progress(arguments), Path(arguments.plan)
     if folder.is_dir():
@@ -107,5 +107,5 @@ def run_prove(arguments: argparse.Namespace) -> int:
     say(PROVING)
     proof = plan.prove()
     said = {"plan": plan.problem.name, "verdict": proof.verdict} | proof.record()
-    show(arguments, said, [Text(text=plan.problem.name), *proof_blocks(proof)])
+    show(arguments, said, [Text(text=plan.problem.name), *proof_blocks(proof, names_in(plan))])
     return DONE if proof.passed else NO

@@ -152,15 +152,27 @@ def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], result:
         text = json.dumps(plain(said() if callable(said) else said), allow_nan=False) + "\n"
     elif isinstance(result, str):
         text = f"{result}\n"
-    elif is_terminal(sys.stdout):
-        from linkplan.studies.output.terminal import drawn
-
-        text = drawn(sys.stdout, result)
     else:
-        from linkplan.studies.output.text import text_of
+        document = result if getattr(arguments, "all", True) else _in_brief(result)
+        if is_terminal(sys.stdout):
+            from linkplan.studies.output.terminal import drawn
 
-        text = f"{text_of(result)}\n"
+            text = drawn(sys.stdout, document)
+        else:
+            from linkplan.studies.output.text import text_of
+
+            text = f"{text_of(document)}\n"
     arguments.lost = put(sys.stdout, text)
+
+
+def _in_brief(blocks: "Sequence[Block]") -> "list[Block]":
+    """Return a document with its brief rows and, if it has some, a note on the option that prints every row."""
+    from linkplan.studies.output.document import Text, in_brief
+
+    few = in_brief(blocks)
+    if all(short is whole for short, whole in zip(few, blocks, strict=True)):
+        return few
+    return [*few, Text(text="of many rows of a kind the worst is shown; --all prints every row", tone="note")]
 
 
 def quiet(arguments: argparse.Namespace) -> None:

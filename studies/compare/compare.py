@@ -34,6 +34,8 @@ from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
 _MIN_CONTROL_PERIODS = 10
 # Most control instants, whose log takes a gigabyte, and most simulator steps, which take an hour.
 _MAX_INSTANTS, _MAX_STEPS = 2e6, 1e8
+# Below this travel [deg or m], a motion stands still, and an error has no travel to be compared with.
+_STANDS_STILL = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -303,13 +305,31 @@ def _gap_share(plan: Plan, rollout: Rollout) -> float:
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return the sentences on trackers left out, and on contacts and the largest closure gap of the nominal runs."""
+    """Return the sentences on trackers left out and, of the nominal runs, on lost motions, contacts and the largest gap."""
     runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
     slow = servo_note(comparison.plan.problem.mechanism)
     soft = [f"{found[0][0]}, {found[0][1]}"] if found else []
-    return [*comparison.left_out, *pushed[:1], *([] if slow is None else [slow]), *soft]
+    return [*comparison.left_out, *lost_notes(comparison), *pushed[:1], *([] if slow is None else [slow]), *soft]
+
+
+def lost_notes(comparison: Comparison) -> list[str]:
+    """Return a sentence for each unit in which stable nominal runs have errors larger than the motion's whole travel."""
+    mechanism, notes = comparison.plan.problem.mechanism, []
+    errors = {name: error_figures(mechanism, run.error_rad) for name, run in comparison.nominal.items() if run.stable}
+    reference = next(iter(comparison.nominal.values())).reference_rad
+    travels = error_figures(mechanism, reference - reference[0])
+    for unit in steered_by_unit(mechanism):
+        largest, travel = f"max_error_{unit}", travels[f"max_error_{unit}"]
+        lost = {name: found[largest] for name, found in errors.items() if found[largest] > travel > _STANDS_STILL}
+        if lost:
+            said = ", ".join(f"{name} by {error:.3g} {unit}" for name, error in lost.items())
+            notes.append(
+                f"the motion, which travels {travel:.3g} {unit}, is not followed: {said} at the most; stable says only that"
+                " a run stays finite, without a limit cycle between the effort limits"
+            )
+    return notes
 
 
 def servo_note(mechanism: Mechanism) -> str | None:

@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record, tracking_reference
-from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
+from linkplan.studies.output.document import Block, Plot, Table, Text, brief_rows, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
 
 if TYPE_CHECKING:
@@ -106,9 +106,12 @@ def _conditions_text(conditions: Mapping) -> str:
 def _peak_table(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> Table:
     plan = comparison.plan
     records = [rollout_record(plan, run)["peak_effort"] for run in runs.values()]
-    actuators = plan.problem.mechanism.actuators
+    actuators, limits = plan.problem.mechanism.actuators, _longest(runs).effort_limit
     rows = [[a.name, *(peaks[a.name] for peaks in records), a.unit] for a in actuators]
-    return table_of(f"Peak efforts, {title}", ["actuator", *((name, "") for name in runs), "unit"], rows)
+    peaks = [max(row[1:-1]) for row in rows]
+    margins = [(-peak / (np.abs(ends).max() or np.inf), -peak) for peak, ends in zip(peaks, limits, strict=True)]
+    brief = brief_rows(rows, margins, [a.unit for a in actuators], [a.name for a in actuators])
+    return table_of(f"Peak efforts, {title}", ["actuator", *((name, "") for name in runs), "unit"], rows, brief=brief)
 
 
 def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Sequence[int]) -> list[Plot]:

@@ -4,10 +4,12 @@ Every number has the unit given with it. Names come from models and are always t
 is its class in small letters.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from linkplan.studies.output.numbers import significant
 
@@ -16,6 +18,10 @@ Numbers = Sequence[float | None]  # None where there is no value
 MEASURED = ", measured"
 # The colours of causes that raise a figure, lower it, or act together with others; the same in all charts.
 RAISING_COLOUR, LOWERING_COLOUR, TOTAL_COLOUR = 1, 0, 5
+# Of more rows of a kind, a summary has the worst one. A mechanism of four joints is shown whole.
+MOST_OF_A_KIND = 4
+
+Cell = bool | int | float | str | None
 
 
 def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None:
@@ -32,24 +38,35 @@ class Text(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
 
 
 class Facts(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
-    """Short facts: (label, value with its unit)."""
+    """Short facts: (label, value with its unit). `brief` has those of a summary, if they are fewer."""
 
     rows: Sequence[tuple[str, str]]
+    brief: Sequence[tuple[str, str]] | None = None
 
 
 class Table(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
-    """Rows under columns (head, unit); a cell is a number, a word, True or False, or None. `title` may be empty."""
+    """Rows under columns (head, unit); a cell is a number, a word, True or False, or None. `title` may be empty.
+
+    `brief` has the rows of a summary, if they are fewer.
+    """
 
     title: str
     columns: Sequence[tuple[str, str]]
-    rows: Sequence[Sequence[bool | int | float | str | None]]
+    rows: Sequence[Sequence[Cell]]
+    brief: Sequence[Sequence[Cell]] | None = None
 
     def __post_init__(self) -> None:
-        for row in self.rows:
+        for row in (*self.rows, *(self.brief or ())):
             _same_length(f"a row of table '{self.title}'", row, "columns", self.columns)
 
 
-def table_of(title: str, heads: Sequence[str | tuple[str, str]], rows: Sequence[Sequence], digits: int = 4) -> Table:
+def table_of(
+    title: str,
+    heads: Sequence[str | tuple[str, str]],
+    rows: Sequence[Sequence],
+    digits: int = 4,
+    brief: Sequence[Sequence] | None = None,
+) -> Table:
     """Return a table of raw values.
 
     Args:
@@ -57,15 +74,47 @@ def table_of(title: str, heads: Sequence[str | tuple[str, str]], rows: Sequence[
         heads: like "phase margin [deg]", or (head, unit) for the name of a part of a model, which may have brackets.
         rows: of cells; numbers are rounded, and those that are not finite are left out.
         digits: significant digits of numbers.
+        brief: the rows of a summary, if they are fewer.
     """
     columns = []
     for head in heads:
         text, bracket, unit = head.partition(" [") if isinstance(head, str) else (head[0], head[1], head[1])
         columns.append((text, unit.removesuffix("]") if bracket else ""))
-    return Table(title=title, columns=columns, rows=[[_cell(cell, digits) for cell in row] for row in rows])
+    cells = [[_cell(cell, digits) for cell in row] for row in rows]
+    few = None if brief is None else [[_cell(cell, digits) for cell in row] for row in brief]
+    return Table(title=title, columns=columns, rows=cells, brief=few)
 
 
-def _cell(value: Any, digits: int) -> bool | int | float | str | None:
+def brief_rows(rows: Sequence[Sequence], margins: Sequence, units: Sequence[str], names: Iterable[str]) -> list | None:
+    """Return rows with the worst one alone of each larger kind, or None if no kind is larger than `MOST_OF_A_KIND`.
+
+    Args:
+        rows: each with its label first. Rows of a kind have one unit, and their labels differ in names alone.
+        margins: of the rows (n,); the worst row has the least margin.
+        units: of the rows (n,).
+        names: of the model's parts.
+    """
+    pattern, kinds = pattern_of(names), {}
+    for k, row in enumerate(rows):
+        kinds.setdefault((row[0] if pattern is None else pattern.sub("_", row[0]), units[k]), []).append(k)
+    if max(map(len, kinds.values()), default=0) <= MOST_OF_A_KIND:
+        return None
+    kept = []
+    for alike in kinds.values():
+        worst = min(alike, key=lambda k: margins[k])
+        label, *cells = rows[worst]
+        few = len(alike) <= MOST_OF_A_KIND
+        kept += [rows[k] for k in alike] if few else [[f"{label}, the worst of {len(alike)}", *cells]]
+    return kept
+
+
+def pattern_of(names: Iterable[str]) -> re.Pattern | None:
+    """Return the pattern of any of the names as a whole word, the longest first; None without a name."""
+    known = sorted({re.escape(name) for name in names if name}, key=len, reverse=True)
+    return re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w])") if known else None
+
+
+def _cell(value: Any, digits: int) -> Cell:
     """Return a cell in JSON types."""
     if value is None or isinstance(value, bool | int | str):
         return value
@@ -314,6 +363,16 @@ class Code(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
 
 
 Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Code
+
+
+def in_brief(blocks: Iterable[Block]) -> list[Block]:
+    """Return a document with the brief rows of its tables and facts."""
+    return [
+        replace(block, rows=block.brief, brief=None)
+        if isinstance(block, Facts | Table) and block.brief is not None
+        else block
+        for block in blocks
+    ]
 
 
 class Section(Struct, frozen=True, kw_only=True, eq=False):

@@ -3,7 +3,7 @@
 Figures are printed with the digits that are known of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from linkplan.planner.certificate.certificate import Certificate, integration_rt
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
-from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.output.document import Block, Facts, Table, Text, brief_rows, table_of
 
 # Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
@@ -78,7 +78,7 @@ def plan_blocks(plan: Plan) -> list[Block]:
     notes = [Text(text=note, tone="note") for note in (*plan.problem.notes, *not_honoured(plan))]
     if plan.trajectory is None or certificate is None:
         return [*blocks, *notes]
-    blocks += [Facts(rows=facts(plan)), *([solves(plan)] if len(plan.history) > 1 else [])]
+    blocks += [_facts(plan), *([solves(plan)] if len(plan.history) > 1 else [])]
     if certificate.integration_restarts:
         text = (
             "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
@@ -86,8 +86,28 @@ def plan_blocks(plan: Plan) -> list[Block]:
         )
         blocks.append(Text(text=text))
     title = f"certificate: {'passed' if certificate.passed else 'NOT passed'}"
-    rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
-    return [*blocks, table_of(title, ["between the nodes", "worst", "unit"], rows), *proof_blocks(plan.proof), *notes]
+    names, rows = names_in(plan), [*_error_rows(plan), *_margin_rows(plan, certificate)]
+    margins = [-value if label.startswith("largest ") else value for label, value, _ in rows]
+    brief = brief_rows(rows, margins, [unit for *_, unit in rows], names)
+    table = table_of(title, ["between the nodes", "worst", "unit"], rows, brief=brief)
+    return [*blocks, table, *proof_blocks(plan.proof, names), *notes]
+
+
+def names_in(plan: Plan) -> list[str]:
+    """Return the names in the rows of a plan that differ in names alone."""
+    mechanism = plan.problem.mechanism
+    return [*(a.name for a in mechanism.actuators), *(j.name for j in mechanism.joints), *mechanism.closure_names]
+
+
+def _facts(plan: Plan) -> Facts:
+    """Return the facts of a plan; in brief, with the actuator alone whose peak is the largest share of its limit."""
+    rows, actuators = facts(plan), plan.problem.mechanism.actuators
+    split = len(rows) - len(actuators)
+    first, efforts = rows[:split], rows[split:]
+    peaks = zip(plan.certificate.peak_effort, plan.problem.limits.effort, strict=True)
+    margins = [(-peak / (max(-low, high) or np.inf), -peak) for peak, (low, high) in peaks]
+    brief = brief_rows(efforts, margins, [a.unit for a in actuators], names_in(plan))
+    return Facts(rows=rows, brief=None if brief is None else [*first, *(tuple(row) for row in brief)])
 
 
 def facts(plan: Plan) -> list[tuple[str, str]]:
@@ -168,17 +188,17 @@ def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     return [*rows, *([f"largest power of {actuator.name}", power, "W"] for actuator, power in powers)]
 
 
-def proof_blocks(proof: Proof | None) -> list[Block]:
-    """Return a proof's verdict and its findings by answer; nothing without a proof."""
+def proof_blocks(proof: Proof | None, names: Iterable[str] = ()) -> list[Block]:
+    """Return a proof's verdict and its findings by answer, in brief by these names; nothing without a proof."""
     if proof is None:
         return []
     blocks: list[Block] = [Text(text=f"proof: {proof.sentence()}", tone="good" if proof.complete else "plain")]
-    blocks += [_table(title, proof.of(answer)) for answer, title in _TITLES.items() if proof.of(answer)]
+    blocks += [_table(title, proof.of(answer), names) for answer, title in _TITLES.items() if proof.of(answer)]
     sampled = [[finding.name, finding.reason] for finding in proof.of("sampled")]
     return [*blocks, *([table_of("Sampled, not proved", ["claim", "reason"], sampled)] if sampled else [])]
 
 
-def _table(title: str, findings: Sequence[Finding]) -> Table:
+def _table(title: str, findings: Sequence[Finding], names: Iterable[str]) -> Table:
     heads = ["claim", "worst value", "at most or at least", "margin", "unit", "boxes", "time [s]"]
     rows = [
         [
@@ -194,8 +214,10 @@ def _table(title: str, findings: Sequence[Finding]) -> Table:
     ]
     if any(finding.reason for finding in findings):
         heads, rows = [*heads, "reason"], [[*row, f.reason] for row, f in zip(rows, findings, strict=True)]
-    return table_of(title, heads, rows)
+    margins = [-np.inf if f.margin is None else f.margin / (abs(f.mark or 0.0) or 1.0) for f in findings]
+    return table_of(title, heads, rows, brief=brief_rows(rows, margins, [f.unit for f in findings], names))
 
 
 def _digits(value: float | None) -> str | None:
-    return None if value is None else f"{value:.9g}"
+    """Return nine digits; the smallest numbers that balls round up to are zero."""
+    return None if value is None else "0" if abs(value) < np.finfo(float).tiny else f"{value:.9g}"

@@ -16,6 +16,7 @@ from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks
 from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.studies.output.document import in_brief
 from linkplan.studies.output.text import html_of, text_of
 from linkplan.subjects import listed, plan_to_track, tracking_table
 
@@ -176,10 +177,10 @@ class TrackingResult:
         return drawn(path, lambda place: comparison_figure(self.comparison, place, every_joint=every_joint))
 
     def _repr_html_(self) -> str:
-        return html_of(comparison_blocks(self.comparison))
+        return html_of(in_brief(comparison_blocks(self.comparison)))
 
     def __str__(self) -> str:
-        return text_of(comparison_blocks(self.comparison))
+        return text_of(in_brief(comparison_blocks(self.comparison)))
 
     def __repr__(self) -> str:
         names = ", ".join(self.comparison.nominal)

@@ -2,6 +2,7 @@
 
 import csv
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -103,6 +104,20 @@ GEARS = """<mujoco model="gears"><default><geom contype="0" conaffinity="0"/></d
   <body name="flap" pos="0.5 0 0"><joint name="B" axis="0 -1 0"/><geom type="sphere" size="0.05" pos="0.2 0 0"/></body>
   </worldbody><equality><joint name="gear" joint1="B" joint2="O" polycoef="0 -0.5 0 0 0"/></equality>
   <actuator><motor joint="O" ctrlrange="-3 3"/></actuator></mujoco>"""
+
+
+def test_a_stable_run_that_is_farther_off_than_the_motion_travels_is_said_to_follow_nothing():
+    comparison = compared("optimus-knee")
+    run = replace(comparison.nominal["pd"], applied=np.zeros((500, 1)))
+    assert run.stable
+    travel = np.degrees(np.abs(run.reference_rad - run.reference_rad[0]).max())
+    assert comparison_notes(comparison) == []
+    near, lost = (replace(run, position_rad=run.reference_rad - np.radians(share * travel)) for share in (0.9, 1.1))
+    assert comparison_notes(replace(comparison, nominal={"pd": near})) == []
+    (note,) = comparison_notes(replace(comparison, nominal={"pd": lost, "near": near}))
+    assert note.startswith(f"the motion, which travels {travel:.3g} deg, is not followed: pd by {1.1 * travel:.3g} deg at")
+    diverged = replace(lost, finite=False)
+    assert comparison_notes(replace(comparison, nominal={"pd": diverged})) == []
 
 
 def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
