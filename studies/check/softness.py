@@ -24,6 +24,8 @@ from linkplan.models.poses.assembly import follow
 NOTED_GAP_SHARE = 1e-4
 # The key of a problem file, and the argument of `load_mechanism`, that makes every closure as stiff as possible.
 STIFF_KEY = 'mechanism.solref = "stiff"'
+# More gravity [m/s2] than on any planet: the model's lengths are in millimetres (9810) or centimetres (981).
+_MOST_GRAVITY_M_S2 = 100.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -228,3 +230,14 @@ def massless_findings(mechanism: Mechanism) -> list[str]:
                 f" {heaviest:.3g} kg: the simulator cannot hold a loop by it; give it its mass"
             )
     return said
+
+
+def units_notes(mechanism: Mechanism) -> list[str]:
+    """Return a note on gravity that is not in m/s2, if it is not."""
+    gravity = float(np.linalg.norm(mechanism.model.opt.gravity))
+    if gravity <= _MOST_GRAVITY_M_S2:
+        return []
+    return [
+        f"gravity is {gravity:.4g} m/s2 and the moving bodies span {mechanism.extent_m:.3g} m: units are m, kg, s and N;"
+        " a model in millimetres has to be converted"
+    ]

@@ -38,6 +38,15 @@ def test_a_stop_that_no_other_coordinate_moves_stays_a_problem():
     assert any("roll's range [-20, 20] deg stops the mechanism at left = -40 deg (left's" in text for text in found.problems)
 
 
+@pytest.mark.parametrize(("gravity", "said"), [("0 0 -9810", True), ("0 -981 0", True), ("0 0 -24.8", False)])
+def test_gravity_in_other_units_than_metres_is_noted_with_the_size_of_the_bodies(gravity, said):
+    arm = '<body><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 300 0 0" size="10" mass="1"/></body>'
+    found = inspect(load_mechanism(f'<mujoco><option gravity="{gravity}"/><worldbody>{arm}</worldbody></mujoco>'), [])
+    notes = [note for note in found.notes if note.startswith("gravity is")]
+    assert bool(notes) == said
+    assert all("span 3" in note and "millimetres" in note for note in notes)
+
+
 @pytest.fixture(scope="module")
 def tumbling():
     bodies = "".join(
