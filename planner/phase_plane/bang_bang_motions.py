@@ -253,7 +253,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
                 whole = index, np.append(push[:-1], 0.0), np.full(len(index), way)
                 taken = time + _duration(plane, whole)
                 heapq.heappush(queue, (taken, next(ticket), legs_so_far + 1, int(index[-1]), [*legs, whole]))
-            for place, _ in ends:
+            for place in (place for place, _ in ends if place == goal or place not in known):
                 joined = _joined(plane, index, push, place, way, arriving.get((place, way)))
                 if joined is not None:
                     taken = time + _duration(plane, joined)
@@ -263,34 +263,31 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
 
 def _duration(plane: Plane, leg) -> float:
     index, w, _ = leg
+    first, last = int(index[0]), int(index[-1])
+    cells = plane.cells[first:last] if first <= last else plane.cells[last:first][::-1]
     v = np.sqrt(2 * w)
-    return float(np.sum(2 * np.abs(np.diff(plane.s[index])) / np.maximum(v[1:] + v[:-1], _MIN_SPEED)))
+    return float((2 * cells / np.maximum(v[1:] + v[:-1], _MIN_SPEED)).sum())
 
 
 def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
     """Return a pushing leg up to where it crosses the braking leg into the goal, then that one; None without a crossing."""
     if brake is None or not (goal - index[0]) * way > 0:
         return None
-    braking = np.full(len(plane.s), np.nan)
-    braking[goal - way * np.arange(len(brake))] = brake
     ahead = np.arange(index[0], goal + way, way)
-    pushing, braking = (np.full(len(ahead), np.nan) for _ in range(2))
-    pushing[: len(push)] = push[: len(ahead)]
-    braking[len(ahead) - len(brake[: len(ahead)]) :] = brake[: len(ahead)][::-1]
-    over = np.flatnonzero(pushing >= braking)
-    if not len(over):
+    braked = max(len(ahead) - len(brake), 0)  # the first place from which the way to the goal is open
+    braking = brake[: len(ahead) - braked][::-1]
+    over = push[braked : len(ahead)] >= braking[: max(len(push) - braked, 0)]
+    if not over.any():
         return None
-    k = int(over[0])
-    if not k and pushing[0] > (1 + _SAME_ENERGY_SHARE) * braking[0]:
-        return None  # too fast already to stop there
-    # Below the braking leg just before, or the way there is not open: it would be met too fast.
-    if np.any(np.isnan(pushing[:k])) or (k and np.isnan(braking[k - 1])):
+    k = braked + int(np.argmax(over))
+    # At the first place, the crossing is met too fast to stop; just before it, the motion must be below the braking leg.
+    if k == braked and (braked or push[0] > (1 + _SAME_ENERGY_SHARE) * braking[0]):
         return None
-    w = np.concatenate([pushing[:k], braking[k:]])
+    w = np.concatenate([push[:k], braking[k - braked :]])
     if np.any(np.isfinite(plane.top[way])):
         # Below a speed limit a braking leg may rise faster than full effort does.
         below = np.full(len(plane.s), np.inf)
-        below[ahead] = np.where(np.isnan(braking), np.inf, braking)
+        below[ahead[braked:]] = braking
         rest = plane.leg(index[0], push[0], way, way, below=below)
         w[: len(rest)] = rest[: len(w)]
     effort = np.where(np.arange(len(ahead)) < k, way, -way)
