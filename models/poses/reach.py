@@ -24,6 +24,8 @@ from linkplan.models.tree.joints import Joint
 
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
+# The reason of an end that nothing makes, by the kind of joint. A slide is followed over twenty sizes of the model.
+_NOTHING_ENDS = {"hinge": "full turn", "slide": "nothing so far"}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -31,7 +33,9 @@ class End:
     """An end of the reach: the independent position there [rad or m] and the reason."""
 
     position: float
-    reason: str  # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose", "full turn"
+    reason: (
+        str  # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose", "full turn", "nothing so far"
+    )
     joint: int | None  # the coordinate whose range ends the reach
 
 
@@ -62,8 +66,8 @@ class Reach:
 
     @property
     def turns_fully(self) -> bool:
-        """True if nothing stops the joint within a turn to either side."""
-        return self.lower.reason == self.upper.reason == "full turn"
+        """True if nothing stops the joint to either side: a hinge within a turn, a slide as far as it is followed."""
+        return all(end.reason in _NOTHING_ENDS.values() for end in (self.lower, self.upper))
 
 
 @functools.lru_cache(maxsize=64)
@@ -98,7 +102,7 @@ def _turned_back(mechanism: Mechanism, coordinate: int, up: list[np.ndarray], up
 
     None if it has not, or if a range is left on the way.
     """
-    if upper.reason != "full turn" or mechanism.joints[mechanism.independent[coordinate]].kind != "hinge":
+    if upper.reason != _NOTHING_ENDS["hinge"]:
         return None
     turn = whole_turns(mechanism, up[-1] - mechanism.home)
     below = np.array([*up[-2::-1], mechanism.home]) - turn
@@ -107,7 +111,7 @@ def _turned_back(mechanism: Mechanism, coordinate: int, up: list[np.ndarray], up
     if np.abs(up[-1] - turn - mechanism.home).max() > RANGE_ROUNDING or not np.all(inside[:, turn != 0]):
         return None
     position = float(below[-1, mechanism.independent[coordinate]])
-    return list(below), End(position=position, reason="full turn", joint=None), []
+    return list(below), End(position=position, reason=upper.reason, joint=None), []
 
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
@@ -168,7 +172,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
             pose = _singular_pose(mechanism, q, coordinate)
             return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [pose]
         begin, n = begin + n, 4 * n
-    reason = "full turn" if last != limit else _end_of(joint)
+    reason = _NOTHING_ENDS[joint.kind] if last != limit else _end_of(joint)
     return poses, End(position=float(last), reason=reason, joint=index if last == limit else None), []
 
 
