@@ -55,28 +55,26 @@ def flow(
 
 def stiff_flow(
     rate: Rate,
-    jacobian: Callable[[float, np.ndarray], np.ndarray],
     width_s: float,
     state: np.ndarray,
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
     rtol: float = INTEGRATION_RTOL,
 ) -> np.ndarray | None:
-    """Integrate as `flow` does, by an implicit method, with the derivative (n, n) of the rate by the state."""
+    """Integrate as `flow` does, by an implicit method."""
     counted = _counted(rate, until, _MAX_EVALUATIONS)
     try:
-        return _flown(counted, width_s, state, shares, rtol, method="Radau", jac=jacobian)
+        return _flown(counted, width_s, state, shares, rtol, method="Radau")
     except (ValueError, np.linalg.LinAlgError):  # an infeasible motion diverges to infinite numbers
         return None
 
 
 def _flown(
-    counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, rtol: float, *, method, jac=None
+    counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, rtol: float, *, method
 ) -> np.ndarray | None:
     import scipy
 
     atol = 0.1 * rtol * np.maximum(1.0, np.abs(state))
-    own = {} if jac is None else {"jac": jac}
     # An infeasible motion may diverge; the result shows it without warnings.
     with np.errstate(all="ignore"):
         try:
@@ -88,7 +86,6 @@ def _flown(
                 rtol=rtol,
                 atol=atol,
                 t_eval=shares * width_s,
-                **own,
             )
         except _TooManyStepsError:
             return None

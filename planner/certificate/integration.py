@@ -8,7 +8,6 @@ a motion of the model, not that open-loop control could follow it. The number of
 """
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -241,7 +240,7 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
             rates, begin = called(rate, inputs[k], widths[k]), reached[-1, 1]
             half = None if stiff else flow(rates, widths[k], begin, halves, until, STIFF_EVALUATIONS, rtol)
             if half is None:  # after one stiff interval the others are taken as stiff too
-                half = stiff_flow(rates, _slope_on(rate, inputs[k], widths[k]), widths[k], begin, halves, until, rtol)
+                half = stiff_flow(rates, widths[k], begin, halves, until, rtol)
                 stiff = half is not None
             if half is None:
                 break
@@ -262,15 +261,3 @@ def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
     effort = bernstein_value(ca.reshape(flat, n_coefficients, n_u), tau).T
     rates = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], effort)
     return ca.Function("rate", [x, flat, tau], [ca.vertcat(*rates)], {"cse": True})
-
-
-def _slope_on(function: ca.Function, inputs: np.ndarray, width: float) -> Callable[[float, np.ndarray], np.ndarray]:
-    """Return the derivative (n, n) of an interval's right-hand side by the state, for numpy."""
-    slope = _slope(function)
-    return lambda t, y: np.array(slope(y, inputs, t / width))
-
-
-@functools.lru_cache(maxsize=16)
-def _slope(function: ca.Function) -> ca.Function:
-    x, flat, tau = (ca.SX.sym(name, function.size1_in(i)) for i, name in enumerate(("x", "u", "tau")))
-    return ca.Function("slope", [x, flat, tau], [ca.jacobian(function(x, flat, tau), x)], {"cse": True})
