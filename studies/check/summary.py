@@ -1,6 +1,5 @@
 """The findings of `linkplan check` in at most thirty lines: what the mechanism is, what is wrong, what to do next."""
 
-import re
 from collections.abc import Iterable, Sequence
 
 import mujoco
@@ -10,7 +9,8 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.inspection_blocks import reach_table
-from linkplan.studies.output.document import Block, Facts, Text, pattern_of
+from linkplan.studies.output.document import Block, Facts, Text
+from linkplan.studies.output.text import kind_of, pattern_of
 
 # So many problems, coordinates and notes at most: with two lines on what to do next the summary fits on a screen.
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
@@ -45,8 +45,7 @@ def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
     names = pattern_of(_names(mechanism))
     kinds: dict[str, list[str]] = {}
     for sentence in sentences:
-        kind = names.sub("_", sentence) if names is not None else sentence
-        kinds.setdefault(re.sub(r"(geom )?-?\d[\d.e+-]*", "_", kind), []).append(sentence)
+        kinds.setdefault(kind_of(sentence, names), []).append(sentence)
     said = []
     for alike in kinds.values():
         more = f" (and {len(alike) - 1} more of this kind)" if len(alike) > 1 else ""

@@ -167,7 +167,8 @@ def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], result:
 
 def _in_brief(blocks: "Sequence[Block]") -> "list[Block]":
     """Return a document with its brief rows and, if it has some, a note on the option that prints every row."""
-    from linkplan.studies.output.document import Text, in_brief
+    from linkplan.studies.output.document import Text
+    from linkplan.studies.output.text import in_brief
 
     few = in_brief(blocks)
     if all(short is whole for short, whole in zip(few, blocks, strict=True)):

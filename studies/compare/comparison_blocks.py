@@ -9,8 +9,9 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record, tracking_reference
-from linkplan.studies.output.document import Block, Plot, Table, Text, brief_rows, table_of
+from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
+from linkplan.studies.output.text import brief_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,12 +4,10 @@ Every number has the unit given with it. Names come from models and are always t
 is its class in small letters.
 """
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from linkplan.studies.output.numbers import significant
 
@@ -18,8 +16,6 @@ Numbers = Sequence[float | None]  # None where there is no value
 MEASURED = ", measured"
 # The colours of causes that raise a figure, lower it, or act together with others; the same in all charts.
 RAISING_COLOUR, LOWERING_COLOUR, TOTAL_COLOUR = 1, 0, 5
-# Of more rows of a kind, a summary has the worst one. A mechanism of four joints is shown whole.
-MOST_OF_A_KIND = 4
 
 Cell = bool | int | float | str | None
 
@@ -31,10 +27,11 @@ def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None
 
 
 class Text(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
-    """A paragraph. `tone` is "plain", "good", "bad" or "note"."""
+    """A paragraph. `tone` is "plain", "good", "bad" or "note". `brief` stands for it in a summary, "" for nothing."""
 
     text: str
     tone: str = "plain"
+    brief: str | None = None
 
 
 class Facts(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
@@ -83,35 +80,6 @@ def table_of(
     cells = [[_cell(cell, digits) for cell in row] for row in rows]
     few = None if brief is None else [[_cell(cell, digits) for cell in row] for row in brief]
     return Table(title=title, columns=columns, rows=cells, brief=few)
-
-
-def brief_rows(rows: Sequence[Sequence], margins: Sequence, units: Sequence[str], names: Iterable[str]) -> list | None:
-    """Return rows with the worst one alone of each larger kind, or None if no kind is larger than `MOST_OF_A_KIND`.
-
-    Args:
-        rows: each with its label first. Rows of a kind have one unit, and their labels differ in names alone.
-        margins: of the rows (n,); the worst row has the least margin.
-        units: of the rows (n,).
-        names: of the model's parts.
-    """
-    pattern, kinds = pattern_of(names), {}
-    for k, row in enumerate(rows):
-        kinds.setdefault((row[0] if pattern is None else pattern.sub("_", row[0]), units[k]), []).append(k)
-    if max(map(len, kinds.values()), default=0) <= MOST_OF_A_KIND:
-        return None
-    kept = []
-    for alike in kinds.values():
-        worst = min(alike, key=lambda k: margins[k])
-        label, *cells = rows[worst]
-        few = len(alike) <= MOST_OF_A_KIND
-        kept += [rows[k] for k in alike] if few else [[f"{label}, the worst of {len(alike)}", *cells]]
-    return kept
-
-
-def pattern_of(names: Iterable[str]) -> re.Pattern | None:
-    """Return the pattern of any of the names as a whole word, the longest first; None without a name."""
-    known = sorted({re.escape(name) for name in names if name}, key=len, reverse=True)
-    return re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w])") if known else None
 
 
 def _cell(value: Any, digits: int) -> Cell:
@@ -363,16 +331,6 @@ class Code(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
 
 
 Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Code
-
-
-def in_brief(blocks: Iterable[Block]) -> list[Block]:
-    """Return a document with the brief rows of its tables and facts."""
-    return [
-        replace(block, rows=block.brief, brief=None)
-        if isinstance(block, Facts | Table) and block.brief is not None
-        else block
-        for block in blocks
-    ]
 
 
 class Section(Struct, frozen=True, kw_only=True, eq=False):

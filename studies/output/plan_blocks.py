@@ -11,7 +11,8 @@ from linkplan.planner.certificate.certificate import Certificate, integration_rt
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
-from linkplan.studies.output.document import Block, Facts, Table, Text, brief_rows, table_of
+from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.output.text import brief_rows, notes_of
 
 # Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
@@ -75,7 +76,8 @@ def plan_blocks(plan: Plan) -> list[Block]:
         Text(text=f"{plan.problem.name}: {plan.status}", tone="good" if plan.passed else "plain"),
         Text(text=message),
     ]
-    notes = [Text(text=note, tone="note") for note in (*plan.problem.notes, *not_honoured(plan))]
+    names = names_in(plan)
+    notes = notes_of([*plan.problem.notes, *not_honoured(plan)], names)
     if plan.trajectory is None or certificate is None:
         return [*blocks, *notes]
     blocks += [_facts(plan), *([solves(plan)] if len(plan.history) > 1 else [])]
@@ -86,7 +88,7 @@ def plan_blocks(plan: Plan) -> list[Block]:
         )
         blocks.append(Text(text=text))
     title = f"certificate: {'passed' if certificate.passed else 'NOT passed'}"
-    names, rows = names_in(plan), [*_error_rows(plan), *_margin_rows(plan, certificate)]
+    rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
     margins = [-value if label.startswith("largest ") else value for label, value, _ in rows]
     brief = brief_rows(rows, margins, [unit for *_, unit in rows], names)
     table = table_of(title, ["between the nodes", "worst", "unit"], rows, brief=brief)

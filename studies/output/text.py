@@ -1,12 +1,17 @@
-"""A document as plain text, for pipes, files and `print`, and as a piece of HTML for notebooks, where names are escaped."""
+"""A document as plain text, whole or in brief, for pipes, files and `print`, and as HTML for notebooks, names escaped."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from html import escape
+
+from msgspec.structs import replace
 
 from linkplan.studies.output.document import Block, Checklist, Code, Facts, Table, Text
 
 # Digits of a document's numbers, which are rounded already.
 ROUNDED_DIGITS = 9
+# Of more rows of a kind, a summary has the worst one. A mechanism of four joints is shown whole.
+MOST_OF_A_KIND = 4
 
 
 def text_of(blocks: Sequence[Block]) -> str:
@@ -75,6 +80,67 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4
         column.insert(1, "-" * width)
         columns[k] = [text.ljust(width) if left else text.rjust(width) for text in column]
     return "\n".join(_GAP.join(line).rstrip() for line in zip(*columns, strict=True))
+
+
+def in_brief(blocks: Iterable[Block]) -> list[Block]:
+    """Return a document with what is brief of its texts, facts and tables."""
+    found = []
+    for block in blocks:
+        if not isinstance(block, Text | Facts | Table) or block.brief is None:
+            found.append(block)
+        elif not isinstance(block, Text):
+            found.append(replace(block, rows=block.brief, brief=None))
+        elif block.brief:
+            found.append(replace(block, text=block.brief, brief=None))
+    return found
+
+
+def brief_rows(rows: Sequence[Sequence], margins: Sequence, units: Sequence[str], names: Iterable[str]) -> list | None:
+    """Return rows with the worst one alone of each larger kind, or None if no kind is larger than `MOST_OF_A_KIND`.
+
+    Args:
+        rows: each with its label first. Rows of a kind have one unit, and their labels differ in names alone.
+        margins: of the rows (n,); the worst row has the least margin.
+        units: of the rows (n,).
+        names: of the model's parts.
+    """
+    pattern, kinds = pattern_of(names), {}
+    for k, row in enumerate(rows):
+        kinds.setdefault((kind_of(row[0], pattern), units[k]), []).append(k)
+    if max(map(len, kinds.values()), default=0) <= MOST_OF_A_KIND:
+        return None
+    kept = []
+    for alike in kinds.values():
+        worst = min(alike, key=lambda k: margins[k])
+        label, *cells = rows[worst]
+        few = len(alike) <= MOST_OF_A_KIND
+        kept += [rows[k] for k in alike] if few else [[f"{label}, the worst of {len(alike)}", *cells]]
+    return kept
+
+
+def notes_of(sentences: Iterable[str], names: Iterable[str]) -> list[Text]:
+    """Return notes; in brief, the first one alone of each larger kind, with the number of the others."""
+    pattern, kinds = pattern_of(names), {}
+    for sentence in sentences:
+        kinds.setdefault(kind_of(sentence, pattern), []).append(sentence)
+    notes = []
+    for first, *others in kinds.values():
+        few = len(others) < MOST_OF_A_KIND
+        brief = None if few else f"{first} (and {len(others)} more of this kind)"
+        notes.append(Text(text=first, tone="note", brief=brief))
+        notes += [Text(text=text, tone="note", brief=None if few else "") for text in others]
+    return notes
+
+
+def kind_of(sentence: str, names: re.Pattern | None) -> str:
+    """Return a sentence without the names and numbers in which those of a kind differ."""
+    return re.sub(r"(geom )?-?\d[\d.e+-]*", "_", sentence if names is None else names.sub("_", sentence))
+
+
+def pattern_of(names: Iterable[str]) -> re.Pattern | None:
+    """Return the pattern of any of the names as a whole word, the longest first; None without a name."""
+    known = sorted({re.escape(name) for name in names if name}, key=len, reverse=True)
+    return re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w])") if known else None
 
 
 _TONES = {"good": "color:#116b3a", "bad": "color:#b3261e;font-weight:600", "note": "opacity:.75"}

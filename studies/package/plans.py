@@ -217,16 +217,14 @@ class Plan(planned.Plan):
         return plan_folder.record(self)
 
     def _repr_html_(self) -> str:
-        from linkplan.studies.output.document import in_brief
         from linkplan.studies.output.plan_blocks import plan_blocks
-        from linkplan.studies.output.text import html_of
+        from linkplan.studies.output.text import html_of, in_brief
 
         return html_of(in_brief(plan_blocks(self)))
 
     def __str__(self) -> str:
-        from linkplan.studies.output.document import in_brief
         from linkplan.studies.output.plan_blocks import plan_blocks
-        from linkplan.studies.output.text import text_of
+        from linkplan.studies.output.text import in_brief, text_of
 
         return text_of(in_brief(plan_blocks(self)))
 

@@ -16,8 +16,7 @@ from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks
 from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.output.document import in_brief
-from linkplan.studies.output.text import html_of, text_of
+from linkplan.studies.output.text import html_of, in_brief, text_of
 from linkplan.subjects import listed, plan_to_track, tracking_table
 
 if TYPE_CHECKING:

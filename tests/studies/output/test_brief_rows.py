@@ -3,8 +3,8 @@
 import pytest
 
 from linkplan.studies.cli.main import main
-from linkplan.studies.output.document import Facts, Text, brief_rows, in_brief, table_of
-from linkplan.studies.output.text import text_of
+from linkplan.studies.output.document import Facts, Text, table_of
+from linkplan.studies.output.text import brief_rows, in_brief, notes_of, text_of
 
 CARTS = 6
 
@@ -34,6 +34,14 @@ def test_only_blocks_with_brief_rows_change():
     assert brief[0] is text
     assert brief[1] is whole
     assert text_of(brief[2:]).split() == ["b:", "2", "t", "head", "----", "2"]
+
+
+def test_the_first_note_stands_for_more_than_four_that_differ_in_names_and_numbers():
+    many = [f"servo m{k} acts within {k}.5 N" for k in range(5)]
+    few = [f"rod r{k} spins" for k in range(4)]
+    notes = notes_of([*many, *few], [f"m{k}" for k in range(5)] + [f"r{k}" for k in range(4)])
+    assert [note.text for note in notes] == [*many, *few]
+    assert [note.text for note in in_brief(notes)] == [f"{many[0]} (and 4 more of this kind)", *few]
 
 
 @pytest.fixture(scope="module")
