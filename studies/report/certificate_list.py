@@ -15,7 +15,7 @@ from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Checklist, Item
-from linkplan.studies.output.draw_plan import Motion
+from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion
 from linkplan.studies.output.numbers import significant
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
@@ -46,7 +46,9 @@ def _efforts(plan: Plan, motion: Motion) -> list[Item]:
         limit = high if high - values[at] <= values[at] - low else low
         over = inside.min() < 0 and plan.certificate.effort_excess > 0
         items.append(
-            _item(f"effort of {actuator.name}", not over, values[at], limit, actuator.unit, _instant(motion.time_s[at]))
+            _item(
+                f"effort of {actuator.name}", not over, _seen(values[at]), limit, actuator.unit, _instant(motion.time_s[at])
+            )
         )
     return items
 
@@ -66,7 +68,7 @@ def _ranges(plan: Plan, motion: Motion) -> list[Item]:
             at = int(np.argmin(np.minimum(values[:, k] - low, high - values[:, k])))
             upper = high - values[at, k] <= values[at, k] - low
             limit = high if upper else low
-            value = limit - margins[k] if upper else limit + margins[k]
+            value = _seen(limit - margins[k] if upper else limit + margins[k])
             passed = bool(margins[k] >= -RANGE_SLACK)
             when = certificate.worst_time_s.get(f"{what} of {joint.name}")
             unit = f"{joint.unit}{per}"
@@ -77,7 +79,7 @@ def _ranges(plan: Plan, motion: Motion) -> list[Item]:
 
 def _margins(certificate: Certificate) -> list[Item]:
     return [
-        _item(margin.title, margin.kept, margin.value, margin.limit, margin.unit, margin.time_s)
+        _item(margin.title, margin.kept, _seen(margin.value), margin.limit, margin.unit, margin.time_s)
         for margin in certificate.margins
     ]
 
@@ -134,6 +136,11 @@ def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
         )
         for meeting in certificate.contacts
     ]
+
+
+def _seen(value: float) -> float:
+    """Return a value; zero for rounding errors."""
+    return value if abs(value) > LEAST_SHOWN else 0.0
 
 
 def _item(label: str, passed: bool, worst: float, limit: float | None, unit: str, at: float | None) -> Item:

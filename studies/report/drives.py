@@ -5,6 +5,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.output.document import Drive, Mark
+from linkplan.studies.output.draw_plan import LEAST_SHOWN
 from linkplan.studies.output.effort_marks import effort_marks
 from linkplan.studies.output.numbers import rounded
 
@@ -38,7 +39,7 @@ def drives_of(
                 name=actuator.name,
                 unit=actuator.unit,
                 marks=[mark for k in range(len(places[j][0])) if (mark := _drawn(places[j], k, frame)) is not None],
-                effort=rounded(np.nan_to_num(effort[:, j])),
+                effort=rounded(np.nan_to_num(np.where(np.abs(effort[:, j]) > LEAST_SHOWN, effort[:, j], 0.0))),
                 limits=(_finite(ends[0]), _finite(ends[1])),
             )
         )

@@ -12,7 +12,8 @@ from linkplan.planner.problem.problem import file_text
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, Text
 from linkplan.studies.output.draw_plan import force_plots, motion_of, time_plots
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.output.plan_blocks import facts, proof_blocks, solves
+from linkplan.studies.output.plan_blocks import facts, names_in, proof_blocks, solves
+from linkplan.studies.output.text import in_brief, notes_of
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
 from linkplan.studies.report.lead import lead_facts, verdict_sentence
@@ -47,15 +48,17 @@ def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) ->
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
     robust = robust_section(plan, motion, group, period)
+    notes = _notes(plan)
+    few = in_brief(notes)
     return [
-        Section(title=title, blocks=[*first, *seen, lead_facts(plan, motion), *_notes(plan)]),
+        Section(title=title, blocks=[*first, *seen, lead_facts(plan, motion), *few]),
         Section(title="Motion and effort", blocks=over_time, depth=2),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=2)]),
         *([] if robust is None else [robust]),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=2),
         *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=2)]),
         Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=2),
-        Section(title="Problem", blocks=[about, *_problem(plan)], depth=2),
+        Section(title="Problem", blocks=[about, *(notes if len(few) < len(notes) else []), *_problem(plan)], depth=2),
     ]
 
 
@@ -65,7 +68,7 @@ def _verdict(plan: Plan, *, said: bool) -> list[Block]:
 
 
 def _notes(plan: Plan) -> list[Text]:
-    return [Text(text=text, tone="note") for text in (*plan.problem.notes, *not_honoured(plan))]
+    return notes_of([*plan.problem.notes, *not_honoured(plan)], names_in(plan))
 
 
 def _about(plan: Plan) -> Facts:

@@ -11,7 +11,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table
+from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table, Text
 from linkplan.studies.report.render import document_json, report_html
 from linkplan.studies.report.reports import check_report, comparison_report, plan_report
 from tests.support.linkages import RSSR
@@ -87,6 +87,29 @@ def test_a_limit_that_is_broken_is_the_one_that_the_checklist_says_no_to():
     assert not broken.certificate.passed
     (checklist,) = blocks(plan_report(broken), Checklist)
     assert [item.label for item in checklist.items if not item.passed] == ["effort of act_O"]
+
+
+def test_notes_that_differ_in_a_number_are_counted_first_and_stand_whole_with_the_problem():
+    plan = optimal("knee-reach")
+    notes = [f"geom {k} touches nothing" for k in range(6)]
+    noted = plan_report(replace(plan, problem=replace(plan.problem, notes=tuple(notes))))
+    overview, problem = ([one.text for one in noted.sections[k].blocks if isinstance(one, Text)] for k in (0, -1))
+    assert [text for text in overview if "touches" in text] == [f"{notes[0]} (and 5 more of this kind)"]
+    assert [text for text in problem if "touches" in text] == notes
+
+
+def test_rounding_errors_are_zero_in_the_checklist():
+    plan = optimal("knee-reach")
+    position = plan.certificate.position_margin_rad.copy()
+    position[0] = plan.problem.limits.position[0][1] - 1e-12
+    at_zero = replace(plan, certificate=replace(plan.certificate, position_margin_rad=position))
+    assert {item.label: item.worst for item in certificate_items(at_zero)}["range of O"] == 0.0
+    assert certificate_items(plan)[0].worst == pytest.approx(plan.certificate.peak_effort[0], rel=1e-4)
+
+
+def certificate_items(plan) -> list:
+    (checklist,) = blocks(plan_report(plan), Checklist)
+    return checklist.items
 
 
 def test_the_planned_speed_stays_below_the_limit_curves_of_the_phase_plane(report):
