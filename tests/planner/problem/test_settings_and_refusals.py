@@ -15,7 +15,7 @@ from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.instant import Corner, Instant, Robust, corner_efforts_along
 from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
@@ -293,3 +293,12 @@ def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
     begun = SolverSettings(max_time_s=1000.0).begun()
     assert begun.deadline.left_s == pytest.approx(900.0, abs=1.0)
     assert begun.certificate_deadline.left_s == pytest.approx(1000.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("apart", "legal"), [(1.1e-9, True), (0.9e-9, False)])
+def test_breaks_are_a_billionth_of_the_duration_apart(apart, legal):
+    if legal:
+        assert MeshSettings(breaks=[0.0, apart, 1.0]).breaks.tolist() == [0.0, apart, 1.0]
+        return
+    with pytest.raises(ProblemError, match="at least 1e-09 apart"):
+        MeshSettings(breaks=[0.0, apart, 1.0])

@@ -1,5 +1,6 @@
 """A motion of the model near a plan: the radius contains it, is hardly larger than it must be, and grows with an error."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from linkplan.planner.proof.prove import prove, states_of
 from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_plan
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
 from tests.support.plans import optimal
 
 
@@ -249,3 +250,17 @@ def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():
         ctx.prec, ctx.cap = before
     assert [abs(float(c.mid())) for c in defect.coefficients] == pytest.approx([0.0, ACCELERATION], abs=1e-12)
     assert float(defect.remainder) < 1e-12
+
+
+def test_the_first_tube_is_a_millionth_of_the_motion_wide_which_is_far_below_a_certificate_s_error():
+    tube = first_tube(without_efforts())
+    np.testing.assert_allclose(tube.at(0.3 * DURATION_S), [1e-6 * TURN, 1e-6 * SPEED])
+
+
+def test_the_times_of_a_proof_s_parts_add_up_to_at_most_the_processor_time_that_it_takes():
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 2.0\n")
+    begin = time.process_time()
+    proof = prove(problem, without_efforts())
+    assert proof.seconds >= 0.0
+    assert proof.existence_seconds >= 0.0
+    assert proof.seconds + proof.existence_seconds <= time.process_time() - begin
