@@ -15,7 +15,7 @@ from linkplan.planner.problem.instant import Scales, position_units
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.marking import Tightening
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.bernstein import bernstein_value
+from linkplan.planner.transcription.bernstein import bernstein_gram
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
 from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.mesh import Mesh
@@ -181,9 +181,8 @@ def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory
     if not degree:
         return objective
     slope = degree * np.diff(coefficients, axis=0) / widths[:, None]
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
-    squares = np.array([(bernstein_value(slope, (1 + x) / 2) ** 2).sum(axis=1) for x in nodes])
-    integral = float((weights / 2) @ squares @ widths)
+    squares = np.einsum("ikl,ij,jkl->k", slope, bernstein_gram(degree - 1), slope)
+    integral = float(squares @ widths)
     return objective - origin.smoothing * transcribed.units.objective * origin.scales.time_s * integral
 
 

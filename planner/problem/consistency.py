@@ -144,13 +144,13 @@ def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.
     """Refuse springs and servos' ranges for which the next turn is another than the last."""
     still = np.zeros(mechanism.n_q)
     before, after = (np.array(mechanism.dynamics.passive(q, still)).ravel() for q in (pose, pose + gone))
-    if np.abs(after - before).max() > ROUNDING_SHARE * max(np.abs(after).max(), np.abs(before).max()):
+    if np.abs(after - before).max() > ROUNDING_SHARE * np.abs(before).max(initial=1.0):
         joint = mechanism.joints[int(np.argmax(np.abs(after - before)))]
         raise ProblemError(f"motion.turns of joint {names}: a spring on joint {joint.name} winds up with every turn")
     rest, nothing = np.zeros((1, mechanism.dof)), np.zeros((1, mechanism.n_u))
     ctrl, later = (needed_controls(mechanism, q[None], rest, nothing)[0] for q in (pose, pose + gone))
     for actuator, x, y in zip(mechanism.actuators, ctrl, later, strict=True):
-        if actuator.limits_control and abs(y - x) > ROUNDING_SHARE * max(abs(x), abs(y)):
+        if actuator.limits_control and abs(y - x) > ROUNDING_SHARE * max(1.0, abs(x)):
             raise ProblemError(
                 f"motion.turns of joint {names}: the ctrl of servo {actuator.name} goes on by {y - x:.4g} with them and"
                 f" has a ctrlrange of {actuator.control_lower:g} to {actuator.control_upper:g}"

@@ -293,9 +293,7 @@ def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> d
         raise ProblemError(
             f"{where} names no value for {names}, and no equilibrium of springs and weight was found near home"
         )
-    lower, upper = np.array([(joint.lower, joint.upper) for joint in mechanism.independent_joints]).T
-    outside = np.any((s < lower - 1e-8) | (s > upper + 1e-8))  # rounding of the equilibrium [rad or m]
-    if outside and (stops := rests_on_stops(mechanism, named, unnamed)):
+    if stops := rests_on_stops(mechanism, named, unnamed):
         resting = [(mechanism.independent_joints[column], x) for column, x in stops.items()]
         raise ProblemError(
             stop_sentence(resting, f"{where} names no value for {', '.join(joint.name for joint, _ in resting)}:")

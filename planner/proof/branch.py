@@ -117,8 +117,7 @@ def series_of(blocks: Blocks, s: Sequence[arb_series], root: Sequence[arb], orde
         phi = dense(blocks.closure(q)[0], n)
         # The coefficients before `known` vanish for the exact root, and only the first of J_z act on the new ones.
         left = [arb_series([-phi_i[k] for k in range(known, cap)], prec=cap - known) for phi_i in map(_series, phi)]
-        ctx.cap = cap - known
-        tangent = blocks.tangent([arb_series(x.coeffs()[: cap - known], prec=cap - known) for x in q])[0]
+        tangent = blocks.tangent([arb_series(x.coeffs(), prec=cap - known) for x in q])[0]
         J_z = {(i, j): tangent[i, c] for i in range(n) for j, c in enumerate(blocks.dependent) if (i, c) in tangent}
         (added,) = solve(J_z, [left])
         for of, more in zip(coefficients, map(_series, added), strict=True):

@@ -1,6 +1,7 @@
 """Machines in MuJoCo: what their logs say of efforts that change within a period, and how much they hold."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from linkplan.controllers.trackers.pd import pd
 from linkplan.models.mechanism import load_mechanism
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.machines import reach, run_machines
+from tests.support.mechanisms import replaced
 from tests.support.references import hinge_reference
+from tests.support.scripted import Scripted
 
 
 class Ramp:
@@ -81,3 +84,24 @@ def test_the_tracker_s_computing_time_is_a_part_of_the_run_s():
     )
     assert np.all(found.asked_s > 0)
     assert found.asked_s.sum() < time.perf_counter() - begin
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_a_damped_servo_gives_the_effort_asked_whatever_speed_the_integrator_takes(integrator):
+    """In an implicit step the damping kv acts on the speed at its end; with constant acceleration it is known.
+
+    The effort I a of the reference then moves the hinge by it to rounding, in steps of 2 ms, five in a period.
+    """
+    servo = '<position name="motor" joint="J" kp="20" kv="3"/></actuator>'
+    text = replaced(HINGE, '<motor name="motor" joint="J" ctrlrange="-4 4"/></actuator>', servo)
+    mechanism = load_mechanism(
+        replaced(text, '<option gravity="0 0 0"/>', f'<option gravity="0 0 0" integrator="{integrator}"/>')
+    )
+    n, acceleration = 10, 2.0
+    still = hinge_reference(mechanism, n)
+    speed = acceleration * still.time_s[:, None]
+    reference = replace(still, velocity_rad_s=speed, position_rad=0.5 * speed * still.time_s[:, None])
+    law = Scripted(efforts=np.full((n, 1), HINGE_INERTIA * acceleration))
+    loop = ControlLoop(effort_limit=np.array([[-4.0, 4.0]]))
+    found = run_machines(mechanism, reference, law, loop, [Imperfections()])
+    assert found.velocity[:, 0] == pytest.approx(speed, rel=1e-9, abs=1e-12)

@@ -2,9 +2,12 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.models.poses.along import sampled
+from linkplan.planner.certificate import further_checks
 from linkplan.planner.certificate.further_checks import disagreements, negligible_objective, objective_value
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -117,3 +120,27 @@ def test_terms_of_an_objective_add_up_with_their_weights():
     both = reach('duration_s = "free"', "objective.minimize={effort=0.5, time=3.0}")
     value, size = objective_value(both, quarter_turn(2.0))
     assert value == size == pytest.approx(0.5 * 2.0 * (PEAK_EFFORT / 4) ** 2 / 3 + 3.0 * 2.0)
+
+
+def test_an_objective_is_exact_for_efforts_of_degree_nine_at_few_poses(monkeypatch):
+    """The square of t^9 has the mean 1 / 19; the poses of two intervals are those of at most a dozen instants each."""
+    counted = []
+
+    def counting(function: ca.Function, poses: np.ndarray, *arrays: np.ndarray) -> np.ndarray:
+        counted.append(len(poses))
+        return sampled(function, poses, *arrays)
+
+    monkeypatch.setattr(further_checks, "sampled", counting)
+    effort = np.zeros((10, 2, 1))
+    effort[-1] = 2.0  # Bernstein coefficients of 2 t^9
+    motion = Trajectory(
+        breaks_s=np.array([0.0, 0.5, 1.0]),
+        position=np.full((4, 2, 1), 0.2),
+        velocity=np.zeros((3, 2, 1)),
+        effort=effort,
+        start_pose=np.array([0.2]),
+        periodic=False,
+    )
+    value, _ = objective_value(reach("duration_s = 1.0", "objective.minimize=effort"), motion)
+    assert value == pytest.approx(4.0 / 19, rel=1e-9)
+    assert sum(counted) <= 2 * 12

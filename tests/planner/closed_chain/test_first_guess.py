@@ -29,3 +29,15 @@ def test_swings_go_half_the_way_away_from_the_goal_or_half_the_way_past_it():
         assert guess.duration_s == 2.0
         assert np.degrees(guess.position(np.array([0.0, at, 2.0]))[:, 0]) == pytest.approx([-10.0, turn, 30.0])
         assert guess.velocity(np.array([0.0, at, 2.0])) == pytest.approx(np.zeros((3, 1)), abs=1e-9)
+
+
+@pytest.mark.parametrize("turns", [1, -2])
+def test_a_turn_with_a_goal_passes_it_half_way_and_ends_whole_turns_beyond_its_start(turns):
+    motion = (
+        'kind = "periodic"\nstart_deg = { J = 20.0 }\ngoal_deg = { J = 70.0 }\nduration_s = 2.0\n'
+        f"turns = {{ J = {turns} }}\n"
+    )
+    problem = body_problem(HINGE, motion)
+    guess, time = first_guess(problem, problem.start_pose()), np.array([0.0, 1.0, 2.0])
+    assert np.degrees(guess.position(time)[:, 0]) == pytest.approx([20.0, 70.0, 20.0 + 360.0 * turns])
+    assert np.degrees(guess.velocity(time)[:, 0]) == pytest.approx(np.full(3, 180.0 * turns))

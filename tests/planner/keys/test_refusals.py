@@ -8,6 +8,7 @@ from msgspec import Meta
 from linkplan.models.errors import ProblemError
 from linkplan.planner.keys import kinds
 from linkplan.planner.keys.key_table import _choices, _range
+from linkplan.planner.keys.motion_and_limits import MotionSection
 from linkplan.planner.keys.reading import checked, read
 from linkplan.planner.keys.refusals import fault, words
 
@@ -29,6 +30,9 @@ BOUNDS = [
     (kinds.Breaks, [k / 20_000 for k in range(20_001)], [k / 20_001 for k in range(20_002)]),
     (kinds.Breaks, [0.0, 0.5, 1.0], [0.0, 1.0]),
 ]
+
+# Quantities without a natural bound are at most a billion of their unit.
+BILLION = 1e9
 
 
 @pytest.mark.parametrize(("kind", "legal", "beyond"), BOUNDS)
@@ -93,6 +97,20 @@ def test_a_list_that_is_too_long_is_refused_by_its_length():
     assert fault(short, [1.0, 2.0], "here") is None
     assert fault(short, [1.0, 2.0, 3.0], "here") == "here is a pair, got 3 of them"
     assert fault(short, [1.0, "x"], "here") == "here is a number, got 'x'"
+
+
+def test_a_motion_has_at_most_a_thousand_waypoints():
+    table = {"kind": "reach", "waypoints": [{"at_deg": {"J": 1.0}}] * 1000}
+    assert len(read(MotionSection, table, "motion").waypoints) == 1000
+    with pytest.raises(ProblemError, match=r"is a list of at most 1000 tables .*, got 1001 of them"):
+        read(MotionSection, table | {"waypoints": [{"at_deg": {"J": 1.0}}] * 1001}, "motion")
+
+
+def test_quantities_of_slides_and_of_rates_are_within_a_billion_of_their_unit():
+    bounds = {name: (one.low, one.high) for name, one in kinds.QUANTITIES.items()}
+    assert bounds["encoder_offset_m"] == (-BILLION, BILLION)
+    assert bounds["encoder_offset_deg"] == (-360.0, 360.0)
+    assert bounds["encoder_resolution_m"] == (0.0, BILLION)
 
 
 def test_a_value_of_several_types_is_judged_by_the_one_that_it_resembles():

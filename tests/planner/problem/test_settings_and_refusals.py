@@ -15,7 +15,7 @@ from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.instant import Corner, Instant, Robust, corner_efforts_along
 from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
@@ -168,6 +168,20 @@ def test_a_spring_that_winds_up_with_every_turn_is_named():
 
 
 @pytest.mark.parametrize(
+    ("load", "more", "refused"), [(0.0, 0.9e-9, False), (0.0, 1.1e-9, True), (7.0, 6e-9, False), (7.0, 8e-9, True)]
+)
+def test_a_spring_winds_up_by_more_than_the_rounding_of_its_effort_or_of_one(monkeypatch, load, more, refused):
+    monkeypatch.setattr(consistency, "needed_controls", lambda *_: np.zeros((1, 0)))
+    mechanism = winding(passive=lambda q, _: np.array([load, more * q[1]]))
+    turn = np.zeros(2), np.array([0.0, 1.0])
+    if not refused:
+        _check_efforts(mechanism, "O", *turn)
+        return
+    with pytest.raises(ProblemError, match="a spring on joint wound winds up with every turn"):
+        _check_efforts(mechanism, "O", *turn)
+
+
+@pytest.mark.parametrize(
     ("asked", "single", "branching", "words"),
     [
         (-3.0, [-2.0], {}, "no other coordinate passes it"),
@@ -206,7 +220,16 @@ def servo(name: str, *, limited: bool = True) -> SimpleNamespace:
 
 @pytest.mark.parametrize(
     ("before", "after", "limited", "refused"),
-    [(1.0, 5.0, True, "goes on by 4 "), (-2.0, 2.0, True, "goes on by 4 "), (1.5, 1.5, True, ""), (1.0, 5.0, False, "")],
+    [
+        (1.0, 5.0, True, "goes on by 4 "),
+        (-2.0, 2.0, True, "goes on by 4 "),
+        (1.5, 1.5, True, ""),
+        (1.0, 5.0, False, ""),
+        (0.0, 0.9e-9, True, ""),  # rounding of a length of one
+        (0.0, 1.1e-9, True, "goes on by 1.1e-09"),
+        (-7.0, -7.0 + 6e-9, True, ""),  # and of seven
+        (-7.0, -7.0 + 8e-9, True, "goes on by 8e-09"),
+    ],
 )
 def test_a_servo_whose_ctrl_goes_on_with_every_turn_and_has_a_range_is_refused(monkeypatch, before, after, limited, refused):
     mechanism = winding(passive=lambda *_: np.array([-7.0, 2.0]))
@@ -270,3 +293,12 @@ def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
     begun = SolverSettings(max_time_s=1000.0).begun()
     assert begun.deadline.left_s == pytest.approx(900.0, abs=1.0)
     assert begun.certificate_deadline.left_s == pytest.approx(1000.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("apart", "legal"), [(1.1e-9, True), (0.9e-9, False)])
+def test_breaks_are_a_billionth_of_the_duration_apart(apart, legal):
+    if legal:
+        assert MeshSettings(breaks=[0.0, apart, 1.0]).breaks.tolist() == [0.0, apart, 1.0]
+        return
+    with pytest.raises(ProblemError, match="at least 1e-09 apart"):
+        MeshSettings(breaks=[0.0, apart, 1.0])

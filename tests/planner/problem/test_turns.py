@@ -241,3 +241,27 @@ def test_a_turn_passes_its_waypoints_and_ends_a_turn_after_its_start():
     ).require()
     assert plan.sample(np.array([0.0, 0.1, PERIOD_S])).position_deg["O"] == pytest.approx([180.0, 300.0, 540.0], abs=1e-6)
     assert plan.objective > turning().objective
+
+
+TWO_HINGES = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="A" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body><body pos="0 0 1"><joint name="B" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+<tendon><fixed name="t"><joint joint="A" coef="{coef!r}"/><joint joint="B" coef="-1"/></fixed></tendon>
+<actuator><motor joint="A" ctrlrange="-6 6"/><position name="s" tendon="t" kp="9" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("n", [3, 11])
+def test_a_servo_with_a_range_or_a_spring_may_act_on_a_difference_that_returns_after_the_turns(n):
+    """The difference of a joint's n-th part and another joint is zero again but for rounding, 9e-16 for eleven turns."""
+    model = TWO_HINGES.format(coef=1.0 / n)
+    sprung = replaced(model, '<fixed name="t">', '<fixed name="t" stiffness="2" springlength="0">')
+    for text in (model, sprung):
+        problem = linkplan.Problem.periodic(text, turns={"A": n, "B": 1}, duration_s=1.0)
+        assert problem.motion.turns.tolist() == [n, 1]
+    with pytest.raises(ProblemError, match="ctrl of servo s goes on by"):
+        linkplan.Problem.periodic(model, turns={"A": n, "B": 2}, duration_s=1.0)
+
+
+def test_of_two_hinges_one_may_turn_alone():
+    both = replaced(TWO_HINGES.format(coef=0.5), ' ctrlrange="-1 1"', "")
+    assert linkplan.Problem.periodic(both, turns={"B": -1}, duration_s=1.0).motion.turns.tolist() == [0, -1]

@@ -1,22 +1,25 @@
 """A motion of the model near a plan: the radius contains it, is hardly larger than it must be, and grows with an error."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from flint import arb
+from flint import arb, ctx
 from scipy.integrate import solve_ivp
 
-from linkplan.models.mechanism import Mechanism
+from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.proof import existence
 from linkplan.planner.proof.contraction import LinearBox, contracted
 from linkplan.planner.proof.existence import Neighbourhood, NoMotionError, Tube, _sizes, first_tube
 from linkplan.planner.proof.finding import Finding
-from linkplan.planner.proof.prove import prove
+from linkplan.planner.proof.motion import Piece
+from linkplan.planner.proof.prove import prove, states_of
 from linkplan.planner.proof.taylor import TaylorForm
+from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_plan
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
 from tests.support.plans import optimal
 
 
@@ -136,10 +139,10 @@ def test_a_tube_is_as_wide_as_its_bounds_up_to_an_instant():
 DURATION_S, SPEED, ACCELERATION = 2.0, 1.5 * TURN, 1.5 * TURN
 
 
-def near() -> Neighbourhood:
-    """Return the neighbourhood of the hinge's quarter turn, in its first tube."""
+def without_efforts() -> Trajectory:
+    """Return the hinge's quarter turn, with no effort."""
     begin = np.radians(10.0)
-    trajectory = Trajectory(
+    return Trajectory(
         breaks_s=np.array([0.0, DURATION_S]),
         position=np.array([begin, begin, begin + TURN, begin + TURN])[:, None, None],
         velocity=np.array([0.0, 1.5 * TURN, 0.0])[:, None, None],
@@ -147,7 +150,11 @@ def near() -> Neighbourhood:
         start_pose=np.array([begin]),
         periodic=False,
     )
-    mechanism = body_plan(HINGE, QUARTER_TURN + "duration_s = 1.0\n").problem.mechanism
+
+
+def near() -> Neighbourhood:
+    """Return the neighbourhood of the hinge's quarter turn, in its first tube."""
+    mechanism, trajectory = load_mechanism(HINGE), without_efforts()
     return Neighbourhood(mechanism, trajectory, first_tube(trajectory))
 
 
@@ -229,3 +236,31 @@ def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth
     np.testing.assert_allclose(_sizes(motion), [2.0, 0.02, 5.0, 4.0], rtol=1e-6)
     still = SimpleNamespace(position=0 * position, velocity=0 * position)
     np.testing.assert_allclose(_sizes(still), 1e-9)
+
+
+def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():
+    """On all of the quarter turn, with x from -1 to 1, it is -A x: no more, and nothing is left as a remainder."""
+    before, found = (ctx.prec, ctx.cap), near()
+    try:
+        ctx.prec = 100
+        blocks, piece = blocks_of(load_mechanism(HINGE)), Piece.of(without_efforts(), 0)
+        middle, whole, _ = states_of(blocks, piece, (0.5, 0.5), np.zeros(0), [arb(0)], 2)
+        (defect,) = found._defect((middle, whole), 2)
+    finally:
+        ctx.prec, ctx.cap = before
+    assert [abs(float(c.mid())) for c in defect.coefficients] == pytest.approx([0.0, ACCELERATION], abs=1e-12)
+    assert float(defect.remainder) < 1e-12
+
+
+def test_the_first_tube_is_a_millionth_of_the_motion_wide_which_is_far_below_a_certificate_s_error():
+    tube = first_tube(without_efforts())
+    np.testing.assert_allclose(tube.at(0.3 * DURATION_S), [1e-6 * TURN, 1e-6 * SPEED])
+
+
+def test_the_times_of_a_proof_s_parts_add_up_to_at_most_the_processor_time_that_it_takes():
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 2.0\n")
+    begin = time.process_time()
+    proof = prove(problem, without_efforts())
+    assert proof.seconds >= 0.0
+    assert proof.existence_seconds >= 0.0
+    assert proof.seconds + proof.existence_seconds <= time.process_time() - begin

@@ -1,16 +1,25 @@
 """The sweep of a proof: boxes of an interval and their halves, links from box to box, and the record of the closure."""
 
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from flint import arb
+from flint import arb, ctx
 
+from linkplan.models.deadline import NO_DEADLINE
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.proof import prove
+from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.claim import Record
+from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
+from linkplan.planner.proof.taylor import NotSeparatedError
+from linkplan.planner.proof.walk import Blocks, blocks_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.random_motions import motion_of
 
 
 @pytest.mark.parametrize("halvings", [0, 1, 3])
@@ -79,3 +88,94 @@ def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():
     assert sweep.closure.undecided == []
     sweep._leave(piece, box, [], closed=False)
     assert sweep.closure.undecided == [(1.5, 2.5)]
+
+
+def test_the_next_box_s_branch_is_guessed_along_its_slope(monkeypatch):
+    """From the end of one box to the middle of the next the guess is off by the second order of the way only."""
+    before, guesses = (ctx.prec, ctx.cap), []
+
+    def noting(blocks: Blocks, s: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        guesses.append((guess, newton(blocks, s, guess)))
+        return guesses[-1][1]
+
+    monkeypatch.setattr(prove, "newton", noting)
+    try:
+        ctx.prec = 100
+        problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
+        blocks = blocks_of(problem.mechanism)
+        sweep = _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+        sweep.slack = [arb(0)] * 2
+        piece = Piece.of(motion, 1)
+        z = motion.start_pose[list(blocks.dependent)]
+        anchor = _Anchor(region=None, end=[], z=z, slope=np.zeros_like(z), tau=0.0)
+        _, anchor = sweep._states(piece, _Box(centre=0.49, radius=0.01, halvings=0, claims=[]), anchor)
+        sweep._states(piece, _Box(centre=0.51, radius=0.01, halvings=0, claims=[]), anchor)
+    finally:
+        ctx.prec, ctx.cap = before
+    guess, found = guesses[-1]
+    way = np.abs(found - anchor.z).max()
+    assert way > 1e-4
+    assert np.abs(guess - found).max() < 0.2 * way
+
+
+@pytest.mark.parametrize("converges", [True, False])
+def test_where_the_branch_was_lost_it_goes_on_from_a_guess_along_its_slope(monkeypatch, converges):
+    """From 1 at a quarter of the interval by a slope of 2 to the box's end at three quarters."""
+    guesses = []
+
+    def noting(_blocks: Blocks, s: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        guesses.append((float(s[0]), guess.tolist()))
+        if not converges:
+            raise NotSeparatedError("lost")
+        return guess + 0.1
+
+    monkeypatch.setattr(prove, "newton", noting)
+    sweep = _Sweep(problem=None, trajectory=None, blocks=None, claims=[], until=NO_DEADLINE, order=6)
+    anchor = _Anchor(region=None, end=[], z=np.ones(1), slope=np.array([2.0]), tau=0.25)
+    piece = SimpleNamespace(position=[lambda tau: 4 * tau])
+    found = sweep._lost(piece, _Box(centre=0.625, radius=0.125, halvings=2, claims=[]), anchor)
+    assert guesses == [(3.0, [2.0])]
+    assert found.z.tolist() == ([2.1] if converges else [1.0])
+    assert (found.region, found.slope.tolist(), found.tau) == (None, [0.0], 0.75)
+
+
+def test_the_next_interval_begins_with_the_largest_boxes_that_were_decided_and_every_fourth_with_larger_ones(monkeypatch):
+    """The first half of an interval is decided in eighths, the second one in quarters."""
+
+    def decided(_sweep: _Sweep, _claim: int, _states: object, _piece: object, box: _Box) -> bool:
+        return box.halvings >= (3 if box.centre < 0.5 else 2)
+
+    def states(_sweep: _Sweep, _piece: object, box: _Box, anchor: _Anchor) -> tuple[None, _Anchor]:
+        return None, replace(anchor, tau=box.centre + box.radius)
+
+    monkeypatch.setattr(_Sweep, "_decided", decided)
+    monkeypatch.setattr(_Sweep, "_states", states)
+    motion = SimpleNamespace(breaks_s=np.arange(6.0))
+    sweep = _Sweep(problem=None, trajectory=motion, blocks=None, claims=[None], until=NO_DEADLINE, order=6)
+    sweep.records = [Record()]
+    anchor = _Anchor(region=[arb(0, 1)], end=[], z=np.zeros(1), slope=np.zeros(1), tau=0.0)
+    depths, boxes = [], []
+    for _ in range(5):
+        before = sweep.boxes
+        sweep._interval(None, anchor)
+        depths.append(sweep.depth)
+        boxes.append(sweep.boxes - before)
+    assert depths == [2, 2, 2, 1, 2]
+    assert boxes == [1 + 2 + 4 + 4, 4 + 4, 4 + 4, 4 + 4, 2 + 4 + 4]
+
+
+def test_the_start_gap_is_the_largest_distance_of_a_dependent_joint_from_the_closed_pose():
+    before = ctx.prec, ctx.cap
+    try:
+        ctx.prec = 100
+        problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
+        blocks, pose = blocks_of(problem.mechanism), np.array(motion.start_pose)
+        closed = newton(blocks, pose[list(blocks.independent)], pose[list(blocks.dependent)])
+        pose[list(blocks.dependent)] = closed + np.array([1e-3, -2e-4])
+        off = replace(motion, start_pose=pose)
+        sweep = _Sweep(problem=problem, trajectory=off, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+        anchor = sweep._start(Piece.of(off, 0))
+    finally:
+        ctx.prec, ctx.cap = before
+    assert sweep.start_gap == pytest.approx(1e-3, rel=1e-6)
+    assert anchor.z == pytest.approx(closed, abs=1e-9)

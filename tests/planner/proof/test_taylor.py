@@ -87,7 +87,10 @@ def test_a_box_is_halved_up_to_a_million_times(room, answer):
     for sign in (+1.0, -1.0):
         signed = form(*(sign * float(c) for c in curve.coefficients))
         marks = (arb(-9), arb(1.0 + room)) if sign > 0 else (arb(-1.0 - room), arb(9))
-        assert signed.verdict(*marks).answer is answer
+        found = signed.verdict(*marks)
+        assert found.answer is answer
+        if answer is not False:  # a range over the whole box, whose end at -1 is the farthest from r
+            assert sorted((sign * found.least, sign * found.greatest)) == pytest.approx([1.0 - (1.0 + r) ** 2, 1.0])
 
 
 def test_bounds_of_verdicts_contain_the_range_tightly():

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.guess import first_guess
@@ -70,3 +71,35 @@ def test_the_least_factor_of_a_pure_inertia_is_exact_once_its_switch_is_known():
     for factor, same in ((1 + 0.9e-7, True), (1 - 0.9e-7, True), (1 + 1.2e-7, False), (1 - 1.2e-7, False)):
         again = least_limit.least_limit(problem, guess, mesh, durations, known=factor * found.first)
         assert (again is None) is same, factor
+
+
+@pytest.mark.parametrize(("change", "kept"), [(-0.1, 1), (0.9e-4, 1), (1.1e-4, 0)])
+def test_a_factor_at_switch_times_counts_unless_it_is_worse_by_more_than_the_mesh_s_error(monkeypatch, change, kept):
+    factors, tried = [3.0, 3.0 * (1 + change)], []
+    layout = SimpleNamespace(extra=lambda: [0], durations=lambda: [1])
+    units, program = SimpleNamespace(time_s=2.0), SimpleNamespace(layout=layout)
+
+    def transcribe(*_, **__):
+        tried.append(len(tried))
+        return SimpleNamespace(program=program, units=units)
+
+    def solve(*_):
+        return SimpleNamespace(converged=True, x=np.array([factors[tried[-1]], 0.5]))
+
+    scripted = {
+        "transcribe": transcribe,
+        "solve": solve,
+        "trajectory_of": lambda *_: SimpleNamespace(breaks_s=np.linspace(0.0, 1.0, 7), tried=tried[-1]),
+        "find_switch_times": lambda *_: np.array([0.5]),
+        "find_bang_efforts": lambda *_: np.full((2, 1), 12.0),
+        "motion_of": lambda _: None,
+        "step_of": lambda *_: None,
+        "record": lambda _: None,
+    }
+    for name, function in scripted.items():
+        monkeypatch.setattr(least_limit, name, function)
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
+    found = least_limit.least_limit(problem, None, uniform(6), np.ones(1))
+    assert tried == [0, 1]
+    assert (found.factor, found.trajectory.tried, found.first) == (factors[kept], kept, 3.0)
+    assert found.durations.tolist() == [1.0]

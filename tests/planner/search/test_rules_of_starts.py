@@ -7,6 +7,7 @@ import pytest
 
 from linkplan.planner.search import starts
 from linkplan.planner.search.starts import (
+    _better_plan,
     _swings_may_be_better,
     along_power,
     enough_time,
@@ -98,3 +99,21 @@ def test_a_least_time_plan_is_a_guess_that_knows_its_switch():
     guess = with_switch_times(plan)
     assert guess.switch_times_s == pytest.approx([plan.trajectory.duration_s / 2], rel=1e-6)
     assert not starts.other_limits(body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n"))
+
+
+@pytest.mark.parametrize(
+    ("passed", "objective", "kept"), [(True, 2.9, True), (True, 3.0, False), (True, 3.1, False), (False, 2.9, False)]
+)
+def test_of_two_plans_that_pass_the_one_with_the_lower_objective_is_kept(monkeypatch, passed, objective, kept):
+    asked = search(None)
+    asked.only_time_counts, asked.best = True, SimpleNamespace(objective=3.0)
+    found, worth = SimpleNamespace(passed=passed, objective=objective), []
+
+    def plan_from(*_, **given):
+        worth.append(given["worth"])
+        return found
+
+    monkeypatch.setattr(starts, "judged_by_the_phase_plane", lambda _: (False, asked.quickest))
+    monkeypatch.setattr(starts, "plan_from", plan_from)
+    assert _better_plan(asked, None) is (found if kept else None)
+    assert worth == [pytest.approx(0.999 * 3.0)]

@@ -1,5 +1,6 @@
 """A long solve on interpreted functions is given up for compiled ones, which lead it the same way."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -48,6 +49,15 @@ def test_a_short_one_stays_interpreted():
     found = solve(program, settings)
     assert found.converged
     assert not found.transcribed.program.interval.compiled
+
+
+def test_building_and_solving_are_parts_of_the_time_that_the_call_takes():
+    settings, program = programmed()
+    begin = time.perf_counter()
+    found = solve(program, settings)
+    assert found.build_s > 0.0
+    assert found.solve_s > 0.0
+    assert found.build_s + found.solve_s <= time.perf_counter() - begin
 
 
 @pytest.mark.parametrize(("compile_mode", "most"), [("never", None), ("auto", 3)])
