@@ -13,6 +13,8 @@ import mujoco
 from linkplan.models.errors import ModelError, listed, shown
 
 _OPENING = "opening file"
+# First bytes of the text that stands for a file in a clone without Git LFS.
+_POINTER = b"version https://git-lfs"
 
 
 def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], at_zero: set[str]) -> list[str]:
@@ -110,7 +112,7 @@ def leave_the_ground(spec: mujoco.MjSpec) -> list[str]:
 
 
 def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
-    """Delete the meshes and textures whose files are not there, and return a note that names them.
+    """Delete the meshes and textures whose files are not there or are Git LFS pointers, and return a note that names them.
 
     Args:
         spec: a parsed MJCF file.
@@ -120,16 +122,20 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
         ModelError: if a body has its mass from a mesh that is not there.
     """
     folder, stripped = path.parent, bool(spec.strippath)
-    meshes = [mesh for mesh in spec.meshes if _is_missing(folder / spec.meshdir, mesh.file, stripped)]
-    textures = [texture for texture in spec.textures if _is_missing(folder / spec.texturedir, texture.file, stripped)]
+    places = {mesh: _place(folder / spec.meshdir, mesh.file, stripped) for mesh in spec.meshes if mesh.file}
+    places |= {image: _place(folder / spec.texturedir, image.file, stripped) for image in spec.textures if image.file}
+    pointers = {element for element, place in places.items() if _is_pointer(place)}
+    lost = {element for element, place in places.items() if element in pointers or not os.path.isfile(place)}
+    meshes = [mesh for mesh in spec.meshes if mesh in lost]
+    textures = [texture for texture in spec.textures if texture in lost]
     notes = _without_lost_pairs(spec)
-    if not (meshes or textures) or not _fails_for_a_file(spec):
+    if not pointers and not (lost and _fails_for_a_file(spec)):
         return notes
     names = list(dict.fromkeys(Path(one.file).name for one in (*meshes, *textures)))
     for mesh in meshes:
         geoms = [geom for geom in spec.geoms if geom.meshname == mesh.name]
         for geom in geoms:
-            _refuse_lost_mass(geom, mesh, path)
+            _refuse_lost_mass(geom, mesh, path, mesh in pointers)
         delete_geoms(spec, geoms)
         spec.delete(mesh)
     gone = {texture.name for texture in textures}
@@ -138,6 +144,7 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     for texture in textures:
         spec.delete(texture)
     said = f"files that are not there are left out with what they draw: {listed(names, 6)}"
+    said += "; for Git LFS pointers, git lfs pull gets the files" if pointers else ""
     return (*notes, said)
 
 
@@ -151,9 +158,17 @@ def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
     return (f"pairs for contact with geoms of other files are left out: {', '.join(names)}",) if lost else ()
 
 
-def _is_missing(folder: Path, name: str, stripped: bool) -> bool:
-    """Return True if a file is not where MuJoCo looks for it: in the folder, without the path of its name if `stripped`."""
-    return bool(name) and not os.path.isfile(folder / (Path(name).name if stripped else name))
+def _place(folder: Path, name: str, stripped: bool) -> Path:
+    """Return where MuJoCo looks for a file: in the folder, without the path of its name if `stripped`."""
+    return folder / (Path(name).name if stripped else name)
+
+
+def _is_pointer(place: Path) -> bool:
+    try:
+        with open(place, "rb") as file:
+            return file.read(len(_POINTER)) == _POINTER
+    except OSError:
+        return False
 
 
 def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:
@@ -164,12 +179,13 @@ def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:
     return False
 
 
-def _refuse_lost_mass(geom: mujoco.MjsGeom, mesh: mujoco.MjsMesh, path: Path) -> None:
+def _refuse_lost_mass(geom: mujoco.MjsGeom, mesh: mujoco.MjsMesh, path: Path, pointer: bool) -> None:
     body = geom.parent
     if body.name == "world" or body.explicitinertial or geom.mass == 0 or geom.density == 0:
         return
     named = f"body '{body.name}'" if body.name else "a body without a name"
+    lost = "is a Git LFS pointer; git lfs pull gets the file" if pointer else "is not there; put the file there"
     raise ModelError(
-        f"model '{shown(str(path))}': {named} has its mass from mesh '{mesh.file}', which is not there; put the file"
-        " there, or give the body an <inertial>"
+        f"model '{shown(str(path))}': {named} has its mass from mesh '{mesh.file}', which {lost}, or give the body"
+        " an <inertial>"
     )

@@ -35,6 +35,8 @@ _READ = ("link", "joint", "material", "mujoco", "transmission", "loop_joint")
 MAX_MODEL_BYTES = 32_000_000
 _COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
 _SDF = re.compile(rb"<sdf[\s>]")
+# MuJoCo's refusal of a file whose root element is <mujocoinclude>.
+_PART_OF_A_MODEL = "model type: 'mujocoinclude'"
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 MAX_NAME_LENGTH = 500
 # Fields of a compiled model that must not be negative: the element's prefix and the word of MJCF.
@@ -368,6 +370,8 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     try:
         return shown(path.stem), mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
+        if _PART_OF_A_MODEL in str(error):
+            raise ModelError(f"model '{text}' is a part that other models include; take a file that includes it") from error
         named = "" if path.suffix.lower() in (".xml", ".urdf") else "; model files are named .xml or .urdf"
         raise ModelError(f"model '{text}' does not parse: {one_line(error)}{named}") from error
 

@@ -13,6 +13,7 @@ ARM = """<mujoco model="arm"><compiler meshdir="assets"/>
     <geom type="mesh" mesh="shell"/>
     <geom type="capsule" size=".01" fromto="0 0 0 .2 0 0" material="wooden"/></body></worldbody>
   <actuator><motor joint="A" ctrlrange="-1 1"/></actuator></mujoco>"""
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12345\n"
 INERTIAL = '<inertial pos=".1 0 0" mass="1" diaginertia=".01 .01 .01"/>'
 
 
@@ -41,6 +42,26 @@ def test_a_mesh_whose_mass_a_body_needs_is_not_left_out(tmp_path):
     file = tmp_path / "arm.xml"
     file.write_text(ARM.format(inertial=""))
     with pytest.raises(ModelError, match=r"body 'arm' has its mass from mesh 'shell\.stl'.*<inertial>"):
+        compile_model(file)
+
+
+def test_git_lfs_pointers_count_as_files_that_are_not_there(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM.format(inertial=INERTIAL))
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "shell.stl").write_text(POINTER)
+    (tmp_path / "wood.png").write_text(POINTER)
+    _, model, (note,) = compile_model(file)
+    assert (model.ngeom, model.nmesh, model.ntex) == (1, 0, 0)
+    assert all(words in note for words in ("shell.stl", "wood.png", "git lfs pull"))
+
+
+def test_a_git_lfs_pointer_whose_mass_a_body_needs_is_named_with_its_remedy(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM.format(inertial=""))
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "shell.stl").write_text(POINTER)
+    with pytest.raises(ModelError, match=r"body 'arm' has its mass from mesh 'shell\.stl'.*git lfs pull"):
         compile_model(file)
 
 
