@@ -164,6 +164,8 @@ def _place(folder: Path, name: str, stripped: bool) -> Path:
 
 
 def _is_pointer(place: Path) -> bool:
+    if not os.path.isfile(place):  # a pipe would be waited for
+        return False
     try:
         with open(place, "rb") as file:
             return file.read(len(_POINTER)) == _POINTER
