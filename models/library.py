@@ -369,6 +369,8 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
         return shown(path.stem), mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
         named = "" if path.suffix.lower() in (".xml", ".urdf") else "; model files are named .xml or .urdf"
+        if b"<mujocoinclude" in content:
+            named = "; the file is a part of a model: name the file that includes it"
         raise ModelError(f"model '{text}' does not parse: {one_line(error)}{named}") from error
 
 

@@ -63,6 +63,7 @@ FILES = {
         b"</worldbody></mujoco>",
         "no.stl",
     ),
+    "a part of a model": (b"<mujocoinclude><worldbody/></mujocoinclude>", "name the file that includes it"),
     "a missing include": (b'<mujoco><include file="no.xml"/></mujoco>', "no.xml"),
 }
 
