@@ -61,7 +61,7 @@ def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
 
 
 def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the joints of bodies on the world that translate in a plane or in space.
+    """Return the joints of bodies on the world that translate in a plane or in space, or fall along a rail.
 
     A base that actuators drive does not float, nor does one that loops tie to the world or to what else stands on it.
     """
@@ -70,10 +70,24 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     for body in bodies:
         joints = joints_of(model, body)
         kinds = [int(model.jnt_type[j]) for j in joints]
-        moves = FREE in kinds or kinds.count(SLIDE) >= _PLANAR_SLIDES
+        moves = FREE in kinds or kinds.count(SLIDE) >= _PLANAR_SLIDES or any(_falls(model, j) for j in joints)
         if int(model.body_parentid[body]) == 0 and moves and not driven & set(joints) and not _is_tied(model, body):
             found += list(joints)
     return found
+
+
+def _falls(model: mujoco.MjModel, joint: int) -> bool:
+    """Return True if weight moves the slide of a body on the world, and nothing that the model has can hold it."""
+    if int(model.jnt_type[joint]) != SLIDE or model.jnt_limited[joint] or model.jnt_stiffness[joint]:
+        return False
+    body, axis = int(model.jnt_bodyid[joint]), np.empty(3)
+    mujoco.mju_rotVecQuat(axis, model.jnt_axis[joint], model.body_quat[body])
+    weight, friction = model.body_subtreemass[body] * model.opt.gravity, model.dof_frictionloss[model.jnt_dofadr[joint]]
+    ropes = [_bodies_of_tendon(model, tendon) for tendon in range(model.ntendon)]
+    thrusts = set(model.actuator_trntype.tolist()) - {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_TENDON)}
+    ties = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
+    held = model.body_gravcomp[body] or thrusts or any({body, 0} & rope for rope in ropes) or {body} in ties
+    return not held and bool(abs(weight @ axis) > max(friction, 0.01 * np.linalg.norm(weight)))
 
 
 def _is_tied(model: mujoco.MjModel, base: int) -> bool:
@@ -83,7 +97,7 @@ def _is_tied(model: mujoco.MjModel, base: int) -> bool:
 
 
 def floating_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints of bodies on the world that move freely in a plane or in space, and that nothing drives."""
+    """Return the joints of bodies on the world that move freely in a plane or in space, or fall, and that nothing drives."""
     return set(floating_of(model, range(1, model.nbody)))
 
 
@@ -120,7 +134,8 @@ def floating_sentence(model: mujoco.MjModel) -> str | None:
     else:
         remedy = "nothing else moves, and a plan needs an actuator that it can use"
     whose = "its" if len(bases + loose) == 1 else "their"
-    return f"{floating_words(model)}: nothing drives {whose} {freedoms} degrees of freedom; {remedy}"
+    counted = f"{freedoms} degree{'s' if freedoms > 1 else ''} of freedom"
+    return f"{floating_words(model)}: nothing drives {whose} {counted}; {remedy}"
 
 
 def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:

@@ -132,7 +132,7 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
     sources = {_BESIDE: named.name_mot, "transmissions of the URDF": list(transmitted), _CUT: cut.independent}
     where, motors = next(((where, motors) for where, motors in sources.items() if motors), ("", []))
-    add_motors(spec, motors)
+    add_motors(spec, motors, where)
     if motors:
         notes.append(f"motors from {where}: {', '.join(motors)}")
     return tuple(notes)
@@ -258,14 +258,14 @@ def _rotation(rpy: np.ndarray) -> np.ndarray:
     return turn.reshape(3, 3)
 
 
-def _joint(spec: mujoco.MjSpec, name: str) -> "mujoco._specs.MjsJoint":
-    return spec.joint(choose("joint", name, [one.name for one in spec.joints]))
+def _joint(spec: mujoco.MjSpec, name: str, where: str = "") -> "mujoco._specs.MjsJoint":
+    return spec.joint(choose(f"joint in {where}" if where else "joint", name, [one.name for one in spec.joints]))
 
 
 def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
     """Make ball joints and universal joints of hinges: SPHERICAL, or UJOINT_ with its two axes."""
     for name, kind in types.items():
-        joint = _joint(spec, name)
+        joint = _joint(spec, name, _BESIDE)
         if kind == "SPHERICAL":
             joint.type = mujoco.mjtJoint.mjJNT_BALL
             joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -281,8 +281,8 @@ def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
             )
 
 
-def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> list[str]:
-    """Add a motor on each of the named joints, within the effort limit that the joint has, and return notes.
+def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> list[str]:
+    """Add a motor on each of the joints named in `where`, within the effort limit that the joint has, and return notes.
 
     Plugins that act on such a joint are deleted with their sensors, since no plan can use them. An actuator there with a
     filter, as a hydraulic cylinder, loses the filter and is the motor.
@@ -292,7 +292,7 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str]) -> list[str]:
     """
     added, replaced, unfiltered = [], [], []
     for name in names:
-        joint = _joint(spec, name)
+        joint = _joint(spec, name, where)
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             raise ModelError(f"joint '{name}' is no hinge and no slide, so that a motor has no axis there")
         on_joint = mujoco.mjtTrn.mjTRN_JOINT

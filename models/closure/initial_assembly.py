@@ -283,7 +283,7 @@ def _assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float
                 f"mechanism '{loop.name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm",
                 gap,
             )
-        return near
+        return newton.within_ranges(loop, reference, near)
     base = near if gap <= loop.closed_m else reference
     start = np.array([asked.get(i, base[i]) for i in everything])
     unnamed = [i for i in everything if i not in asked]

@@ -35,6 +35,9 @@ from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 
 # Largest gap [m] of a closed loop: a hundredth of the 1e-9 m that certificates promise, and far above rounding.
 CLOSED_M = 1e-11
+# A larger gap of a loop at the model's reference pose [m] is a fault of the file; a smaller one is rounding: exporters write
+# positions to a hundredth of a millimetre.
+OPEN_M = 1e-5
 
 # Longest step of a joint [rad or m]: short enough for Newton to stay on its branch.
 _MAX_STEP = 0.3
@@ -300,6 +303,14 @@ def nearest_closed_pose(loop: KinematicLoop, reference: np.ndarray) -> np.ndarra
     best = sorted(closed, key=measure)[: len(closed) // 4 + 1]
     deadline = Deadline().within(2.0)  # [s]
     return min((_moved_to_reference(loop, pose, reference, measure, deadline) for pose in best), key=measure)
+
+
+def within_ranges(loop: KinematicLoop, reference: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Return the closed pose `near` an open reference, or the nearest one within the ranges if `near` leaves them."""
+    if _outside(loop, near) == 0.0 or loop.gap(loop.residual(reference)[0]) <= OPEN_M:
+        return near
+    other = nearest_closed_pose(loop, reference)
+    return near if other is None or _outside(loop, other) > 0.0 else other
 
 
 def _starts(loop: KinematicLoop, reference: np.ndarray, n_random: int = 60) -> Iterator[np.ndarray]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.closure.initial_assembly import keyframe_of
+from linkplan.models.closure.newton import OPEN_M
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError, listed
 from linkplan.models.mechanism import Joint, Mechanism
@@ -29,10 +30,6 @@ from linkplan.studies.check.drives import (
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 from linkplan.studies.check.softness import massless_findings, softness_note, units_notes
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
-
-# A larger gap of a loop at the model's reference pose [m] is a fault of the file; a smaller one is rounding: exporters write
-# positions to a hundredth of a millimetre.
-OPEN_M = 1e-5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

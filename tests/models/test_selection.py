@@ -7,10 +7,12 @@ import pytest
 import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.models.library import compile_model
+from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selected_model import whole_model_text
-from linkplan.models.selection import Selection
+from linkplan.models.selection import Selection, floating_joints, floating_sentence
 from linkplan.studies.cli.main import main
 from tests.support.linkages import ROD
+from tests.support.mechanisms import replaced
 
 # A floating body with an arm and two legs. A leg is a driven thigh, and a driven crank whose rod moves the shank. The arm is
 # one body with three joints, in a frame.
@@ -329,3 +331,41 @@ def test_a_universal_joint_has_no_range_where_a_default_limits_all_joints():
         rod = linkplan.load_mechanism(model, lock_spin=["ball"])
         assert not rod.model.joint("ball_1").limited
         assert not rod.model.joint("ball_2").limited
+
+
+# A leg on a vertical rail, which stands by contact alone.
+ON_A_RAIL = """<mujoco><compiler autolimits="true"/><option/><worldbody><site name="roof" pos="0 0 2"/>
+<body name="trunk"><joint name="rail" type="slide" axis="0 0 1"/><geom size=".1" mass="2"/><site name="hook"/>
+<body name="thigh"><joint name="hip" axis="0 1 0"/><geom size=".05" pos="0 0 -.2" mass="1"/></body></body></worldbody>
+<actuator><motor joint="hip" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+def test_a_base_that_falls_along_a_rail_floats_and_is_fixed():
+    mechanism = load_mechanism(ON_A_RAIL)
+    assert floating_joints(mechanism.model) == {0}
+    assert "nothing drives its 1 degree of freedom" in str(floating_sentence(mechanism.model))
+    fixed = load_mechanism(ON_A_RAIL, selection=Selection(fix_base=True))
+    assert [joint.name for joint in fixed.joints] == ["hip"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('axis="0 0 1"', 'axis="1 0 0"'),
+        ('axis="0 0 1"', 'axis="0 0 1" range="-1 1"'),
+        ('axis="0 0 1"', 'axis="0 0 1" stiffness="50"'),
+        ('axis="0 0 1"', 'axis="0 0 1" frictionloss="40"'),
+        ('<body name="trunk">', '<body name="trunk" gravcomp="1">'),
+        ("<option/>", '<option gravity="0 0 0"/>'),
+        ("<actuator>", '<equality><joint joint1="rail"/></equality><actuator>'),
+        ("<actuator>", '<actuator><motor joint="rail"/>'),
+        ("<actuator>", '<actuator><motor site="hook" gear="0 0 1 0 0 0"/>'),
+        (
+            "<actuator>",
+            '<tendon><spatial name="rope"><site site="roof"/><site site="hook"/></spatial></tendon>'
+            '<actuator><motor tendon="rope"/>',
+        ),
+    ],
+)
+def test_a_base_that_something_holds_on_its_rail_does_not_float(old, new):
+    assert floating_joints(mujoco.MjModel.from_xml_string(replaced(ON_A_RAIL, old, new))) == set()

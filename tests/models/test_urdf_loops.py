@@ -177,7 +177,8 @@ def test_a_link_without_mass_gets_a_little_and_is_named(tmp_path):
     ("yaml", "words"),
     [
         (YAML.replace("end_B", "end_C"), ["link in closure end_A-end_C", "did you mean 'end_B'", "rocker"]),
-        (YAML.replace("'motor'", "'moter'"), ["joint 'moter'", "legal: motor"]),
+        (YAML.replace("'motor'", "'moter'"), ["joint in the YAML file beside the URDF 'moter'", "legal: motor"]),
+        (YAML + "joint_name: ['Q']\njoint_type: ['FIXED']\n", ["joint in the YAML file beside the URDF 'Q'"]),
         ("closed_loop: [", ["not YAML"]),
         (YAML + "joint_name: ['A']\njoint_type: ['SCREW']\n", ["SCREW", "SPHERICAL"]),
         (YAML.replace("['3d']", "['3d', '6d']"), ["closed_loop", "type"]),

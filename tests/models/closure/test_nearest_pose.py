@@ -84,6 +84,31 @@ def test_the_offer_keeps_the_joints_ranges():
     assert np.degrees(-3) <= offered(limited).home["home_deg"]["m1"] <= np.degrees(0.2) + 1e-6
 
 
+# A cylinder of 0.3 m that can only grow, and a crank whose tip is `reach` from the cylinder's pivot as it is drawn.
+JACK = """<mujoco model="jack"><compiler autolimits="true"/><worldbody>
+<body><joint name="A" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/>
+<body><joint name="s" type="slide" axis="1 0 0" {range}/><geom size=".01" pos=".2 0 0"/><site name="eye" pos=".3 0 0"/>
+</body></body><body pos="{reach} 0 -.1"><joint name="B" axis="0 1 0"/><geom size=".01" pos="0 0 .1"/>
+<site name="tip" pos="0 0 .1"/></body></worldbody><equality><connect name="pin" site1="eye" site2="tip"/></equality>
+<actuator><motor joint="s" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+def test_an_open_reference_is_assembled_within_the_ranges():
+    s = {}
+    for limits in ("", 'range="0 .1"'):
+        mechanism = load_mechanism(JACK.format(range=limits, reach=0.28))
+        a, s[limits], b = mechanism.home
+        eye = (0.3 + s[limits]) * np.array([np.cos(a), -np.sin(a)])
+        assert eye == pytest.approx([0.28 + 0.1 * np.sin(b), 0.1 * np.cos(b) - 0.1], abs=1e-10)
+    assert s[""] < -0.001  # the nearest of all has a cylinder that is too short
+    assert 0.0 <= s['range="0 .1"'] < 0.02
+
+
+def test_a_closed_reference_outside_a_range_stays_as_it_is():
+    mechanism = load_mechanism(JACK.format(range='range="0.01 .1"', reach=0.3))
+    assert mechanism.home == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
 def test_links_that_are_too_short_get_no_offer():
     error = offered(replaced(LEG, 'name="hip2" pos="-.1 0 0"', 'name="hip2" pos="-9 0 0"'))
     assert (error.keyframe, error.home) == ("", {})
