@@ -186,10 +186,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     """Return the problems and notes on the home pose, closures, masses, actuators and keyframes."""
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
-        problems.append(
-            f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly, on either"
-            " branch"
-        )
+        problems.append(f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly")
         notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
         if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
