@@ -122,20 +122,21 @@ def _minor(A: ca.SX) -> ca.SX:
 
     The minors of the last rows are as many as the ways to use the columns that both these and earlier rows touch.
     """
-    entries = [set() for _ in range(A.shape[0])]
+    entries: list[dict[int, ca.SX]] = [{} for _ in range(A.shape[0])]
     for row, column in zip(*A.sparsity().get_triplet(), strict=True):
-        entries[row].add(column)
-    order = _row_order(entries)
+        entries[row][column] = A[row, column]
+    order = _row_order([set(row) for row in entries])
     touched_below = [set().union(*(entries[row] for row in order[place:])) for place in range(len(order) + 1)]
     known: dict[tuple[int, ...], ca.SX] = {(): ca.SX(1)}
 
     def below(columns: tuple[int, ...]) -> ca.SX:
         if columns not in known:
-            row, total = order[-len(columns)], ca.SX(0)
+            row, total = entries[order[-len(columns)]], ca.SX(0)
             if touched_below[-len(columns) - 1].issuperset(columns):  # a column without entries leaves zero
                 for k, column in enumerate(columns):
-                    if column in entries[row]:
-                        total += (-1) ** k * A[row, column] * below(columns[:k] + columns[k + 1 :])
+                    if column in row:
+                        term = row[column] * below(columns[:k] + columns[k + 1 :])
+                        total = total - term if k % 2 else total + term
             known[columns] = total
         return known[columns]
 
