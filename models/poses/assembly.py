@@ -22,8 +22,8 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped, sampled
 from linkplan.models.tree.joints import unit_steps, where
 
-# Newton steps of a stride of two degrees: two leave 1e-12, near singular poses of many loops 4e-8; the last leaves rounding.
-_NEWTON_STEPS = 4
+# Newton steps of a stride of two degrees: two steps leave 1e-12, the third leaves rounding.
+_NEWTON_STEPS = 3
 # Numbers of strides in one call.
 _STRETCH_LENGTHS = (1, 4, 16, 64, 128, 256)
 # A stride is regular if Newton's correction is below this share of the step,
