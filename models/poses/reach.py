@@ -33,9 +33,8 @@ class End:
     """An end of the reach: the independent position there [rad or m] and the reason."""
 
     position: float
-    reason: (
-        str  # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose", "full turn", "nothing so far"
-    )
+    # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose", "full turn" or "nothing so far"
+    reason: str
     joint: int | None  # the coordinate whose range ends the reach
 
 

@@ -10,7 +10,7 @@ from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.inspection_blocks import reach_table
 from linkplan.studies.output.document import Block, Facts, Text
-from linkplan.studies.output.text import kind_of, pattern_of
+from linkplan.studies.output.text import by_kind
 
 # So many problems, coordinates and notes at most: with two lines on what to do next the summary fits on a screen.
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
@@ -42,12 +42,8 @@ def summary_blocks(found: Inspection) -> list[Block]:
 
 def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
     """Return one sentence of each kind, with the number of the others; those of a kind differ in names and numbers alone."""
-    names = pattern_of(_names(mechanism))
-    kinds: dict[str, list[str]] = {}
-    for sentence in sentences:
-        kinds.setdefault(kind_of(sentence, names), []).append(sentence)
     said = []
-    for alike in kinds.values():
+    for alike in by_kind(sentences, _names(mechanism)):
         more = f" (and {len(alike) - 1} more of this kind)" if len(alike) > 1 else ""
         room = _MOST_CHARACTERS - len(more)
         first = alike[0] if len(alike[0]) <= room else f"{alike[0][: room - 3].rstrip()}..."

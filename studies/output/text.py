@@ -120,16 +120,21 @@ def brief_rows(rows: Sequence[Sequence], margins: Sequence, units: Sequence[str]
 
 def notes_of(sentences: Iterable[str], names: Iterable[str]) -> list[Text]:
     """Return notes; in brief, the first one alone of each larger kind, with the number of the others."""
-    pattern, kinds = pattern_of(names), {}
-    for sentence in sentences:
-        kinds.setdefault(kind_of(sentence, pattern), []).append(sentence)
     notes = []
-    for first, *others in kinds.values():
+    for first, *others in by_kind(sentences, names):
         few = len(others) < MOST_OF_A_KIND
         brief = None if few else f"{first} (and {len(others)} more of this kind)"
         notes.append(Text(text=first, tone="note", brief=brief))
         notes += [Text(text=text, tone="note", brief=None if few else "") for text in others]
     return notes
+
+
+def by_kind(sentences: Iterable[str], names: Iterable[str]) -> list[list[str]]:
+    """Return the sentences of each kind, in the order of the first ones."""
+    pattern, kinds = pattern_of(names), {}
+    for sentence in sentences:
+        kinds.setdefault(kind_of(sentence, pattern), []).append(sentence)
+    return list(kinds.values())
 
 
 def kind_of(sentence: str, names: re.Pattern | None) -> str:

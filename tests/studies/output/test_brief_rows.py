@@ -1,4 +1,4 @@
-"""Summaries of tables: of many rows of a kind the worst one, and the option that prints every row."""
+"""A summary shows the worst of many rows of a kind, and the first of many notes; `--all` prints every one."""
 
 import pytest
 
@@ -46,7 +46,7 @@ def test_the_first_note_stands_for_more_than_four_that_differ_in_names_and_numbe
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return the folder of a plan for carts on rails, the third of which has the least room to its effort limit."""
+    """Return the folder of a plan for six carts on rails. Cart 2 uses the largest share of its effort limit."""
     place = tmp_path_factory.mktemp("carts")
     bodies = "".join(
         f'<body pos="0 {k} 0"><joint name="x{k}" type="slide" axis="1 0 0" range="-1 1"/><geom size=".1" mass="1"/></body>'
