@@ -10,7 +10,6 @@ periodic motion it is repeated until it converges to a periodic solution.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -18,30 +17,12 @@ from linkplan.controllers.integrator import stay_servos
 from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import sampling, simulated
-from linkplan.controllers.trackers.tracker import times
+from linkplan.controllers.trackers.tracker import StateFeedback
 from linkplan.models.errors import GainError
 from linkplan.models.mechanism import Mechanism
 
 # Relative change over a cycle below which the periodic Riccati recursion has converged.
 _CYCLE_TOLERANCE = 1e-9
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class LQR:
-    """u = u_ref + K_k (x_ref - x), with gains K (n, n_u, 2 n_s)."""
-
-    reference: SampledReference
-    gains: np.ndarray
-    name: str = "lqr"
-    batched: ClassVar[bool] = True
-
-    def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
-        """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
-        reference = self.reference
-        error = np.concatenate(
-            [reference.position_rad[k] - position_rad, reference.velocity_rad_s[k] - velocity_rad_s], axis=-1
-        )
-        return reference.effort[k] + times(self.gains[k], error)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -126,7 +107,7 @@ def lqr(
     position_weight: float | np.ndarray,
     velocity_weight: float | np.ndarray,
     effort_weight: np.ndarray,
-) -> LQR:
+) -> StateFeedback:
     """Return the LQR tracker of a reference.
 
     Args:
@@ -143,7 +124,8 @@ def lqr(
     found, kept = regulator(mechanism, reference, errors)
     full = np.zeros((len(found.gains), mechanism.n_u, 2 * mechanism.dof))
     full[:, :, kept] = found.gains
-    return LQR(reference=reference, gains=full[np.arange(reference.n) % len(full)])
+    gains = full[np.arange(reference.n) % len(full)]
+    return StateFeedback(reference=reference, gains=gains, name="lqr", feedforward=True)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # where no gain exists, the cost grows without bound

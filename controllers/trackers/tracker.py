@@ -13,11 +13,11 @@ Positions of slides are in m, their velocities in m/s.
 The efforts of one state must not depend on the other states of its batch, to the last bit. `times` ensures this for
 products.
 
-Feedforward adds the efforts of the reference motion to another tracker's efforts.
+`StateFeedback` is the linear law. Feedforward adds the efforts of the reference motion.
 """
 
-from dataclasses import dataclass
-from typing import Protocol, cast
+from dataclasses import dataclass, replace
+from typing import ClassVar, Protocol, cast
 
 import numpy as np
 
@@ -94,25 +94,29 @@ AnyTracker = Tracker | TrackerWithMemory
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Feedforward:
-    """u = u_ref + u_feedback, u_ref from the reduced inverse dynamics of the reference."""
+class StateFeedback:
+    """u = u_ff[k] + K[k] (x_ref[k] - x), x = (s, v): PD, gain-scheduled PD and LQR.
+
+    `gains` K (n, n_u, 2 n_s). If `feedforward` is True, u_ff is the reference's effort; otherwise it is zero.
+    """
 
     reference: SampledReference
-    feedback: Tracker
-
-    @property
-    def name(self) -> str:
-        """The feedback's name with "+ff"."""
-        return f"{self.feedback.name}+ff"
-
-    @property
-    def batched(self) -> bool:
-        """True if the feedback accepts leading batch axes."""
-        return bool(getattr(self.feedback, "batched", False))
+    gains: np.ndarray
+    name: str
+    feedforward: bool = False
+    batched: ClassVar[bool] = True
 
     def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
-        """Return efforts (..., n_u) [N.m or N], with leading batch axes if the feedback accepts them."""
-        return self.reference.effort[k] + self.feedback.effort(k, position_rad, velocity_rad_s)
+        """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
+        reference, gains, n_s = self.reference, self.gains[k], position_rad.shape[-1]
+        on_position = times(gains[:, :n_s], reference.position_rad[k] - position_rad)
+        effort = on_position + times(gains[:, n_s:], reference.velocity_rad_s[k] - velocity_rad_s)
+        return reference.effort[k] + effort if self.feedforward else effort
+
+
+def with_feedforward(law: StateFeedback) -> StateFeedback:
+    """Return a law with the reference's efforts added, and "+ff" added to its name."""
+    return replace(law, name=f"{law.name}+ff", feedforward=True)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

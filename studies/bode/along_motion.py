@@ -13,7 +13,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.scan import stability
 from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
-from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, frozen_radii, tracker_gains
+from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, frozen_radii, linear_law
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
 
@@ -48,7 +48,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     reference = sample(mechanism, trajectory, settings.period_s, trajectory.duration_s)
     tracker = build_tracker(law, plan, reference)
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    gains = tracker_gains(tracker)
+    gains = linear_law(tracker).gains
     say(f"{law} frozen along {plan.problem.name}: {reference.n} control instants")
     radius = frozen_radii(mechanism, reference, gains, timing)
     instants = np.unique(np.linspace(0, reference.n - 1, 25).astype(int))

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.controllers.trackers.pd import pd_gain
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.bode.bode import BodeStudy
-from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_point, pd_gain, refuse_several_freedoms
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_point, refuse_several_freedoms
 from linkplan.studies.frequency.stability_map import (
     StabilityMap,
     critical_kd,

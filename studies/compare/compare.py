@@ -17,7 +17,7 @@ from linkplan.controllers.trackers.lqr import Errors, lqr
 from linkplan.controllers.trackers.mpc import mpc
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.controllers.trackers.pd import pd, scheduled_pd
-from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, Tracker
+from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, with_feedforward
 from linkplan.models.errors import GainError, ProblemError, choose, listed
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import exclusion
@@ -122,12 +122,12 @@ def build_tracker(asked: TrackerLike, plan: Plan, reference: SampledReference) -
     return BUILT[name](plan, reference)
 
 
-def _pd(plan: Plan, reference: SampledReference) -> Tracker:
+def _pd(plan: Plan, reference: SampledReference) -> StateFeedback:
     mechanism = plan.problem.mechanism
     return pd(mechanism, reference, *plan.problem.tracking.gains(mechanism.independent_joints))
 
 
-def _lqr(plan: Plan, reference: SampledReference) -> Tracker:
+def _lqr(plan: Plan, reference: SampledReference) -> StateFeedback:
     errors = _errors(plan, reference)
     return lqr(
         plan.problem.mechanism,
@@ -160,7 +160,7 @@ def _frequency(plan: Plan) -> tuple[float, float]:
 # The constructor of each built-in tracker, from a plan and its reference.
 BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
     "pd": _pd,
-    "pd+ff": lambda plan, reference: Feedforward(reference=reference, feedback=_pd(plan, reference)),
+    "pd+ff": lambda plan, reference: with_feedforward(_pd(plan, reference)),
     "lqr": _lqr,
     "lqi": lambda plan, reference: integral_lqr(
         plan.problem.mechanism,
@@ -169,9 +169,7 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
         plan.problem.tracking.integral_time_s,
         np.array(plan.problem.limits.actuators_effort),
     ),
-    "gs-pd+ff": lambda plan, reference: Feedforward(
-        reference=reference, feedback=scheduled_pd(plan.problem.mechanism, reference, *_frequency(plan))
-    ),
+    "gs-pd+ff": lambda plan, reference: with_feedforward(scheduled_pd(plan.problem.mechanism, reference, *_frequency(plan))),
     "ct": lambda plan, reference: computed_torque(plan.problem.mechanism, reference, *_frequency(plan)),
     "mpc": lambda plan, reference: mpc(
         plan.problem.mechanism,

@@ -8,8 +8,8 @@ from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.simulate import simulate_one
-from linkplan.controllers.trackers.pd import PD, pd
-from linkplan.controllers.trackers.tracker import Feedforward
+from linkplan.controllers.trackers.pd import pd, pd_gain
+from linkplan.controllers.trackers.tracker import StateFeedback
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.reference import Sine
@@ -51,8 +51,9 @@ def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, floa
     )  # fmt: skip
     for kd in KD:
         say(f"{AS_PRINTED}, KP = {DOCUMENT_KP:g}, KD = {kd:g}")
-        law = PD(reference=reference, kp=DOCUMENT_KP, kd=kd, map=np.tile(np.diag(of_O), (reference.n, 1, 1)))
-        runs[AS_PRINTED, kd] = simulate_one(plant, Feedforward(reference=reference, feedback=law), reference)
+        gains = np.tile(pd_gain(np.diag(of_O), DOCUMENT_KP, kd), (reference.n, 1, 1))
+        law = StateFeedback(reference=reference, gains=gains, name="pd+ff", feedforward=True)
+        runs[AS_PRINTED, kd] = simulate_one(plant, law, reference)
     return runs
 
 

@@ -9,11 +9,9 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.closing import CLOSING_CALLS
 from linkplan.controllers.trackers.computed_torque import ComputedTorque
 from linkplan.controllers.trackers.integral_lqr import IntegralLQR
-from linkplan.controllers.trackers.lqr import LQR
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
-from linkplan.controllers.trackers.pd import PD
 from linkplan.controllers.trackers.prediction import condensing
-from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward, steps_of
+from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, steps_of
 from linkplan.models.mechanism import Mechanism
 
 
@@ -53,15 +51,10 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
     """Return the numbers stored per instant, and the operations of a period without and with a limit reached."""
     n_s, n_u, n_q = mechanism.dof, mechanism.n_u, mechanism.n_q
     state, dynamics = 2 * n_s, mechanism.dynamics
-    if isinstance(tracker, Feedforward):
-        stored, free, _ = _counted(tracker.feedback, mechanism)
-        return (None, None, None) if free is None or stored is None else (stored + n_u, free + n_u, free + n_u)
-    if isinstance(tracker, PD):
-        free = state + 3 * n_s + 2 * n_u * n_s
-        return state + n_u * n_s, free, free
-    if isinstance(tracker, LQR):
-        free = state + 2 * n_u * state
-        return state + n_u + n_u * state, free, free
+    if isinstance(tracker, StateFeedback):
+        added = n_u if tracker.feedforward else 0
+        free = state + n_u * (2 * state - 1) + added
+        return state + n_u * state + added, free, free
     if isinstance(tracker, IntegralLQR):
         n_i = len(tracker.integrated)
         free = state + 2 * n_u * (state + n_i) + 2 * n_i + 2 * n_u

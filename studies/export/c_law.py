@@ -17,7 +17,7 @@ from linkplan.studies.export.c_files import sizes
 from linkplan.studies.export.c_source import identifier
 from linkplan.studies.export.c_text import MATH, block_comment, cmake_text, declared_array
 from linkplan.studies.export.formats import C_TRACKERS
-from linkplan.studies.frequency.floquet import feeds_forward, tracker_gains
+from linkplan.studies.frequency.floquet import linear_law
 
 # A controller's flash rarely holds more; the file would have 100 megabytes of text.
 _MAX_NUMBERS = 4_000_000
@@ -55,8 +55,8 @@ def law_tables(plan: Plan, tracker: str) -> LawTables:
     """
     choose("tracker for C", tracker, C_TRACKERS, ProblemError)
     reference = tracking_reference(plan)
-    law = build_tracker(tracker, plan, reference)
-    gains, feedforward = tracker_gains(law), reference.effort if feeds_forward(law) else np.zeros_like(reference.effort)
+    law = linear_law(build_tracker(tracker, plan, reference))
+    gains, feedforward = law.gains, reference.effort if law.feedforward else np.zeros_like(reference.effort)
     if np.all(gains == gains[0]):
         gains = gains[:1]
     if reference.n * (2 * reference.position_rad.shape[1] + feedforward.shape[1]) + gains.size > _MAX_NUMBERS:

@@ -167,7 +167,7 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
         )
         return tracker.gains[0]
     kp, kd = settings.gains(point.mechanism.independent_joints)
-    return pd_gain(pd(point.mechanism, reference, kp, kd).map[0], kp, kd)
+    return pd(point.mechanism, reference, kp, kd).gains[0]
 
 
 def with_lqr_errors(
@@ -176,14 +176,6 @@ def with_lqr_errors(
     """Return settings with every LQR error set for a machine that holds points, with effort limits (n_u, 2)."""
     hold = np.max([np.abs(point.hold) for point in points], axis=0)
     return scaled(settings, mechanism, np.array([point.pose for point in points]), unit_effort(limit, hold))
-
-
-def pd_gain(effort_map: np.ndarray, kp: float | np.ndarray, kd: float | np.ndarray) -> np.ndarray:
-    """Return PD's gain K (n_u, 2 n_s) on the independent joints, with a map (n_u, n_s) from joint to actuator efforts.
-
-    A gain is one number for all joints or one for each joint (n_s,).
-    """
-    return np.concatenate([kp * effort_map, kd * effort_map], axis=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -14,9 +14,7 @@ import numpy as np
 
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
-from linkplan.controllers.trackers.lqr import LQR
-from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward
+from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
@@ -75,24 +73,15 @@ class Floquet:
         return float(self.time_s[k]), float(np.log(predicted)), float(np.log(measured))
 
 
-def tracker_gains(tracker: AnyTracker) -> np.ndarray:
-    """Return a tracker's gains K (n, n_u, 2 n_s) on the state at each control instant.
+def linear_law(tracker: AnyTracker) -> StateFeedback:
+    """Return a tracker as a linear law.
 
     Raises:
         LinkplanError: for a tracker that is not linear in the state.
     """
-    if isinstance(tracker, Feedforward):
-        return tracker_gains(tracker.feedback)
-    if isinstance(tracker, PD):
-        return np.concatenate([tracker.kp * tracker.map, tracker.kd * tracker.map], axis=2)
-    if isinstance(tracker, LQR):
-        return np.array(tracker.gains)
+    if isinstance(tracker, StateFeedback):
+        return tracker
     raise LinkplanError(f"tracker '{tracker.name}' has no state feedback gains to analyse")
-
-
-def feeds_forward(tracker: AnyTracker) -> bool:
-    """Return True if a tracker adds the reference's own efforts."""
-    return isinstance(tracker, Feedforward | LQR)
 
 
 def frozen_radii(mechanism: Mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling) -> np.ndarray:
@@ -126,8 +115,9 @@ def floquet(
             f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods"
             f" of {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
         )
-    one, gains = _cut(reference, n), tracker_gains(tracker)[:n]
-    if feeds_forward(tracker):
+    law, one = linear_law(tracker), _cut(reference, n)
+    gains = law.gains[:n]
+    if law.feedforward:
         motion, before = one, np.repeat(one.effort[:1], timing.memory, axis=0)
     else:
         motion, before = _steady(mechanism, one, gains, timing, effort_limit)
@@ -144,7 +134,7 @@ def floquet(
             product, log = product / largest, log + np.log(largest)
         transition[k + 1] = product * np.exp(min(log, 460.0))  # e^460 = 1e200
     measured = np.nan_to_num(
-        _measured(mechanism, one, motion, before, gains, feeds_forward(tracker), timing, effort_limit, scale),
+        _measured(mechanism, one, motion, before, gains, law.feedforward, timing, effort_limit, scale),
         nan=_MAX_GROWTH,
         posinf=_MAX_GROWTH,
     )

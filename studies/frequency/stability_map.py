@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, spectral_radius
-from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.trackers.pd import pd, pd_gain
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
-from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop, pd_gain
+from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.trial import settle_trials
 
@@ -45,7 +45,7 @@ class StabilityMap:
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
     """Return the map (n_u, n_s) from PD's joint efforts to actuator efforts."""
-    return pd(point.mechanism, point.constant(1.0), 1.0, 0.0).map[0]
+    return np.hsplit(pd(point.mechanism, point.constant(1.0), 1.0, 0.0).gains[0], 2)[0]
 
 
 def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
@@ -63,8 +63,7 @@ def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Samplin
 def pd_gains(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
     """Return K (..., n_u, 2 n_s) of gains (...,)."""
     kp, kd = np.broadcast_arrays(np.asarray(kp, dtype=float), np.asarray(kd, dtype=float))
-    through = effort_map(point)
-    return np.concatenate([kp[..., None, None] * through, kd[..., None, None] * through], axis=-1)
+    return pd_gain(effort_map(point), kp[..., None, None], kd[..., None, None])
 
 
 def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[float, float]:

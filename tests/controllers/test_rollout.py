@@ -16,7 +16,7 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
-from linkplan.controllers.trackers.tracker import Feedforward, Tracker
+from linkplan.controllers.trackers.tracker import Tracker, with_feedforward
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import BODY_NAME
 from tests.support.bodies import HINGE, HINGE_INERTIA
@@ -81,7 +81,7 @@ def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | No
             effort_weight=problem.limits.effort[:, 1],
         )
     feedback = pd(problem.mechanism, reference, tracking.kp, tracking.kd if kd is None else kd)
-    return feedback if kind == "pd" else Feedforward(reference=reference, feedback=feedback)
+    return feedback if kind == "pd" else with_feedforward(feedback)
 
 
 @cache

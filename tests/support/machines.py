@@ -18,8 +18,8 @@ from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.simulate import Ensemble, simulate, simulate_one
-from linkplan.controllers.trackers.pd import PD, pd
-from linkplan.controllers.trackers.tracker import AnyTracker, Feedforward
+from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, with_feedforward
 from linkplan.models.mechanism import Mechanism
 from tests.support.plans import optimal
 
@@ -51,13 +51,13 @@ def reach(duration_s: float = 0.02, period_s: float = 1e-4) -> tuple[Mechanism, 
 
 
 @cache
-def follower(duration_s: float = 0.02, period_s: float = 1e-4) -> Feedforward:
+def follower(duration_s: float = 0.02, period_s: float = 1e-4) -> StateFeedback:
     """Return PD with feedforward on that reach."""
-    return Feedforward(reference=reach(duration_s, period_s)[1], feedback=feedback(duration_s, period_s))
+    return with_feedforward(feedback(duration_s, period_s))
 
 
 @cache
-def feedback(duration_s: float = 0.02, period_s: float = 1e-4) -> PD:
+def feedback(duration_s: float = 0.02, period_s: float = 1e-4) -> StateFeedback:
     """Return its PD alone."""
     return pd(*reach(duration_s, period_s), 200.0, 20.0)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.sampling import sampling
+from linkplan.controllers.trackers.pd import pd_gain
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.frequency.feedback_loops import EXACT, SIMULATED, feedback_loop, operating_point, pd_gain
+from linkplan.studies.frequency.feedback_loops import EXACT, SIMULATED, feedback_loop, operating_point
 from linkplan.studies.frequency.margins import delay_margin, margins
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import (

@@ -12,7 +12,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.bode.along_motion import along_motion
 from linkplan.studies.compare.compare import build_tracker
-from linkplan.studies.frequency.floquet import floquet, frozen_radii, tracker_gains
+from linkplan.studies.frequency.floquet import floquet, frozen_radii, linear_law
 from tests.support.tolerances_loops import DECAY, LIOUVILLE
 
 
@@ -77,7 +77,7 @@ def test_determinant_of_the_monodromy_is_the_product_of_the_steps_determinants(p
 def test_a_loop_that_is_stable_nowhere_along_the_motion_does_not_converge(plan):
     found, reference, tracker, timing = along(plan, "pd+ff", kp=200.0, kd=10.0)
     assert not found.converges
-    assert frozen_radii(plan.problem.mechanism, reference, tracker_gains(tracker), timing).min() > 1
+    assert frozen_radii(plan.problem.mechanism, reference, linear_law(tracker).gains, timing).min() > 1
 
 
 @pytest.mark.slow

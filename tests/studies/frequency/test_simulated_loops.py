@@ -6,10 +6,10 @@ import pytest
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.sampling import sampling
-from linkplan.controllers.trackers.pd import pd
-from linkplan.controllers.trackers.tracker import Feedforward
+from linkplan.controllers.trackers.pd import pd, pd_gain
+from linkplan.controllers.trackers.tracker import with_feedforward
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.frequency.feedback_loops import operating_point, pd_gain
+from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 from tests.support.machines import run_alone
 
@@ -32,14 +32,14 @@ def test_every_simulation_is_the_run_of_its_own_loop(delay):
     mechanism = load_mechanism("optimus-knee", payload="shank")
     points = [operating_point(mechanism, np.radians([angle])) for angle in (-30.0, 3.6, 40.0)]
     references = [kicked(point, speed) for point, speed in zip(points, (0.01, 0.5, -4.0), strict=True)]
-    trackers = [Feedforward(reference=r, feedback=pd(mechanism, r, KP, KD)) for r in references]
+    trackers = [with_feedforward(pd(mechanism, r, KP, KD)) for r in references]
     loop = ControlLoop(effort_limit=np.array([[-30.0, 30.0]]), delay_periods=delay)
     runs = [run_alone(mechanism, r, tracker, loop) for r, tracker in zip(references, trackers, strict=True)]
     batch = SimulatedLoops(
         mechanism,
         pose=np.array([r.pose_rad[0] for r in references]),
         velocity=np.array([r.velocity_rad_s[0] for r in references]),
-        gain=np.array([pd_gain(tracker.feedback.map[0], KP, KD) for tracker in trackers]),
+        gain=np.array([tracker.gains[0] for tracker in trackers]),
         under_way=np.array([rollout.commanded[0] for rollout in runs]),
         timing=sampling(mechanism, 1e-4, delay),
         effort_limit=loop.effort_limit,
@@ -87,14 +87,14 @@ def test_a_servo_s_simulations_are_the_runs_of_its_loop_whatever_the_integrator(
     arrays = {name: np.array(getattr(still, name)) for name in ARRAYS}
     arrays["velocity_rad_s"][0] = 3.0
     reference = SampledReference(period_s=period, cycle=None, **arrays)
-    tracker = Feedforward(reference=reference, feedback=pd(mechanism, reference, 20.0, 0.5))
+    tracker = with_feedforward(pd(mechanism, reference, 20.0, 0.5))
     loop = ControlLoop(effort_limit=np.array([[-9.0, 9.0]]))
     rollout = run_alone(mechanism, reference, tracker, loop)
     batch = SimulatedLoops(
         mechanism,
         pose=reference.pose_rad[:1],
         velocity=reference.velocity_rad_s[:1],
-        gain=pd_gain(tracker.feedback.map[0], 20.0, 0.5)[None],
+        gain=tracker.gains[:1],
         under_way=rollout.commanded[:1],
         timing=sampling(mechanism, period, 0),
         effort_limit=loop.effort_limit,
