@@ -110,7 +110,7 @@ def _are_regular(
 
 @functools.lru_cache(maxsize=16)
 def _stretch(mechanism: Mechanism, length: int) -> ca.Function:
-    """Return the function of `length` strides: (state, positions) -> states, phi before the last step, predicted z.
+    """Return the function of `length` strides: (state, positions) -> states, the closure's residuals phi, predicted z.
 
     A state contains a pose, its Gamma by columns and the determinants of J_z's blocks.
     """
@@ -126,8 +126,9 @@ def _stretch(mechanism: Mechanism, length: int) -> ca.Function:
     predicted = trial[dependent]
     for _ in range(_NEWTON_STEPS - 1):
         trial[dependent] += newton(trial)[1]
-    phi, step, gamma, determinants = closure_step(trial)
+    _, step, gamma, determinants = closure_step(trial)
     trial[dependent] += step
+    phi = mechanism.dynamics.independent_closure(trial)
     after = ca.vertcat(trial, ca.vec(gamma), determinants)
     stride = ca.Function("stride", [state, target], [after, phi, predicted])
     return stride if length == 1 else stride.mapaccum(length)

@@ -17,13 +17,12 @@ def needs() -> dict:
 @pytest.mark.parametrize(
     ("name", "remembered", "stored", "operations"),
     [
-        # Of one joint and one motor: two errors, two gains and their sum, the effort's share of the motor.
-        ("pd", 0, 3, 2 + 3 + 2),
+        # Of one joint and one motor: two errors, two gains and their sum.
+        ("pd", 0, 4, 2 + 2 + 1),
         # And the plan's effort added.
-        ("pd+ff", 0, 4, 2 + 3 + 2 + 1),
-        ("gs-pd+ff", 0, 4, 2 + 3 + 2 + 1),
-        # Two errors, two gains, two sums.
-        ("lqr", 0, 5, 2 + 2 + 2),
+        ("pd+ff", 0, 5, 2 + 2 + 1 + 1),
+        ("gs-pd+ff", 0, 5, 2 + 2 + 1 + 1),
+        ("lqr", 0, 5, 2 + 2 + 1 + 1),
         # A third gain and sum; the integral's product and sum, two comparisons with the limits.
         ("lqi", 1, 6, 2 + 3 + 3 + 2 + 2),
     ],
