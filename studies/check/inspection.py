@@ -27,9 +27,12 @@ from linkplan.studies.check.drives import (
     pushed_one_way,
     undriven,
 )
-from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, thinned
 from linkplan.studies.check.softness import massless_findings, softness_note, units_notes
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
+
+# Poses at which contacts are looked for; a robot of a hundred bodies takes 1 ms for each.
+_MOST_CONTACT_POSES = 6000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -73,6 +76,7 @@ def inspect(
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
     floating = floating_columns(mechanism)
     swept = [can.poses_once for can in reaches if can.coordinate not in floating] or [mechanism.home[None]]
+    swept = [thinned(poses, max(2, _MOST_CONTACT_POSES // len(swept))) for poses in swept]
     poses, sweeps = np.vstack(swept), [len(one) for one in swept]
     touching = contact_pairs(mechanism, poses)
     problems, notes = _findings(mechanism, reaches)

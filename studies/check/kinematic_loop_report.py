@@ -144,7 +144,7 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
             continue  # a rod that spins about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
-        poses = thinned(swept(mechanism, can), mechanism)
+        poses = thinned(swept(mechanism, can), most_poses(mechanism))
         inertia = sampled(mechanism.dynamics.reduced_inertia, poses)
         title = f"the reach of {name}{others}"
         found.append(Sweep(mechanism=mechanism, title=title, coordinate=column, poses=poses, reduced_inertia=inertia))
@@ -161,9 +161,13 @@ def has_whole_records(mechanism: Mechanism) -> bool:
     return room_for_poses(mechanism) >= 25
 
 
-def thinned(poses: np.ndarray, mechanism: Mechanism) -> np.ndarray:
-    """Return evenly spaced poses of a coordinate's path, as many as a record has room for: all, up to seven coordinates."""
-    most = max(25, room_for_poses(mechanism))
+def most_poses(mechanism: Mechanism) -> int:
+    """Return the number of poses of a coordinate's path that a record has room for: all, up to seven coordinates."""
+    return max(25, room_for_poses(mechanism))
+
+
+def thinned(poses: np.ndarray, most: int) -> np.ndarray:
+    """Return all poses, or `most` evenly spaced ones with the first and the last."""
     return poses if len(poses) <= most else poses[np.linspace(0, len(poses) - 1, most).round().astype(int)]
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
-from linkplan.studies.check.kinematic_loop_report import path_record, reach_paths, reach_sweeps, thinned
+from linkplan.studies.check.inspection import inspect
+from linkplan.studies.check.kinematic_loop_report import most_poses, path_record, reach_paths, reach_sweeps, thinned
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.document import Animation
 from linkplan.studies.report.check_sections import check_sections
@@ -54,11 +55,19 @@ def test_what_it_says_is_what_the_whole_record_has(wholes):
 
 def test_paths_of_many_coordinates_are_thinned_so_that_their_matrices_have_room(wholes):
     poses = np.arange(361.0)[:, None]
-    assert len(thinned(poses, wholes[3].found.mechanism)) == 361
-    few = thinned(poses, load_mechanism(chain(20)))
+    assert len(thinned(poses, most_poses(wholes[3].found.mechanism))) == 361
+    few = thinned(poses, most_poses(load_mechanism(chain(20))))
     assert few[0] == 0
     assert few[-1] == 360
     assert len(few) * 20**2 * 60 <= 1_000_000
+
+
+def test_contacts_of_many_coordinates_are_looked_for_at_a_bounded_number_of_poses():
+    """Thirty hinges that turn fully have 16,000 poses within reach."""
+    colliding = chain(30).replace(" range='-60 60'", "").replace(" contype='0' conaffinity='0'", "")
+    found = inspect(load_mechanism(colliding), [])
+    assert found.contacts
+    assert max(pair.poses[-1] for pair in found.contacts) < 6000
 
 
 def test_records_of_very_many_coordinates_have_those_of_their_own_only(wholes):
