@@ -2,7 +2,8 @@
 
 The second loop of a mechanism is usually attached to the first, so J_z is block triangular with blocks of two or three
 rows. Blocks of up to three rows are solved by Cramer's rule, larger blocks by QR. Neither needs a pivot, which could vanish
-while A is regular.
+while A is regular. Determinants of blocks of up to twelve rows are expanded in minors, whose number grows exponentially with
+the size; those of larger blocks come from Givens rotations, which keep the sign.
 """
 
 from collections.abc import Callable
@@ -11,6 +12,8 @@ import casadi as ca
 
 # Largest block that is solved by Cramer's rule, which gives the shortest expressions up to this size.
 _MAX_CRAMER_SIZE = 3
+# Largest block whose determinant is expanded: a dense one of twelve rows has 4096 minors.
+_MAX_EXPANDED_SIZE = 12
 
 
 def factorise(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
@@ -58,7 +61,7 @@ def block_determinants(A: ca.SX) -> ca.SX:
     A = ca.sparsify(A)
     rows, columns, blocks = _blocks(A)
     permuted = A[rows, columns]
-    return ca.vertcat(*[_minor(permuted[block, block]) for block in blocks])
+    return ca.vertcat(*[_block_determinant(permuted[block, block]) for block in blocks])
 
 
 def block_rows(A: ca.SX) -> list[list[int]]:
@@ -115,6 +118,44 @@ def _adjugate(A: ca.SX) -> ca.SX:
             others = A[[k for k in range(n) if k != i], [k for k in range(n) if k != j]]
             adjugate[j, i] = (-1) ** (i + j) * _minor(others)
     return adjugate
+
+
+def _block_determinant(A: ca.SX) -> ca.SX:
+    return _minor(A) if A.shape[0] <= _MAX_EXPANDED_SIZE else _rotated_determinant(A)
+
+
+def _rotated_determinant(A: ca.SX) -> ca.SX:
+    """Return det A as the product of the diagonal that Givens rotations of rows leave (Golub & Van Loan, 5.1.8, 5.2.5).
+
+    Each rotation has the determinant one and needs no pivot. Sparse columns and rows come first.
+    """
+    n, order = A.shape[0], []
+    columns = sorted(range(n), key=lambda column: A[:, column].nnz())
+    A = A[:, columns]
+    entries: list[dict[int, ca.SX]] = [{} for _ in range(n)]
+    for row, column in zip(*A.sparsity().get_triplet(), strict=True):
+        entries[row][column] = A[row, column]
+    product = ca.SX(_parity(columns))
+    for k in range(n):
+        touching = sorted((row for row in range(n) if row not in order and k in entries[row]), key=lambda r: len(entries[r]))
+        if not touching:
+            return ca.SX(0)
+        first = touching[0]
+        for other in touching[1:]:
+            entries[first], entries[other] = _rotated(entries[first], entries[other], k)
+        product *= entries[first][k]
+        order.append(first)
+    return product * _parity(order)
+
+
+def _rotated(first: dict[int, ca.SX], other: dict[int, ca.SX], k: int) -> tuple[dict[int, ca.SX], dict[int, ca.SX]]:
+    """Return two rows, entries by column, after the rotation that leaves no entry of the second in column k."""
+    along = first[k] + 1e-100  # far below rounding, for poses at which both entries are zero
+    length = ca.sqrt(along**2 + other[k] ** 2)
+    c, s = along / length, other[k] / length
+    zero, columns = ca.SX(0), first.keys() | other.keys()
+    rotated = {j: c * first.get(j, zero) + s * other.get(j, zero) for j in columns}
+    return rotated, {j: c * other.get(j, zero) - s * first.get(j, zero) for j in columns - {k}}
 
 
 def _minor(A: ca.SX) -> ca.SX:
