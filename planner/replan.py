@@ -21,13 +21,12 @@ import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
 from linkplan.models.renamed import RenamedFields
-from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.case import case_of, finished
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
 from linkplan.planner.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.history import Say, Step, record, recorded, recording, silent
+from linkplan.planner.refinement.history import Say, record, recorded, recording, silent, step_of
 from linkplan.planner.refinement.switch_search import bounded_by_guess
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers.newton import Conditions, NewtonStep, Optimum, conditions_of, newton_step
@@ -227,7 +226,8 @@ class Replanner:
             certificate = None if trajectory is None else case.certify(trajectory)
             if trajectory is None or certificate is None:
                 return None
-            record(_step(solution, certificate, "constraints tightened" if recorded() else "solved again"))
+            step = step_of("constraints tightened" if recorded() else "solved again", solution.transcribed, solution)
+            record(replace(step, integration_error_deg=certificate.integration_error_deg))
             if not case.error_report(certificate).overruns or case.n_tightenings == 2:
                 break  # a motion that overruns its limits still is planned anew
             # Tightening starts anew, because the kept program's own tightening belongs to another motion.
@@ -252,22 +252,6 @@ class Replanner:
         if solved.program is not self._program:
             self._program, self._conditions = solved.program, None
             self._solver = build_solver(solved.program, problem.solver, warm=True)
-
-
-def _step(solution: Solution, certificate: Certificate, what: str) -> Step:
-    """Return the history entry of a warm solve."""
-    return Step(
-        what=what,
-        scheme=solution.transcribed.scheme.name,
-        intervals=solution.transcribed.program.mesh.n_intervals,
-        segments=solution.transcribed.program.mesh.n_segments,
-        converged=True,
-        solver_status=solution.status,
-        objective=solution.objective,
-        integration_error_deg=certificate.integration_error_deg,
-        build_s=solution.transcribed.build_s,
-        solve_s=solution.solve_s,
-    )
 
 
 def _is_blocked_by_bounds(problem: Problem, solution: Solution) -> bool:

@@ -2,13 +2,13 @@
 
 `strides` takes even steps of Dormand and Prince's method of order eight (Hairer, Norsett & Wanner, Solving ODEs I, section
 II.10), many intervals in one call of a CasADi function, and then checks the method's own error estimate. `flow` is scipy's
-version with adaptive steps, for intervals on which even steps are too long. `stiff_flow` is the implicit method Radau IIA of
-order five (ibid. II, section IV.8), for intervals on which damping makes explicit steps too short.
+version with adaptive steps, for intervals on which even steps are too long, or the implicit method Radau IIA of order five
+(ibid. II, section IV.8), for intervals on which damping makes explicit steps too short.
 """
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -43,78 +43,35 @@ def flow(
     state: np.ndarray,
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
-    most: int = _MAX_EVALUATIONS,
+    most: int | None = None,
     rtol: float = INTEGRATION_RTOL,
+    *,
+    stiff: bool = False,
 ) -> np.ndarray | None:
     """Return the states (m, n) at shares (m,) of an interval, from the state at its beginning; None if it fails.
 
-    Integration also fails after `most` evaluations of the rate, and when the deadline `until` passes.
+    Integration also fails after `most` evaluations of the rate, by default more than any feasible motion needs, and when the
+    deadline `until` passes. `stiff` chooses the implicit method.
     """
-    return _flown(_counted(rate, until, most), width_s, state, shares, rtol, method="DOP853")
-
-
-def stiff_flow(
-    rate: Rate,
-    width_s: float,
-    state: np.ndarray,
-    shares: np.ndarray,
-    until: Deadline = NO_DEADLINE,
-    rtol: float = INTEGRATION_RTOL,
-) -> np.ndarray | None:
-    """Integrate as `flow` does, by an implicit method."""
-    counted = _counted(rate, until, _MAX_EVALUATIONS)
-    try:
-        return _flown(counted, width_s, state, shares, rtol, method="Radau")
-    except (ValueError, np.linalg.LinAlgError):  # an infeasible motion diverges to infinite numbers
-        return None
-
-
-def _flown(
-    counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, rtol: float, *, method
-) -> np.ndarray | None:
     import scipy
 
     atol = 0.1 * rtol * np.maximum(1.0, np.abs(state))
-    # An infeasible motion may diverge; the result shows it without warnings.
+    # An infeasible motion may diverge: the result shows it without warnings, the implicit method meets infinite numbers.
     with np.errstate(all="ignore"):
         try:
             result = scipy.integrate.solve_ivp(
-                counted,
+                _counted(rate, until, most or _MAX_EVALUATIONS),
                 (0.0, width_s),
                 state,
-                method=method,
+                method="Radau" if stiff else "DOP853",
                 rtol=rtol,
                 atol=atol,
                 t_eval=shares * width_s,
             )
-        except _TooManyStepsError:
+        except (_TooManyStepsError, ValueError, np.linalg.LinAlgError):
             return None
     reached = result.success and result.y.shape[1] == len(shares) and np.all(np.isfinite(result.y[:, -1]))
     return result.y.T if reached else None
-
-
-def flows(
-    rate_on: Callable[[int], Rate],
-    breaks_s: np.ndarray,
-    state: np.ndarray,
-    shares: np.ndarray,
-    until: Deadline = NO_DEADLINE,
-) -> Iterator[np.ndarray | None]:
-    """Yield the states (m, n) on each interval, starting from the end of the one before; None where integration fails.
-
-    Args:
-        rate_on: returns an interval's right-hand side by its index.
-        breaks_s: (n + 1,) of the intervals [s].
-        state: (n,) at the start.
-        shares: shares (n_shares,) of an interval; the last is 1.
-        until: deadline.
-    """
-    for k, width in enumerate(np.diff(breaks_s)):
-        reached = flow(rate_on(k), width, state, shares, until)
-        yield reached
-        if reached is None:
-            return
-        state = reached[-1]
 
 
 def _counted(rate: Rate, until: Deadline, most: int) -> Rate:

@@ -17,6 +17,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting, may_collide, meetings, new_meetings
+from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
 from linkplan.planner.limits.actuators import effort_rates
@@ -101,7 +102,7 @@ def negligible_objective(problem: Problem, trajectory: Trajectory) -> float:
     if larger, the effort that accelerates the inertia within the duration.
     """
     mechanism, T = problem.mechanism, np.float64(trajectory.duration_s)
-    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.independent_joints])
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     pose = trajectory.start_pose
     maps = np.abs(np.array(mechanism.dynamics.effort_map(pose)))
     inertial = (np.abs(np.array(mechanism.dynamics.reduced_inertia(pose))) @ unit).max(initial=0.0) / T**2

@@ -18,7 +18,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.certificate.flow import INTEGRATION_RTOL, STIFF_EVALUATIONS, called, flow, stiff_flow, strides
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL, STIFF_EVALUATIONS, called, flow, strides
 from linkplan.planner.problem.instant import position_units
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
@@ -240,7 +240,7 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
             rates, begin = called(rate, inputs[k], widths[k]), reached[-1, 1]
             half = None if stiff else flow(rates, widths[k], begin, halves, until, STIFF_EVALUATIONS, rtol)
             if half is None:  # after one stiff interval the others are taken as stiff too
-                half = stiff_flow(rates, widths[k], begin, halves, until, rtol)
+                half = flow(rates, widths[k], begin, halves, until, rtol=rtol, stiff=True)
                 stiff = half is not None
             if half is None:
                 break

@@ -12,6 +12,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
+from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import GuessedPath
 from linkplan.planner.refinement.perturbation import perturbation
@@ -74,11 +75,9 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
         )
     duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose))
     boundaries = boundary_times(problem, duration)
-    guess = replace(_guess_along(_smooth_path(problem, duration), duration, start_pose), boundaries_s=boundaries)
+    guess = guess_along(_smooth_path(problem, duration), duration, start_pose, boundaries)
     if motion.waypoints and not closes(problem, guess):
-        return replace(
-            _guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose), boundaries_s=boundaries
-        )
+        return guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose, boundaries)
     return guess
 
 
@@ -87,7 +86,7 @@ def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tupl
     base = first_guess(problem, start_pose)
     times = np.linspace(0.0, base.duration_s, GUESS_SAMPLES)
     s = base.position(times)
-    unit = np.array([1.0 if j.kind == "hinge" else problem.mechanism.extent_m for j in problem.mechanism.independent_joints])
+    unit = unit_steps(problem.mechanism.independent_joints, problem.mechanism.extent_m)
     span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)  # a guess that hardly moves is bent by this much
     for number in itertools.count(1):
         offset = perturbation(number, times / base.duration_s, span).offset
@@ -157,14 +156,9 @@ def users_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
         guess = _splined(times, given.path, start_pose, boundary_times(problem, duration))
     else:
         duration = motion.duration_s or given.duration_s
-        stretch = given.duration_s / duration
-        guess = Guess(
-            position=lambda t: given.position_at(stretch * t),
-            velocity=lambda t: stretch * given.velocity_at(stretch * t),
-            acceleration=lambda t: stretch**2 * given.acceleration_at(stretch * t),
-            effort=lambda t: given.effort_at(stretch * t),
-            duration_s=duration,
-            start_pose=given.start_pose,
+        guess = replace(
+            stretched(motion_of(given), duration),
+            effort=lambda t: given.effort_at(given.duration_s / duration * t),
             boundaries_s=boundary_times(problem, duration),
         )
     return guess if closes(problem, guess) else None
@@ -174,13 +168,18 @@ def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, boundarie
     """Return the cubic spline through positions (n, n_s) at times (n,) as a guess."""
     import scipy
 
-    spline = scipy.interpolate.CubicSpline(times, s)
-    guess = _guess_along(spline, float(times[-1]), start_pose)
-    return replace(guess, boundaries_s=boundaries_s)
+    return guess_along(scipy.interpolate.CubicSpline(times, s), float(times[-1]), start_pose, boundaries_s)
 
 
-def _guess_along(path: PiecewisePolynomial, duration: float, start_pose: np.ndarray) -> Guess:
-    """Return a path as a guess whose efforts follow from inverse dynamics."""
+def guess_along(
+    path: PiecewisePolynomial,
+    duration: float,
+    start_pose: np.ndarray,
+    boundaries_s: np.ndarray | None = None,
+    *,
+    swings: int = 1,
+) -> Guess:
+    """Return a path, also one of scipy's splines, as a guess whose efforts follow from inverse dynamics."""
     return Guess(
         position=path,
         velocity=path.derivative(1),
@@ -188,6 +187,23 @@ def _guess_along(path: PiecewisePolynomial, duration: float, start_pose: np.ndar
         effort=None,
         duration_s=duration,
         start_pose=start_pose,
+        boundaries_s=boundaries_s,
+        swings=swings,
+    )
+
+
+def stretched(guess: Guess, duration: float) -> Guess:
+    """Return a guess slowed or hastened to a duration, its efforts left to inverse dynamics."""
+    factor = guess.duration_s / duration
+    return Guess(
+        position=lambda t: guess.position(factor * t),
+        velocity=lambda t: factor * guess.velocity(factor * t),
+        acceleration=lambda t: factor**2 * guess.acceleration(factor * t),
+        effort=None,
+        duration_s=duration,
+        start_pose=guess.start_pose,
+        boundaries_s=None if guess.boundaries_s is None else guess.boundaries_s / factor,
+        swings=guess.swings,
     )
 
 
@@ -204,7 +220,7 @@ def swinging_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[Guess
     for via, at in ((motion.start - 0.5 * way, 0.4), (motion.goal + 0.5 * way, 0.6)):
         states = np.array([motion.start, via, motion.goal])
         path = PiecewisePolynomial.through(np.array([0.0, at * duration, duration]), states, np.zeros_like(states))
-        guess = _guess_along(path, duration, start_pose)
+        guess = guess_along(path, duration, start_pose)
         if closes(problem, guess):
             yield guess
 

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from linkplan.planner.certificate.flow import INTEGRATION_RTOL, Rate, called, flows, side_by_side
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL, called, flow, side_by_side
 from linkplan.planner.certificate.integration import RESTART_GROWTH, relative_violation
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
@@ -103,24 +103,20 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
     n, widths, inputs = len(breaks) - 1, np.diff(breaks), _inputs(trajectory)
     errors, spent, beyond = np.full((n, n_x), np.inf), np.full(n, np.inf), np.full(n, np.inf)
     function = _rate_on(problem, trajectory.effort.shape[0])
-
-    def rate_on(k: int) -> Rate:
-        return called(function, inputs[k], widths[k])
-
-    begin = np.append(planned[0], 0.0)
-    shares, until, end = np.append(points[:-1], 1.0), problem.solver.certificate_deadline, begin[:n_x]
-    for k, reached in enumerate(flows(rate_on, breaks, begin, shares, until)):
+    state, shares, until = np.append(planned[0], 0.0), np.append(points[:-1], 1.0), problem.solver.certificate_deadline
+    for k in range(n):
+        reached = flow(called(function, inputs[k], widths[k]), widths[k], state, shares, until)
         if reached is None:
             return IntegratedOde(
                 errors=errors, defects=errors, objective=np.inf, misjudged=spent, beyond=np.full(n, np.inf), restarts=0
             )
-        inside, end = reached[:, :n_x], reached[-1, :n_x]
-        errors[k] = np.abs(end - planned[k + 1]) / size
-        spent[k] = reached[-1, n_x]
-        beyond[k] = relative_violation(inside, problem.state_limit.T, size)
+        state = reached[-1]
+        errors[k] = np.abs(state[:n_x] - planned[k + 1]) / size
+        spent[k] = state[n_x]
+        beyond[k] = relative_violation(reached[:, :n_x], problem.state_limit.T, size)
     with np.errstate(invalid="ignore"):
         defects = np.abs(np.diff(np.vstack([np.zeros(n_x), errors]), axis=0))
-    objective, misjudged = _costs(problem, trajectory, spent, end)
+    objective, misjudged = _costs(problem, trajectory, spent, state[:n_x])
     return IntegratedOde(errors=errors, defects=defects, objective=objective, misjudged=misjudged, beyond=beyond, restarts=0)
 
 

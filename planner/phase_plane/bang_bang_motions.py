@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.closed_chain.guess import Guess
+from linkplan.planner.closed_chain.guess import Guess, guess_along, stretched
 from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
@@ -318,16 +318,8 @@ def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) 
         half = 2 * np.array(visited)[k]
         return np.where(pushed[k, None] > 0, plane.effort[+1][half], plane.effort[-1][half])
 
-    guess = Guess(
-        position=path,
-        velocity=path.derivative(1),
-        acceleration=path.derivative(2),
-        effort=None,
-        duration_s=float(t[-1]),
-        start_pose=start_pose,
-        boundaries_s=t[boundaries] if len(boundaries) > 2 else None,
-        swings=sum(len(legs) for legs in ways),
-    )
+    passed = t[boundaries] if len(boundaries) > 2 else None
+    guess = guess_along(path, float(t[-1]), start_pose, passed, swings=sum(len(legs) for legs in ways))
     top = np.where(np.array(v) > 0, plane.top[+1][visited], plane.top[-1][visited])
     if np.any((0.5 * np.square(v) >= (1 - _SAME_ENERGY_SHARE) * top) & (top > 0)):
         return guess  # along speed limits efforts are what these ask for
@@ -335,18 +327,3 @@ def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) 
     ends = np.sort(np.concatenate([t[switched], t[boundaries]]))
     bang_efforts = effort_at(0.5 * (ends[1:] + ends[:-1]))
     return replace(guess, effort=effort_at, switch_times_s=t[switched], bang_efforts=bang_efforts)
-
-
-def stretched(guess: Guess, duration: float) -> Guess:
-    """Return a guess slowed or hastened to a duration, its efforts left to inverse dynamics."""
-    factor = guess.duration_s / duration
-    return Guess(
-        position=lambda t: guess.position(factor * t),
-        velocity=lambda t: factor * guess.velocity(factor * t),
-        acceleration=lambda t: factor**2 * guess.acceleration(factor * t),
-        effort=None,
-        duration_s=duration,
-        start_pose=guess.start_pose,
-        boundaries_s=None if guess.boundaries_s is None else guess.boundaries_s / factor,
-        swings=guess.swings,
-    )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess
+from linkplan.planner.closed_chain.guess import Guess, guess_along
 from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
 from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem
@@ -151,12 +151,4 @@ def _guess(part: Part, duration: float, position: np.ndarray, velocity: np.ndarr
     path = scipy.interpolate.CubicHermiteSpline(times, position[:, None], velocity[:, None])
     # Speeds below a fiftieth of the largest are no swing.
     way = np.sign(velocity[np.abs(velocity) > 0.02 * np.abs(velocity).max()])
-    return Guess(
-        position=path,
-        velocity=path.derivative(1),
-        acceleration=path.derivative(2),
-        effort=None,
-        duration_s=duration,
-        start_pose=start_pose,
-        swings=1 + int(np.count_nonzero(np.diff(way))),
-    )
+    return guess_along(path, duration, start_pose, swings=1 + int(np.count_nonzero(np.diff(way))))

@@ -11,7 +11,7 @@ held along it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -303,10 +303,7 @@ def _legs(field: LegField, part: Part, later: float, deadline: Deadline) -> list
     if not low < high or not apart(low) < 0 < apart(high):
         return None
     switch = way * scipy.optimize.brentq(apart, low, high)
-    one = _cut(ahead, 0.0, ahead.time_at(switch), later)
-    two = _cut(back, back.time_at(switch), 0.0, later + one.end - back.time_at(switch))
+    one = replace(ahead, begin=0.0, end=ahead.time_at(switch), later=later)
+    begin = back.time_at(switch)
+    two = replace(back, begin=begin, end=0.0, later=later + one.end - begin)
     return [one, two] if one.is_possible() and two.is_possible() else None
-
-
-def _cut(leg: Leg, begin: float, end: float, later: float) -> Leg:
-    return Leg(field=leg.field, state=leg.state, steps=leg.steps, towards=leg.towards, begin=begin, end=end, later=later)

@@ -93,51 +93,20 @@ def _rubs(corner: Corner) -> bool:
     return any(d or c for _, d, c in corner.friction)
 
 
-def corner_efforts(
-    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
-) -> list[ca.SX]:
-    """Return the efforts (n_u,) that a motion (q, v, a) needs at each corner.
-
-    With more actuators than degrees of freedom, many efforts give one motion. A corner then needs the plan's efforts plus
-    the least efforts that compensate the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). With fewer
-    actuators, the corner must differ only by what actuators can compensate: friction at driven joints and the torque
-    constant (`corner_out_of_reach`). The same expression gives these efforts, since (Gamma^T B)^+ Gamma^T B = 1.
-
-    Args:
-        mechanism: its actuators move every degree of freedom, or are independent of one another.
-        corners: of the ranges.
-        call: calls a function of the nominal reduced dynamics by name.
-        payload: its numbers (7,); empty without a payload.
-        motion: q (n_q,), v and a (n_s,), and the plan's efforts u (n_u,).
-    """
-    q, v, a, u = motion
-    effort_map = call("effort_map", q)
-    found = []
-    for corner, tau in zip(corners, _needed(mechanism, corners, call, payload, (q, v, a)), strict=True):
-        if mechanism.n_u == mechanism.dof:
-            found.append(ca.solve(effort_map, tau) / corner.torque_factor)
-        else:
-            found.append(u + ca.pinv(effort_map) @ (tau / corner.torque_factor - effort_map @ u))
-    return found
-
-
-def _needed(
-    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
-) -> list[ca.SX]:
-    """Return the generalised efforts (n_s,) of a motion (q, v, a) at each corner, before division by the torque factor."""
-    q, v, a = motion
-    gamma = call("velocity_map", q)
-    rates = gamma @ v
+def _needed(at: "Instant", corners: Sequence[Corner]) -> list[ca.SX]:
+    """Return the generalised efforts (n_s,) of an instant's motion at each corner, before division by the torque factor."""
+    gamma = at.call("velocity_map", at.q)
+    rates = gamma @ at.v
     modelled: dict[float, ca.SX] = {}
     found = []
     for corner in corners:
         factor = corner.payload_factor
         if factor not in modelled:
             if factor == 1:
-                modelled[factor] = call("inverse_dynamics", q, v, a)
+                modelled[factor] = at.call("inverse_dynamics", at.q, at.v, at.a)
             else:
-                scaled = ca.vertcat(factor * payload[0], payload[1:4], factor * payload[4:7])
-                modelled[factor] = mechanism.parametric_dynamics().inverse_dynamics(q, v, a, scaled)
+                scaled = ca.vertcat(factor * at.payload[0], at.payload[1:4], factor * at.payload[4:7])
+                modelled[factor] = at.mechanism.parametric_dynamics().inverse_dynamics(at.q, at.v, at.a, scaled)
         tau = modelled[factor]
         for joint, viscous, coulomb in corner.friction:
             tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
@@ -150,7 +119,9 @@ def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corn
 
     The criterion is (1 - P P^+) (tau_c - tau) = 0 with P = Gamma^T B, for random motions at home and at a pose close to it.
     """
-    function = _needed_function(mechanism, (Corner(), *corners))
+    at, symbols = free_instant(mechanism)
+    needed = ca.horzcat(*_needed(at, (Corner(), *corners)))
+    function = ca.Function("needed", symbols[:3], [ca.densify(needed)])
     rng = np.random.default_rng(0)
     beside = mechanism.home[mechanism.independent] + 0.05 * rng.normal(size=mechanism.dof)
     try:
@@ -176,26 +147,8 @@ def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v
 
 @functools.lru_cache(maxsize=16)
 def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
-    motion, payload = _symbols(mechanism)
-    efforts = corner_efforts(mechanism, corners, _calls(mechanism), payload, motion)
-    return ca.Function("corners", list(motion), [ca.densify(ca.vertcat(*efforts))])
-
-
-def _needed_function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
-    motion, payload = _symbols(mechanism)
-    needed = _needed(mechanism, corners, _calls(mechanism), payload, motion[:3])
-    return ca.Function("needed", list(motion[:3]), [ca.densify(ca.horzcat(*needed))])
-
-
-def _symbols(mechanism: Mechanism) -> tuple[tuple[ca.SX, ...], ca.SX]:
-    """Return q, v, a, u as symbols, and the payload's numbers."""
-    sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
-    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
-    return tuple(ca.SX.sym(name, size) for name, size in sizes.items()), payload
-
-
-def _calls(mechanism: Mechanism) -> Callable[..., ca.SX]:
-    return lambda name, *x: getattr(mechanism.dynamics, name)(*x)
+    at, symbols = free_instant(mechanism)
+    return ca.Function("corners", symbols[:4], [ca.densify(ca.vertcat(*at.corner_efforts(corners)))])
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -296,11 +249,22 @@ class Instant:
         return ca.fmax(0, self.u * self.actuator_speeds) if self.positive_power is None else self.positive_power
 
     def corner_efforts(self, corners: Sequence[Corner]) -> list[ca.SX]:
-        """Return the efforts (n_u,) that the motion needs at each corner of the ranges in [robust]."""
+        """Return the efforts (n_u,) that the motion needs at each corner of the ranges in [robust].
+
+        With more actuators than degrees of freedom, many efforts give one motion. A corner then needs the plan's efforts
+        plus the least efforts that compensate the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). With
+        fewer actuators, the corner must differ only by what actuators can compensate: friction at driven joints and the
+        torque constant (`corner_out_of_reach`). The same expression gives these efforts, since (Gamma^T B)^+ Gamma^T B = 1.
+        """
         key = tuple(corners)
         if key not in self._kept:
-            motion = (self.q, self.v, self.a, self.u)
-            self._kept[key] = corner_efforts(self.mechanism, key, self.call, self.payload, motion)
+            effort_map, found = self.call("effort_map", self.q), []
+            for corner, tau in zip(key, _needed(self, key), strict=True):
+                if self.mechanism.n_u == self.mechanism.dof:
+                    found.append(ca.solve(effort_map, tau) / corner.torque_factor)
+                else:
+                    found.append(self.u + ca.pinv(effort_map) @ (tau / corner.torque_factor - effort_map @ self.u))
+            self._kept[key] = found
         return self._kept[key]
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from linkplan.models.poses.along import sampled
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along
-from linkplan.planner.phase_plane.bang_bang_motions import stretched
+from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along, stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
-from linkplan.planner.phase_plane.bang_bang_motions import stretched
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, stretched
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess

@@ -11,9 +11,8 @@ import numpy as np
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.further_checks import objective_value
-from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.closed_chain.guess import motion_of, stretched
 from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
-from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import certified, without_solving
