@@ -47,8 +47,7 @@ def reductions(transfer: Transfer) -> list[tuple[int, float, float]]:
     motors = np.argmax(np.abs(mean), axis=0)
     if len(set(motors.tolist())) < n_o:
         return []
-    mechanism = transfer.outputs.mechanism
-    home = mechanism.home[mechanism.independent[list(transfer.outputs.columns)]]
+    home = transfer.outputs.home
     found = []
     for k, j in enumerate(motors.tolist()):
         reduction = float(mean[j, k])

@@ -98,7 +98,7 @@ def transfer_record(transfer: Transfer) -> dict:
         "ends": ends,
         "dead_centres": [{"motor": outputs.actuators[m].name, "position": x} for m, x in table.dead_centres],
         "home": {
-            "joint_position": outputs.mechanism.home[outputs.mechanism.independent[list(outputs.columns)]],
+            "joint_position": outputs.home,
             **{name: getattr(home, name)[0] for name in ("motor_position", "ratio", "inertia", "armature", "damping")},
             **{name: getattr(home, name)[0] for name in ("friction", "gravity")},
             "effort_box": effort_box(home.ratio, transfer.effort_limit)[0],
@@ -182,8 +182,7 @@ def table_plots(transfer: Transfer) -> list[Plot | Plane]:
 def _curves(transfer: Transfer, k: int) -> list[Plot]:
     grid, outputs = transfer.table.grid, transfer.outputs
     joint, several = outputs.joints[k], len(outputs.joints) > 1
-    home = outputs.mechanism.home[outputs.mechanism.independent[list(outputs.columns)]]
-    points = np.tile(home, (_PLOT_SAMPLES, 1))
+    points = np.tile(outputs.home, (_PLOT_SAMPLES, 1))
     points[:, k] = np.linspace(grid.axes[k][0], grid.axes[k][-1], _PLOT_SAMPLES)
     x = np.array([joint.shown(value) for value in points[:, k]])
     found = []
@@ -217,8 +216,7 @@ def _polytope(transfer: Transfer) -> Plane:
     import scipy.spatial
 
     grid, (first, second) = transfer.table.grid, transfer.outputs.joints
-    mechanism = transfer.outputs.mechanism
-    home = mechanism.home[mechanism.independent[list(transfer.outputs.columns)]]
+    home = transfer.outputs.home
     places = [("at home", home)]
     for k, joint in enumerate((first, second)):
         for end in (0, -1):
