@@ -56,13 +56,7 @@ def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], at_zero:
         if used & joints:
             names.append(f"the coupling of {' and '.join(sorted(used))}")
             spec.delete(closure)
-    acting = [one for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_JOINT and one.target in joints]
-    names += [f"actuator {one.name or 'on ' + one.target}" for one in acting]
-    gone = {mujoco.mjtObj.mjOBJ_JOINT: joints, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
-    sensing = [one for one in spec.sensors if one.objname in gone.get(one.objtype, ())]
-    for one in [*acting, *sensing]:
-        spec.delete(one)
-    return names
+    return names + _delete_drives(spec, mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtObj.mjOBJ_JOINT, joints)
 
 
 def _leave_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon", joints: set[str]) -> None:
@@ -81,14 +75,20 @@ def _leave_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon", joints
 
 def _delete_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon") -> list[str]:
     """Delete a tendon with its equalities, actuators and sensors, and return the actuators' names."""
-    kind = mujoco.mjtObj.mjOBJ_TENDON
-    acting = [one for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_TENDON and one.target == tendon.name]
+    gone, tied = {tendon.name}, mujoco.mjtEq.mjEQ_TENDON
+    names = _delete_drives(spec, mujoco.mjtTrn.mjTRN_TENDON, mujoco.mjtObj.mjOBJ_TENDON, gone)
+    for one in [one for one in spec.equalities if one.type == tied and gone & {one.name1, one.name2}]:
+        spec.delete(one)
+    spec.delete(tendon)
+    return names
+
+
+def _delete_drives(spec: mujoco.MjSpec, transmission: mujoco.mjtTrn, kind: mujoco.mjtObj, gone: set[str]) -> list[str]:
+    """Delete the actuators on elements of a kind that go, with the sensors of both, and return the actuators' names."""
+    acting = [one for one in spec.actuators if one.trntype == transmission and one.target in gone]
     names = [f"actuator {one.name or 'on ' + one.target}" for one in acting]
-    gone = {kind: {tendon.name}, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
-    sensing = [one for one in spec.sensors if one.objname in gone.get(one.objtype, ())]
-    tied = mujoco.mjtEq.mjEQ_TENDON
-    tying = [one for one in spec.equalities if one.type == tied and tendon.name in (one.name1, one.name2)]
-    for one in [*acting, *sensing, *tying, tendon]:
+    lost = {kind: gone, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
+    for one in [*acting, *(one for one in spec.sensors if one.objname in lost.get(one.objtype, ()))]:
         spec.delete(one)
     return names
 

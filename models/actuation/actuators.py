@@ -68,6 +68,11 @@ class Actuator:
         return self.gains[0]
 
     @property
+    def si_units(self) -> tuple[str, str]:
+        """The SI units of its length and of its effort."""
+        return "rad" if self.unit == "N.m" else "m", self.unit
+
+    @property
     def is_servo(self) -> bool:
         """True if its effort at a given ctrl depends on its length or speed."""
         return any(self.gains[1:]) or any(self.biases[1:])

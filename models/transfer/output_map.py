@@ -51,10 +51,19 @@ class OutputMap:
         """The motors' effort limits (n_m, 2) [N.m or N]."""
         return self.mechanism.effort_limit[list(self.motors)]
 
+    @property
+    def coordinates(self) -> np.ndarray:
+        """The outputs' places (n_o,) among all coordinates q."""
+        return self.mechanism.independent[list(self.columns)]
+
+    @property
+    def home(self) -> np.ndarray:
+        """The outputs' positions (n_o,) at home [rad or m]."""
+        return self.mechanism.home[self.coordinates]
+
     def independent(self, s: np.ndarray) -> np.ndarray:
         """Return all independent positions (n, n_s) for the outputs' positions s (n, n_o), the others at home."""
-        home = self.mechanism.home[self.mechanism.independent]
-        whole = np.tile(home, (len(s), 1))
+        whole = np.tile(self.mechanism.home[self.mechanism.independent], (len(s), 1))
         whole[:, list(self.columns)] = s
         return whole
 
@@ -117,17 +126,24 @@ def _slopes(outputs: OutputMap) -> tuple[ca.Function, ca.Function]:
     return ca.Function("ratio_slope", [q], [ca.densify(slope)]), ca.Function("damping", [q], [ca.densify(loss)])
 
 
+def motor_map(outputs: OutputMap, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the motors' positions (n, n_m) and G (n, n_m, n_o) at closed poses q (n, n_q)."""
+    dynamics, motors = outputs.mechanism.dynamics, list(outputs.motors)
+    ratio = sampled(dynamics.effort_map, q)[:, list(outputs.columns)][:, :, motors].transpose(0, 2, 1)
+    return sampled(dynamics.actuator_length, q)[:, motors, 0], ratio
+
+
 def transmission(outputs: OutputMap, q: np.ndarray) -> Transmission:
     """Return the linkage's quantities at closed poses q (n, n_q)."""
-    mechanism, columns, motors = outputs.mechanism, list(outputs.columns), list(outputs.motors)
-    dynamics, n, n_m, n_o = mechanism.dynamics, len(q), len(motors), len(columns)
+    mechanism, columns, (motor_position, ratio) = outputs.mechanism, list(outputs.columns), motor_map(outputs, q)
+    dynamics, (n, n_m, n_o) = mechanism.dynamics, ratio.shape
     slope, loss = _slopes(outputs)
     gamma = sampled(dynamics.velocity_map, q)[:, :, columns]
     speeds = np.stack([mechanism.qvel_of(q, gamma[:, :, k]) for k in range(n_o)], axis=-1)  # (n, nv, n_o)
     block = (slice(None), *np.ix_(columns, columns))
     return Transmission(
-        motor_position=sampled(dynamics.actuator_length, q)[:, motors, 0],
-        ratio=sampled(dynamics.effort_map, q)[:, columns][:, :, motors].transpose(0, 2, 1),
+        motor_position=motor_position,
+        ratio=ratio,
         ratio_slope=sampled(slope, q).reshape(n, n_o, n_m, n_o).transpose(0, 2, 1, 3),
         inertia=sampled(dynamics.reduced_inertia, q)[block],
         armature=np.einsum("nvi,v,nvj->nij", speeds, joint_armature(mechanism.model), speeds),

@@ -16,19 +16,13 @@ class KnownPoses:
 
     def __init__(self, outputs: OutputMap) -> None:
         self.outputs = outputs
-        home = outputs.mechanism.home
-        self.poses = np.array([home])
-        self.points = self.poses[:, self._output_joints]
-
-    @property
-    def _output_joints(self) -> np.ndarray:
-        return self.outputs.mechanism.independent[list(self.outputs.columns)]
+        self.poses, self.points = outputs.mechanism.home[None], outputs.home[None]
 
     def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the poses (n, n_q) at output positions (n, n_o), NaN where the loops open, and each point's status (n,)."""
         mechanism = self.outputs.mechanism
-        unit = step_sizes(mechanism)[self._output_joints]
-        distance = np.linalg.norm((points - mechanism.home[self._output_joints]) / unit, axis=1)
+        unit = step_sizes(mechanism)[self.outputs.coordinates]
+        distance = np.linalg.norm((points - self.outputs.home) / unit, axis=1)
         found = self.near(points)
         self._keep(found)
         left = [k for k in np.argsort(distance, kind="stable").tolist() if np.isnan(found[k, 0])]
@@ -45,7 +39,7 @@ class KnownPoses:
         import scipy.spatial
 
         step_size = step_sizes(self.outputs.mechanism)
-        unit = step_size[self._output_joints]
+        unit = step_size[self.outputs.coordinates]
         _, nearest = scipy.spatial.KDTree(self.points / unit).query(points / unit)
         if self.outputs.mechanism.projected:  # overconstrained loops fold unseen in a single stride
             return np.full((len(points), self.poses.shape[1]), np.nan)
@@ -54,7 +48,7 @@ class KnownPoses:
     def _keep(self, found: np.ndarray) -> None:
         closed = found[np.isfinite(found[:, 0])] if len(found) else found
         self.poses = np.concatenate([self.poses, closed])
-        self.points = self.poses[:, self._output_joints]
+        self.points = self.poses[:, self.outputs.coordinates]
 
     def _status(self, found: np.ndarray) -> np.ndarray:
         mechanism = self.outputs.mechanism

@@ -95,7 +95,7 @@ def _transition(outputs: OutputMap, joints: Sequence[int]) -> np.ndarray:
 def _joint_friction(serial: SerialModel, v: np.ndarray) -> np.ndarray:
     """Return the dry friction (n, n_o) that the serial model's joints carry in place of the linkage."""
     tree = serial.outputs
-    return serial.friction * np.tanh(v / _transition(tree, tree.mechanism.independent[list(tree.columns)].tolist()))
+    return serial.friction * np.tanh(v / _transition(tree, tree.coordinates.tolist()))
 
 
 def serial_errors(

@@ -6,11 +6,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from linkplan.models.errors import ModelError
-from linkplan.models.poses.along import sampled
 from linkplan.models.poses.inverse_kinematics import ARRIVED_SHARE
 from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.transfer.grid import Grid, adaptive_grid
-from linkplan.models.transfer.output_map import OutputMap, transmission
+from linkplan.models.transfer.output_map import OutputMap, motor_map, transmission
 from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, KnownPoses
 
 # The share of the reach that a table keeps from a singular pose, where G has no limit.
@@ -105,7 +104,7 @@ def _refined(outputs: OutputMap) -> list[str]:
 
 def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] | None) -> tuple[End, End]:
     """Return the ends of an axis: those asked for, or the reach less a margin to singular poses."""
-    joint, home = outputs.joints[k], float(outputs.mechanism.home[outputs.mechanism.independent[outputs.columns[k]]])
+    joint, home = outputs.joints[k], float(outputs.home[k])
     low, high = found.lower.position, found.upper.position
     if found.turns_fully:  # once around
         half = 0.5 * (high - low) / 2
@@ -178,7 +177,7 @@ def _joint_positions(
         active = np.flatnonzero(~done & np.isfinite(s).all(axis=1))
         if len(active) == 0:
             break
-        motor, ratio = _motor_positions(outputs, poses.near(s[active]))
+        motor, ratio = motor_map(outputs, poses.near(s[active]))
         off = wanted[active] - motor
         there = np.isfinite(off).all(axis=1)
         step = np.full(off.shape, np.nan)
@@ -187,10 +186,3 @@ def _joint_positions(
         done[active] = np.abs(off / unit).max(axis=1) < ARRIVED_SHARE
     s[~done] = np.nan
     return s
-
-
-def _motor_positions(outputs: OutputMap, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the motors' positions (n, n_m) and G (n, n_m, n_o) at poses q."""
-    dynamics, motors, columns = outputs.mechanism.dynamics, list(outputs.motors), list(outputs.columns)
-    ratio = sampled(dynamics.effort_map, q)[:, columns][:, :, motors].transpose(0, 2, 1)
-    return sampled(dynamics.actuator_length, q)[:, motors, 0], ratio

@@ -74,6 +74,21 @@ class Joint:
         """The unit of the joint's position in files and messages."""
         return "deg" if self.kind == "hinge" else "m"
 
+    @property
+    def si_units(self) -> tuple[str, str]:
+        """The SI units of a position and of an effort."""
+        return ("rad", "N.m") if self.kind == "hinge" else ("m", "N")
+
+    @property
+    def inertia_unit(self) -> str:
+        """The unit of an inertia along the joint."""
+        return "kg m2" if self.kind == "hinge" else "kg"
+
+    @property
+    def gain_units(self) -> tuple[str, str]:
+        """The units of a stiffness and of a damping."""
+        return ("N.m/rad", "N.m.s/rad") if self.kind == "hinge" else ("N/m", "N.s/m")
+
     def shown(self, position: float) -> float:
         """Return a position [rad or m] in the unit of files and messages."""
         return float(np.degrees(position)) if self.kind == "hinge" else float(position)

@@ -270,8 +270,8 @@ class Tracking:
 
     def gains_text(self, joints: Sequence[Joint] = ()) -> str:
         """Return kp and kd as text: one number, or one for each joint by name; with units if all joints are of one kind."""
-        kinds = {joint.kind for joint in joints}
-        per = {"hinge": ("N.m/rad", "N.m.s/rad"), "slide": ("N/m", "N.s/m")}[kinds.pop()] if len(kinds) == 1 else ("", "")
+        units = {joint.gain_units for joint in joints}
+        per = units.pop() if len(units) == 1 else ("", "")
 
         def gain_text(given: float | Mapping[str, float], unit: str) -> str:
             if not isinstance(given, Mapping):

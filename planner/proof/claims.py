@@ -155,7 +155,7 @@ def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
     acceleration = np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max(axis=0)
     allowed = max(DYNAMICS_SHARE * float(largest.max(initial=0.0)), 1e-12, 1e-6 * float((inertia @ acceleration).max()))
     for i, joint in enumerate(mechanism.independent_joints):
-        name, unit = f"effort on {joint.name} that the planned effort lacks", "N.m" if joint.kind == "hinge" else "N"
+        name, unit = f"effort on {joint.name} that the planned effort lacks", joint.si_units[1]
         lacking = of_kinetics(lambda kinetics, i=i: kinetics.residual[i])
         yield claim_of(name, unit, (0.0, 0.0), lacking, (allowed, allowed))
 

@@ -82,7 +82,7 @@ def _margins(study: BodeStudy) -> Table:
     """Return the table of margins, a row for each loop and pose."""
     mechanism = study.mechanism
     several = len(mechanism.channels) > 1
-    inertias = " or ".join(dict.fromkeys("kg m2" if j.kind == "hinge" else "kg" for j in mechanism.independent_joints))
+    inertias = " or ".join(dict.fromkeys(joint.inertia_unit for joint in mechanism.independent_joints))
     heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
     heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
     heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]

@@ -26,7 +26,7 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
     """Return a stability map; `marked` are gains (name, kp, kd), by default those of the study."""
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
-    stiffness, damping = ("N.m/rad", "N.m.s/rad") if joint.kind == "hinge" else ("N/m", "N.s/m")
+    stiffness, damping = joint.gain_units
     right, tried = agreement(found)
     delay = f", delay {found.timing.delay_s:g} s" if found.timing.delay_steps else ""
     rows = [
@@ -44,7 +44,7 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
     at = np.array([joint.shown(point.state[0]) for point in found.points])
     axis = Axis(label=joint.name, unit=joint.unit)
     inertia = np.array([float(point.inertia[0, 0]) for point in found.points])
-    heads = [f"inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]", f"least kd [{damping}]", f"largest kd [{damping}]"]
+    heads = [f"inertia [{joint.inertia_unit}]", f"least kd [{damping}]", f"largest kd [{damping}]"]
     stable = zip(at, inertia, *study.critical.T, strict=True)
     table = table_of(f"Stable kd at kp = {study.kp:g} {stiffness}", [(joint.name, joint.unit), *heads], list(stable))
     lines = [Line(name=f"largest stable kd at kp = {study.kp:g}", values=high, unit=damping, colour=4)]

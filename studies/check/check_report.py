@@ -38,19 +38,9 @@ class Column:
         return f"{self.head} {text}{'' if self.unit == '1' else f' {self.unit}'}"
 
 
-def effort_unit(joint: Joint) -> str:
-    """Return the unit of the effort on a joint."""
-    return "N.m" if joint.kind == "hinge" else "N"
-
-
-def inertia_unit(joint: Joint) -> str:
-    """Return the unit of the inertia along a joint."""
-    return "kg m2" if joint.kind == "hinge" else "kg"
-
-
 def ratio_unit(joint: Joint, actuator_unit: str) -> str:
     """Return the unit of the effort on a joint per effort of an actuator, for example metres for a force on a hinge."""
-    if effort_unit(joint) == actuator_unit:
+    if joint.si_units[1] == actuator_unit:
         return "1"
     return "m" if joint.kind == "hinge" else "1/m"
 
@@ -127,10 +117,10 @@ def quantities(path: KinematicLoopPath) -> list[Column]:
         ]
     rows += _inertias(path)
     weight, hold, available = (_scale(x) for x in (path.gravity_effort, path.holding_effort, path.available_effort))
-    rows += [(f"weight alone {j.name}", effort_unit(j), path.gravity_effort[:, i], weight) for i, j in independent]
+    rows += [(f"weight alone {j.name}", j.si_units[1], path.gravity_effort[:, i], weight) for i, j in independent]
     rows += [(f"hold {actuator.name}", actuator.unit, path.holding_effort[:, j], hold) for j, actuator in actuators]
     if actuators:
-        rows += [(f"available {j.name}", effort_unit(j), path.available_effort[:, i], available) for i, j in independent]
+        rows += [(f"available {j.name}", j.si_units[1], path.available_effort[:, i], available) for i, j in independent]
     if len(mechanism.dependent):
         rows.append(("det J_z/home", "1", path.singularity, _scale(path.singularity)))
     force = _scale(path.closure_force)
@@ -146,7 +136,7 @@ def _inertias(path: KinematicLoopPath) -> list[tuple[str, str, np.ndarray, float
     for i in path.mechanism.channels:
         joint = path.mechanism.independent_joints[i]
         also = "".join(f" = at {actuator.name}" for j, actuator in enumerate(actuators) if same[j] == i)
-        rows.append((f"inertia {joint.name}{also}", inertia_unit(joint), own[:, i], _scale(own[:, i])))
+        rows.append((f"inertia {joint.name}{also}", joint.inertia_unit, own[:, i], _scale(own[:, i])))
     for j, actuator in enumerate(actuators):
         if same[j] is None:
             values, unit = path.reflected_inertia[:, j], "kg m2" if actuator.unit == "N.m" else "kg"
@@ -203,6 +193,6 @@ def unheld_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list
             k = int(np.argmax(missing))
             said.append(
                 f"no actuator holds {joint.name} still in {int(beyond.sum())} of {len(missing)} poses:"
-                f" {missing[k]:.4g} {effort_unit(joint)} are missing at {_pose(path, k)}"
+                f" {missing[k]:.4g} {joint.si_units[1]} are missing at {_pose(path, k)}"
             )
     return said

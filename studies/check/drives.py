@@ -13,7 +13,6 @@ from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.passive import is_gas_spring
-from linkplan.studies.check.check_report import effort_unit
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
@@ -60,7 +59,7 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     gas = any(is_gas_spring(model, a) for a in range(model.nactuator))
     if gas or np.any(model.jnt_stiffness) or weight > 0.01 * np.abs(ends).max():
         return None
-    unit, damped = effort_unit(joint), is_damped(mechanism, mechanism.home, column)
+    unit, damped = joint.si_units[1], is_damped(mechanism, mechanism.home, column)
     moves = "turns" if joint.kind == "hinge" else "pushes"
     pushes = " and ".join(
         f"{a.name}, on {a.target}, only {moves} it one way, by {_ends(found)} {unit} at home" for a, found in acting
@@ -149,7 +148,7 @@ def feeble_drives(mechanism: Mechanism) -> list[str]:
         for actuator, own in largest:
             if strongest is not None and np.isfinite(most) and 0 < own < 1e-3 * most:
                 said.append(
-                    f"actuator {actuator.name} adds almost nothing on joint {joint.name}: {own:.3g} {effort_unit(joint)}"
+                    f"actuator {actuator.name} adds almost nothing on joint {joint.name}: {own:.3g} {joint.si_units[1]}"
                     f" at its limit at home, against {most:.3g} of {strongest.name}"
                 )
     return said

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.models.poses.reach import Reach
-from linkplan.studies.check.check_report import effort_unit, inertia_unit
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.plan_blocks import figure
@@ -82,12 +81,10 @@ def _poses(found: Inspection) -> list[Table]:
     independent = mechanism.independent_joints
     heads: list = [(joint.name, joint.unit) for joint in mechanism.joints]
     heads += [
-        (f"M_{a.name}{b.name}", inertia_unit(a) if a is b else "")
-        for i, a in enumerate(independent)
-        for b in independent[i:]
+        (f"M_{a.name}{b.name}", a.inertia_unit if a is b else "") for i, a in enumerate(independent) for b in independent[i:]
     ]
-    heads += [(f"weight alone {joint.name}", effort_unit(joint)) for joint in independent]
-    heads += [(f"hold all {joint.name}", effort_unit(joint)) for joint in independent]
+    heads += [(f"weight alone {joint.name}", joint.si_units[1]) for joint in independent]
+    heads += [(f"hold all {joint.name}", joint.si_units[1]) for joint in independent]
     heads += [(f"{a.name}->{joint.name}", "") for a in mechanism.actuators for joint in independent]
     rows = []
     for point in found.points:

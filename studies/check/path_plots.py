@@ -11,7 +11,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach, toggles
 from linkplan.models.tree.joints import Joint
-from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
+from linkplan.studies.check.check_report import ratio_unit
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure, most_poses, thinned
 from linkplan.studies.output.document import Axis, Plot
@@ -114,21 +114,22 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     shown = mechanism.channels if path.coordinate is None or not many else (path.coordinate,)
     joints = [(k, mechanism.independent_joints[k]) for k in shown]
 
-    def own(values: np.ndarray, unit, suffix: str = "") -> list[Line]:
-        return [_line(f"{joint.name}{suffix}", values[:, i], unit(joint)) for i, joint in joints]
+    def own(values: np.ndarray, suffix: str = "") -> list[Line]:
+        return [_line(f"{joint.name}{suffix}", values[:, i], joint.si_units[1]) for i, joint in joints]
 
     needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
     rounding = ROUNDING_SHARE * max(np.abs(needed).max(), np.finfo(float).tiny)
     needed = np.where(np.abs(needed) > rounding, needed, 0.0)
-    weights = own(needed, effort_unit)
+    weights = own(needed)
     if np.abs(needed - path.gravity_effort).max() > rounding:  # springs hold, too
-        weights += own(path.gravity_effort, effort_unit, ", weight alone")
+        weights += own(path.gravity_effort, ", weight alone")
     available: list[Line] = []
     if mechanism.actuators:
-        low = own(path.available_effort[:, :, 0], effort_unit, ", least")
-        high = own(path.available_effort[:, :, 1], effort_unit, ", most")
-        available = list(chain.from_iterable(zip(low, high, own(needed, effort_unit, ", holds it still"), strict=True)))
+        low = own(path.available_effort[:, :, 0], ", least")
+        high = own(path.available_effort[:, :, 1], ", most")
+        available = list(chain.from_iterable(zip(low, high, own(needed, ", holds it still"), strict=True)))
     ratios, felt = _actuator_lines(path, joints)
+    inertias = [_line(joint.name, path.reduced_inertia[:, i, i], joint.inertia_unit) for i, joint in joints]
     moved = np.ptp(path.poses, axis=0) > ROUNDING_SHARE * np.ptp(path.poses)
     dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent if moved[k]]
     singular = [_line("least of J_z's blocks", path.singularity, "1")] if mechanism.closure_names else []
@@ -137,7 +138,7 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     kinds: Sequence[tuple[str, str, list[Line], bool]] = (
         ("Dependent joints", "position", followers, False),
         ("Transmission ratio", "ratio", ratios, False),
-        ("Reduced inertia", "inertia", own(path.reduced_inertia.diagonal(axis1=1, axis2=2), inertia_unit), True),
+        ("Reduced inertia", "inertia", inertias, True),
         ("Inertia that an actuator feels", "inertia", felt, True),
         ("Effort that holds it still", "effort", weights, False),
         ("Effort within the actuators' limits", "effort", available, False),

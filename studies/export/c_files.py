@@ -39,13 +39,9 @@ def costs(code: ModelCode) -> list[dict]:
     states = random_states(code.mechanism, _FLOAT_STATES, seed=2)
     found = []
     for one in code.interface:
-        arguments = [states[name] for name in one.inputs]
-        exact = one.function.map(_FLOAT_STATES)(*[a.T for a in arguments])
-        exact = [exact] if one.function.n_out() == 1 else list(exact)
+        rounded = in_single_precision(one.function, *[states[name] for name in one.inputs])
         worst = 0.0
-        for k, (single, double) in enumerate(zip(in_single_precision(one.function, *arguments), exact, strict=True)):
-            columns = np.array(double).reshape(one.function.size1_out(k), _FLOAT_STATES, -1).transpose(1, 2, 0)
-            wanted = columns.reshape(_FLOAT_STATES, -1)
+        for single, wanted in zip(rounded, one.values(states), strict=True):
             worst = max(worst, float(np.abs(single - wanted).max(initial=0.0) / (np.abs(wanted).max(initial=0.0) or 1.0)))
         found.append({"function": one.name, "operations": operations(one.function), "float_error": _FLOAT_MARGIN * worst})
     for one in code.inner:

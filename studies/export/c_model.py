@@ -91,9 +91,9 @@ def model_code(mechanism: Mechanism) -> ModelCode:
 def header_text(code: ModelCode, about: Sequence[str]) -> str:
     """Return the header: conventions, units, and the declaration of every function; `about` are further lines."""
     mechanism, upper = code.mechanism, code.prefix.upper()
-    joints = [f"  q[{k}] {joint.name} [{_unit(joint)}]" for k, joint in enumerate(mechanism.joints)]
+    joints = [f"  q[{k}] {joint.name} [{joint.si_units[0]}]" for k, joint in enumerate(mechanism.joints)]
     joints += [
-        f"  s[{k}] {joint.name} [{_unit(joint)}], effort [{_effort(joint)}]{_passive(mechanism, k)}"
+        f"  s[{k}] {joint.name} [{joint.si_units[0]}], effort [{joint.si_units[1]}]{_passive(mechanism, k)}"
         for k, joint in enumerate(mechanism.independent_joints)
     ]
     joints += [f"  u[{k}] {motor.name} [{motor.unit}]" for k, motor in enumerate(mechanism.actuators)]
@@ -190,11 +190,3 @@ def _close_text(code: ModelCode) -> str:
 
 def _passive(mechanism: Mechanism, k: int) -> str:
     return ", spins freely: any constant will do" if mechanism.independent[k] in mechanism.passive_dofs else ""
-
-
-def _unit(joint) -> str:
-    return "rad" if joint.kind == "hinge" else "m"
-
-
-def _effort(joint) -> str:
-    return "N.m" if joint.kind == "hinge" else "N"

@@ -6,10 +6,11 @@ are cast to the precision, and mathematical functions are called as MATH(sin)(x)
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 # CasADi's helpers that a body may call, as C functions of the precision.
 _HELPERS = {
@@ -32,6 +33,12 @@ class CFunction:
     function: ca.Function
     inputs: Sequence[str]
     outputs: Sequence[str]
+
+    def values(self, states: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+        """Return the outputs (n, numel), matrices row by row, at states (n, ...) by the arguments' names."""
+        n, of = len(states["q"]), self.function
+        found = of.map(n).call([states[name].T for name in self.inputs])
+        return [np.array(x).reshape(of.size1_out(k), n, -1).transpose(1, 2, 0).reshape(n, -1) for k, x in enumerate(found)]
 
     def prototype(self, real: str) -> str:
         """Return the C declaration without its semicolon."""

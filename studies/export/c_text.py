@@ -50,14 +50,10 @@ def tests_text(
     lines += [declared_array(f"static const {real} {name}", value, real) for name, value in states.items() if value.size]
     calls = []
     for one in functions:
-        arguments = [states[name] for name in one.inputs]
-        values = one.function.map(n)(*[a.T for a in arguments])
-        values = [values] if one.function.n_out() == 1 else list(values)
         short = one.name.removeprefix(f"{prefix}_")
         wanted = [f"{short}_{name}" for name in one.outputs]
-        for key, value, k in zip(wanted, values, range(len(values)), strict=True):
-            columns = np.array(value).reshape(one.function.size1_out(k), n, -1).transpose(1, 2, 0)  # (n, columns, rows)
-            lines.append(declared_array(f"static const {real} {key}", columns.reshape(n, -1), real))
+        for key, value in zip(wanted, one.values(states), strict=True):
+            lines.append(declared_array(f"static const {real} {key}", value, real))
         call = ", ".join([*[f"{name}[k]" for name in one.inputs], *[f"found_{key}" for key in wanted]])
         calls += [f"    {real} found_{key}[{one.function.numel_out(k)}];" for k, key in enumerate(wanted)]
         calls += [f"    {one.name}({call});"]

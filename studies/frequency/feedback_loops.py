@@ -349,7 +349,7 @@ def channel_unit(point: OperatingPoint, channel: int) -> str:
     """Return the unit of the effort at which a coordinate's loop is broken."""
     if len(point.mechanism.channels) == 1:
         return point.mechanism.actuators[0].unit
-    return "N.m" if point.mechanism.independent_joints[channel].kind == "hinge" else "N"
+    return point.mechanism.independent_joints[channel].si_units[1]
 
 
 def broken_at(mechanism: Mechanism, channel: int) -> str:
@@ -362,4 +362,4 @@ def quantity_unit(point: OperatingPoint, quantity: str, channel: int) -> str:
     """Return a quantity's unit, output over input."""
     joint = point.mechanism.independent_joints[channel]
     unit = channel_unit(point, channel)
-    return QUANTITIES[quantity].format(q="rad" if joint.kind == "hinge" else "m", u=f"({unit})")
+    return QUANTITIES[quantity].format(q=joint.si_units[0], u=f"({unit})")

@@ -89,7 +89,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     mechanism, motion, when = plan.problem.mechanism, plan.problem.motion, certificate.worst_time_s
     kinds = {joint.kind for joint in mechanism.independent_joints}
     allowed_residual, residual = certificate.dynamics_allowed, certificate.dynamics_residual
-    efforts = " or ".join(dict.fromkeys("N.m" if joint.kind == "hinge" else "N" for joint in mechanism.independent_joints))
+    efforts = " or ".join(dict.fromkeys(joint.si_units[1] for joint in mechanism.independent_joints))
     velocity_kept = not any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures)
     ends = "error at start and goal, relative to the range or the largest speed"
     # label, passed, worst, limit, unit, time of the worst value

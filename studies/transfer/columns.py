@@ -13,7 +13,6 @@ from linkplan.models.transfer.polytope import (
     speed_box,
 )
 from linkplan.studies.transfer.study import Transfer, carried_gains
-from linkplan.studies.transfer.units import units_of
 
 # What an array of the NPZ file is, by name; joints are in the order of the table's axes, motors in the file's order.
 MEANINGS = {
@@ -78,12 +77,12 @@ def inverse_columns(transfer: Transfer) -> dict[str, np.ndarray] | None:
     if inverse is None:
         return None
     motors = [
-        (f"motor_position_{motor.name} [{units_of(motor)[0]}]", x)
+        (f"motor_position_{motor.name} [{motor.si_units[0]}]", x)
         for motor, x in zip(outputs.actuators, inverse.points.T, strict=True)
     ]
     joints = inverse.values["joint_position"].reshape(len(inverse.points), -1).T
     return dict(motors) | {
-        f"joint_position_{joint.name} [{units_of(joint)[0]}]": x for joint, x in zip(outputs.joints, joints, strict=True)
+        f"joint_position_{joint.name} [{joint.si_units[0]}]": x for joint, x in zip(outputs.joints, joints, strict=True)
     }
 
 
@@ -99,9 +98,9 @@ def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
         arrays["inverse_joint_position"] = inverse.values["joint_position"]
     about = {
         "joints": [joint.name for joint in outputs.joints],
-        "joint_units": [units_of(joint) for joint in outputs.joints],
+        "joint_units": [joint.si_units for joint in outputs.joints],
         "motors": [motor.name for motor in outputs.actuators],
-        "motor_units": [units_of(motor) for motor in outputs.actuators],
+        "motor_units": [motor.si_units for motor in outputs.actuators],
         "meaning": {name: MEANINGS[name] for name in values},
     }
     return arrays | {"about": np.array(json.dumps(about))}
@@ -110,7 +109,7 @@ def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
 def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the heads and columns (n,) of a quantity (n, ...); of a symmetric one the upper triangle only."""
     outputs = transfer.outputs
-    joints, motors = ([(one.name, *units_of(one)) for one in of] for of in (outputs.joints, outputs.actuators))
+    joints, motors = ([(one.name, *one.si_units) for one in of] for of in (outputs.joints, outputs.actuators))
     if name == "status":
         yield "status [1]", value
     elif name in ("effort_box", "effort_corners"):
@@ -120,7 +119,7 @@ def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple
         columns = motors if name.startswith("motor") else joints
         if name == "friction_rate":
             closed = outputs.mechanism.joints
-            rows = [(closed[i].name, *units_of(closed[i])) for i in transfer.serial.model.rubbing]
+            rows = [(closed[i].name, *closed[i].si_units) for i in transfer.serial.model.rubbing]
         stem, symmetric = _STEMS.get(name, name), name not in ("ratio", "ratio_slope", "friction_rate")
         rate = _RATES.get(name.removesuffix("_slope").removesuffix("_rest"), "")
         for index in np.ndindex(value.shape[1:]):

@@ -4,7 +4,6 @@ import numpy as np
 
 from linkplan.studies.export.c_source import identifier
 from linkplan.studies.transfer.study import Transfer
-from linkplan.studies.transfer.units import units_of
 
 _CLASS = """
 constexpr double kNoNumber = std::numeric_limits<double>::quiet_NaN();
@@ -140,11 +139,10 @@ def cpp_header(transfer: Transfer) -> str:
     """Return the header: the table of motor positions and G, and the class that interpolates and carries."""
     grid, outputs = transfer.table.grid, transfer.outputs
     joints = [
-        f"//   joint {k}: {one.name} [{units_of(one)[0]}], effort [{units_of(one)[1]}]"
-        for k, one in enumerate(outputs.joints)
+        f"//   joint {k}: {one.name} [{one.si_units[0]}], effort [{one.si_units[1]}]" for k, one in enumerate(outputs.joints)
     ]
     motors = [
-        f"//   motor {k}: {one.name} [{units_of(one)[0]}], effort [{units_of(one)[1]}]"
+        f"//   motor {k}: {one.name} [{one.si_units[0]}], effort [{one.si_units[1]}]"
         for k, one in enumerate(outputs.actuators)
     ]
     n, space = len(grid.points), f"linkage_{identifier('_'.join(joint.name for joint in outputs.joints))}"

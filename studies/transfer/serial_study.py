@@ -18,7 +18,6 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.export.samples import samples_of
 from linkplan.studies.output.document import Block, Plot, Text, table_of
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.transfer.units import units_of
 
 # Samples of a motion from which velocities and accelerations are taken by a spline of the fifth degree.
 _FEWEST_SAMPLES = 10
@@ -164,7 +163,7 @@ def serial_blocks(serial: Serial | None, note: str) -> list[Block]:
         return [Text(text=note, tone="note")]
     model = serial.model
     rows = [
-        [f"{joint.name} [{units_of(joint)[0]}]", units_of(joint)[1], *values, *model.effort_limit[k]]
+        [f"{joint.name} [{joint.si_units[0]}]", joint.si_units[1], *values, *model.effort_limit[k]]
         for k, (joint, *values) in enumerate(
             zip(model.outputs.joints, model.armature, model.damping, model.friction, strict=True)
         )
@@ -180,7 +179,7 @@ def error_blocks(serial: Serial) -> list[Block]:
     errors, joints = serial.errors, serial.model.outputs.joints
     rows = []
     for k, joint in enumerate(joints):
-        unit, peak = units_of(joint)[1], np.abs(errors.effort[:, k]).max()
+        unit, peak = joint.si_units[1], np.abs(errors.effort[:, k]).max()
         for name, off in errors.named().items():
             rows.append([joint.name, name, unit, np.sqrt(np.mean(off[:, k] ** 2)), np.abs(off[:, k]).max(), peak])
     heads = ["joint", "error of", "unit", "rms", "largest", "effort that the motion needs, largest"]
@@ -191,9 +190,9 @@ def error_plots(serial: Serial) -> list[Plot]:
     """Return the errors of each joint over time."""
     errors, found = serial.errors, []
     for k, joint in enumerate(serial.model.outputs.joints):
-        lines = [Line(name=name, values=off[:, k], unit=units_of(joint)[1]) for name, off in errors.named().items()]
+        lines = [Line(name=name, values=off[:, k], unit=joint.si_units[1]) for name, off in errors.named().items()]
         lines.append(
-            Line(name="effort that the motion needs", values=errors.effort[:, k], unit=units_of(joint)[1], look="dots")
+            Line(name="effort that the motion needs", values=errors.effort[:, k], unit=joint.si_units[1], look="dots")
         )
         found += plots(
             f"Effort on {joint.name}, and errors of models without loops", "effort", TIME, errors.motion.time_s, lines
@@ -205,7 +204,7 @@ def along_columns(serial: Serial) -> dict[str, np.ndarray]:
     """Return motion, effort and errors as columns (n,) with units in their heads."""
     errors, found = serial.errors, {"time_s": serial.errors.motion.time_s}
     for k, joint in enumerate(serial.model.outputs.joints):
-        position, effort = units_of(joint)
+        position, effort = joint.si_units
         for name, unit in (("position", position), ("velocity", f"{position}/s"), ("acceleration", f"{position}/s2")):
             found[f"{name}_{joint.name} [{unit}]"] = getattr(errors.motion, name)[:, k]
         found[f"effort_{joint.name} [{effort}]"] = errors.effort[:, k]

@@ -17,7 +17,6 @@ from linkplan.models.transfer.serial import SerialModel
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import is_gas_spring
 from linkplan.studies.transfer.study import Transfer
-from linkplan.studies.transfer.units import units_of
 
 # A ratio that changes by less than this share over the table is constant: what changes is rounding.
 _CONSTANT_SHARE = 1e-6
@@ -47,8 +46,7 @@ def reductions(transfer: Transfer) -> list[tuple[int, float, float]]:
     motors = np.argmax(np.abs(mean), axis=0)
     if len(set(motors.tolist())) < n_o:
         return []
-    mechanism = transfer.outputs.mechanism
-    home = mechanism.home[mechanism.independent[list(transfer.outputs.columns)]]
+    home = transfer.outputs.home
     found = []
     for k, j in enumerate(motors.tolist()):
         reduction = float(mean[j, k])
@@ -62,8 +60,9 @@ def urdf_notes(transfer: Transfer) -> list[str]:
     model, joints = serial.model.mechanism.model, transfer.outputs.joints
     if _has_ball(model):
         return ["there is none: a URDF has no ball joint"]
-    carried = [f"{one.name} {x:.6g} {_inertia_unit(one)}" for one, x in zip(joints, serial.model.armature, strict=True)]
-    found = [f"a URDF has no armature: give the joints {', '.join(carried)} where the simulator takes it"]
+    carried = [f"{one.name} {x:.6g} {one.inertia_unit}" for one, x in zip(joints, serial.model.armature, strict=True)]
+    armature = ", ".join(carried).replace("kg m2", "kg.m2")
+    found = [f"a URDF has no armature: give the joints {armature} where the simulator takes it"]
     if not reductions(transfer):
         ratio = table.grid.values["ratio"][table.known]
         span = np.ptp(ratio, axis=0).max() / np.abs(ratio).max()
@@ -131,10 +130,6 @@ def urdf_text(transfer: Transfer) -> str | None:
 
 def _has_ball(model: mujoco.MjModel) -> bool:
     return bool(np.any(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL))
-
-
-def _inertia_unit(joint) -> str:
-    return "kg.m2" if units_of(joint)[0] == "rad" else "kg"
 
 
 def _link_names(model: mujoco.MjModel) -> list[str]:

@@ -12,7 +12,6 @@ from linkplan.studies.output.numbers import rounded
 from linkplan.studies.transfer.serial_study import error_plots, serial_blocks, serial_record
 from linkplan.studies.transfer.serial_urdf import urdf_notes, urdf_record
 from linkplan.studies.transfer.study import Transfer, carried_gains
-from linkplan.studies.transfer.units import units_of
 
 # The sentence on the direction of the map, which stands in every result.
 CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort; so motor power = joint power"
@@ -85,9 +84,9 @@ def transfer_record(transfer: Transfer) -> dict:
         "message": transfer.message,
         "convention": CONVENTION,
         "joints": [joint.name for joint in outputs.joints],
-        "joint_units": [units_of(joint) for joint in outputs.joints],
+        "joint_units": [joint.si_units for joint in outputs.joints],
         "motors": [motor.name for motor in outputs.actuators],
-        "motor_units": [units_of(motor) for motor in outputs.actuators],
+        "motor_units": [motor.si_units for motor in outputs.actuators],
         "nodes": [len(axis) for axis in table.grid.axes],
         "tolerance": table.tolerance,
         "kept": transfer.kept,
@@ -98,7 +97,7 @@ def transfer_record(transfer: Transfer) -> dict:
         "ends": ends,
         "dead_centres": [{"motor": outputs.actuators[m].name, "position": x} for m, x in table.dead_centres],
         "home": {
-            "joint_position": outputs.mechanism.home[outputs.mechanism.independent[list(outputs.columns)]],
+            "joint_position": outputs.home,
             **{name: getattr(home, name)[0] for name in ("motor_position", "ratio", "inertia", "armature", "damping")},
             **{name: getattr(home, name)[0] for name in ("friction", "gravity")},
             "effort_box": effort_box(home.ratio, transfer.effort_limit)[0],
@@ -122,7 +121,7 @@ def _facts(transfer: Transfer) -> list[tuple[str, str]]:
     for name, (gains,) in carried_gains(transfer, transfer.home.ratio).items():
         of = transfer.outputs.actuators if name.startswith("motor") else transfer.outputs.joints
         rate = ".s" if name.endswith("kd") else ""
-        said = [f"{a.name}-{b.name} {gains[j, k]:.5g} {units_of(a)[1]}{rate}/{units_of(b)[0]}"
+        said = [f"{a.name}-{b.name} {gains[j, k]:.5g} {a.si_units[1]}{rate}/{b.si_units[0]}"
                 for j, a in enumerate(of) for k, b in enumerate(of) if k >= j]  # fmt: skip
         rows.append((f"{name} at home", ", ".join(said)))
     return rows
@@ -132,11 +131,11 @@ def _home_table(transfer: Transfer):
     outputs, home = transfer.outputs, transfer.home
     box = effort_box(home.ratio, transfer.effort_limit)[0]
     heads: list = ["output joint", "unit of effort"]
-    heads += [(f"G of {motor.name}", f"{units_of(motor)[0]} per joint unit") for motor in outputs.actuators]
+    heads += [(f"G of {motor.name}", f"{motor.si_units[0]} per joint unit") for motor in outputs.actuators]
     heads += ["inertia", "of it armature", "damping", "dry friction", "gravity", "least effort", "largest effort"]
     rows = []
     for k, joint in enumerate(outputs.joints):
-        position, effort = units_of(joint)
+        position, effort = joint.si_units
         rows.append(
             [f"{joint.name} [{position}]", effort, *home.ratio[0, :, k], home.inertia[0, k, k], home.armature[0, k, k],
              home.damping[0, k, k], home.friction[0, k], home.gravity[0, k], *box[k]]
@@ -182,8 +181,7 @@ def table_plots(transfer: Transfer) -> list[Plot | Plane]:
 def _curves(transfer: Transfer, k: int) -> list[Plot]:
     grid, outputs = transfer.table.grid, transfer.outputs
     joint, several = outputs.joints[k], len(outputs.joints) > 1
-    home = outputs.mechanism.home[outputs.mechanism.independent[list(outputs.columns)]]
-    points = np.tile(home, (_PLOT_SAMPLES, 1))
+    points = np.tile(outputs.home, (_PLOT_SAMPLES, 1))
     points[:, k] = np.linspace(grid.axes[k][0], grid.axes[k][-1], _PLOT_SAMPLES)
     x = np.array([joint.shown(value) for value in points[:, k]])
     found = []
@@ -198,7 +196,7 @@ def _curves(transfer: Transfer, k: int) -> list[Plot]:
 
 def _lines(transfer: Transfer, name: str, values: np.ndarray) -> list[Line]:
     outputs = transfer.outputs
-    joints, motors = ([(one.name, *units_of(one)) for one in of] for of in (outputs.joints, outputs.actuators))
+    joints, motors = ([(one.name, *one.si_units) for one in of] for of in (outputs.joints, outputs.actuators))
     if name == "motor_position":
         return [Line(name=m, values=values[:, j], unit=unit) for j, (m, unit, _) in enumerate(motors)]
     if name == "ratio":
@@ -217,8 +215,7 @@ def _polytope(transfer: Transfer) -> Plane:
     import scipy.spatial
 
     grid, (first, second) = transfer.table.grid, transfer.outputs.joints
-    mechanism = transfer.outputs.mechanism
-    home = mechanism.home[mechanism.independent[list(transfer.outputs.columns)]]
+    home = transfer.outputs.home
     places = [("at home", home)]
     for k, joint in enumerate((first, second)):
         for end in (0, -1):
@@ -236,5 +233,5 @@ def _polytope(transfer: Transfer) -> Plane:
         around = corners[scipy.spatial.ConvexHull(corners).vertices]
         around = np.concatenate([around, around[:1]])
         curves.append(Curve(name=name, x=rounded(around[:, 0]), y=rounded(around[:, 1]), colour=colour))
-    axes = [Axis(label=f"effort on {joint.name}", unit=units_of(joint)[1]) for joint in (first, second)]
+    axes = [Axis(label=f"effort on {joint.name}", unit=joint.si_units[1]) for joint in (first, second)]
     return Plane(title="Efforts that the motors can give", x_axis=axes[0], y_axis=axes[1], curves=curves)

@@ -167,8 +167,7 @@ def _message(
         phase, at_phase = best.worst("phase_margin_deg")
         settling, at_settling = best.worst("settling_s", largest=True)
         softest = min(best.loops, key=lambda loop: loop.stiffness)
-        hinge = mechanism.independent_joints[softest.channel].kind == "hinge"
-        unit = "N.m/rad" if hinge else "N/m"
+        unit = mechanism.independent_joints[softest.channel].gain_units[0]
         reached = [] if band is None else [f"bandwidth (-3 dB) {band:.4g} Hz at the least ({at_band.name})"]
         reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({at_phase.name})"]
         reached.append(f"an error settles to 2 % within {settling:.3g} s ({at_settling.name})")

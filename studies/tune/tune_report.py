@@ -36,8 +36,7 @@ def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
     """Return PD gains as pairs of a heading and a text, with units: at each joint, and at the motor of a single loop."""
     lines = []
     for joint in tuned_joints(tuning):
-        (kp, kd), per = joint_gains(tuning)[joint.name], ("N.m/rad", "N.m.s/rad")
-        per = per if joint.kind == "hinge" else ("N/m", "N.s/m")
+        (kp, kd), per = joint_gains(tuning)[joint.name], joint.gain_units
         where = "the joint" if len(tuning.mechanism.channels) == 1 else joint.name
         lines.append((f"at {where}", f"kp = {kp:.5g} {per[0]}, kd = {kd:.5g} {per[1]}"))
     if len(lines) == 1:
@@ -159,5 +158,5 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, joints: Sequence[Joint]) -
     ]
     head = [f"{one.name} [{one.unit}]" for one in joints]
     head += ["stable", "bandwidth -3 dB [Hz]", "PM [deg]", "GM [dB]", "max |S|", "settling [s]", "damping"]
-    head += ["stiffness [N.m/rad]" if joint.kind == "hinge" else "stiffness [N/m]"]
+    head += [f"stiffness [{joint.gain_units[0]}]"]
     return table(head, rows)
