@@ -57,19 +57,21 @@ def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
     subject = shlex.join([arguments.model, *_selection_options(arguments)])
     from linkplan.studies.check.drives import joints_to_drive
 
-    mechanism = whole.found.mechanism
+    mechanism, is_problem = whole.found.mechanism, arguments.model.endswith(".toml") or arguments.model in PROBLEMS
     if mechanism.n_u == 0 and not joints_to_drive(mechanism):
         further = f"linkplan check {subject}, with an actuator that a plan can use in the model's <actuator>"
     elif mechanism.n_u == 0:
         drive = ",".join(joints_to_drive(mechanism))
-        further = f"linkplan new {subject} --drive {shlex.quote(drive)} -o problem.toml puts motors on these joints"
+        driven = f"{subject} --drive {shlex.quote(drive)}"
+        command = f"check {driven}" if is_problem else f"new {driven} -o problem.toml"
+        further = f"linkplan {command} puts motors on these joints"
+    elif is_problem:
+        further = f"linkplan plan {subject} -o planned"
     elif floating_bodies(mechanism.model)[0]:
         further = (
             f"linkplan new {subject} -o problem.toml writes a first motion on the fixed base; --keep NAMES --fix-base takes"
             " one chain with its loops out of the robot"
         )
-    elif arguments.model.endswith(".toml") or arguments.model in PROBLEMS:
-        further = f"linkplan plan {subject} -o planned"
     else:
         further = f"linkplan new {subject} -o problem.toml writes a first motion and names what it changes"
     return Facts(rows=[("next", further), ("everything", f"linkplan check {subject} --all")])
@@ -84,9 +86,10 @@ def _begun_elsewhere(error: Exception, arguments: argparse.Namespace) -> list[Fa
 
 
 def _selection_options(arguments: argparse.Namespace) -> list[str]:
-    """Return the options that select a part of the model, to be given again."""
+    """Return the options that select a part of the model or set keys, to be given again."""
     keep = [] if arguments.keep is None else ["--keep", arguments.keep]
     keep += [] if arguments.drive is None else ["--drive", arguments.drive]
     base = ["--fix-base"] if arguments.fix_base else []
     locks = [word for lock in arguments.lock for word in ("--lock", lock)]
-    return [*keep, *base, *locks, *([] if arguments.keyframe is None else ["--keyframe", arguments.keyframe])]
+    settings = [word for setting in arguments.set for word in ("--set", setting)]
+    return [*keep, *base, *locks, *([] if arguments.keyframe is None else ["--keyframe", arguments.keyframe]), *settings]

@@ -163,7 +163,7 @@ def build_parser() -> Parser:
     _add(explore, "--port", "N", "of 127.0.0.1 (default: a free one)", int, 0)
 
     text = "write a first problem file for a mechanism: a motion that it can make, every option in comments"
-    new = command("new", text, output=False, settings=False)
+    new = command("new", text, output=False)
     _add(new, "model", "MODEL", "a built-in model or an MJCF file")
     _selection(new)
     _file(new, "the problem file to write; it must not be there (default: print it)")

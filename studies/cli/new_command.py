@@ -4,7 +4,7 @@ import argparse
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.studies.cli.common import new_file, refuse_no_model, selection_asked
+from linkplan.studies.cli.common import new_file, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -18,8 +18,10 @@ def run_new(arguments: argparse.Namespace) -> int:
     target, say = new_file(arguments), progress(arguments)
     if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
         raise ProblemError(f"'{arguments.model}' is already a problem; new takes the model of a mechanism")
-    refuse_no_model(arguments.model)
-    found = first_motion({"model": arguments.model} | selection_asked(arguments), say)
+    _, sections, _, _ = tables_of(arguments.model, arguments.set, selection_asked(arguments))
+    if further := sections.keys() - {"mechanism"}:
+        raise ProblemError(f"new takes --set mechanism.KEY=VALUE and writes the other sections, got {', '.join(further)}")
+    found = first_motion(sections["mechanism"], say)
     tables = file_tables(found, arguments.model, target)
     file = "problem.toml" if target is None else target.name
     steps = (f"linkplan plan {file} -o planned", "linkplan compare planned -o compared")

@@ -1,5 +1,6 @@
 """A document as plain text, whole or in brief, for pipes, files and `print`, and as HTML for notebooks, names escaped."""
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -65,6 +66,11 @@ def said(cell: object, digits: int = 4) -> str:
     if isinstance(cell, bool):
         return "yes" if cell else "NO"
     return f"{cell:.{digits}g}" if isinstance(cell, float) else str(cell)
+
+
+def limits_said(low: float, high: float, unit: str) -> str:
+    """Return limits as text: "limit -5 to 5 N.m", or "no limit"."""
+    return "no limit" if low == -math.inf and high == math.inf else f"limit {low:g} to {high:g} {unit}"
 
 
 def to_the_left(column: int, cells: Sequence[str]) -> bool:

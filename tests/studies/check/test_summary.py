@@ -61,6 +61,12 @@ def test_a_base_that_floats_is_one_problem_with_its_remedy(ask, ask_json, tmp_pa
     assert code == 0, err
 
 
+def test_a_motor_without_limits_is_said_to_have_none(ask, tmp_path):
+    (tmp_path / "robot.xml").write_text(centipede(1, 1).replace(' ctrlrange="-9 9"', ""), encoding="utf-8")
+    out = ask("check", str(tmp_path / "robot.xml"))[1]
+    assert "driven by: drive 0.0 (no limit)" in out
+
+
 def test_sentences_that_differ_in_names_and_numbers_alone_are_of_one_kind():
     mechanism = load_mechanism("five-bar")
     first, second = (joint.name for joint in mechanism.joints[:2])

@@ -87,3 +87,29 @@ def test_check_goes_on_with_a_command_that_finds_a_pose_or_puts_motors(tmp_path,
     )
     _, out, _ = ask("check", str(floating))
     assert f"next: linkplan new {floating} --drive arm -o problem.toml puts motors on these joints" in out
+
+
+def test_check_of_a_problem_without_motors_goes_on_with_the_problem(tmp_path, ask):
+    """It named `new`, which takes no problem file."""
+    (tmp_path / "arm.xml").write_text(
+        """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"/></body></worldbody>
+          </mujoco>""",
+        encoding="utf-8",
+    )
+    (tmp_path / "arm.toml").write_text('[mechanism]\nmodel = "arm.xml"\n', encoding="utf-8")
+    problem = str(tmp_path / "arm.toml")
+    command = f"check {problem} --set mechanism.closure_tolerance_m=1e-6 --drive arm"
+    _, out, _ = ask("check", problem, "--set", "mechanism.closure_tolerance_m=1e-6")
+    assert f"next: linkplan {command} puts motors on these joints" in out
+    _, out, _ = ask(*command.split())
+    assert f"next: linkplan plan {problem}" in out
+
+
+def test_new_takes_keys_of_the_mechanism(ask):
+    """A model whose loops are open by rounding needs its tolerance there."""
+    code, out, _ = ask("new", "five-bar", "--set", "mechanism.closure_tolerance_m=2e-6")
+    assert code == 0
+    assert "closure_tolerance_m = 2e-06" in out
+    code, _, err = ask("new", "five-bar", "--set", "motion.duration_s=2")
+    assert code == 2
+    assert "new takes --set mechanism.KEY=VALUE and writes the other sections, got motion" in err
