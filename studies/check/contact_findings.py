@@ -38,8 +38,8 @@ def contact_findings(
     if path is None:
         pads = [pair for pair in pairs if _meet_at_an_end(pair, sweeps)]
         return [
-            f"{reach_sentence(pair, n_poses)}: contact forces are not planned for; where the links pass side by side,"
-            f" {exclusion(pair.bodies)} in the model's <contact> says so"
+            f"{reach_sentence(pair, n_poses)}: contact forces are not planned for; {exclusion(pair.bodies)} in the model's"
+            " <contact> lets links pass side by side"
             for pair in pairs
             if pair not in pads
         ], [
