@@ -278,9 +278,11 @@ def _assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float
     near, gap = newton.close(loop, reference)
     if not asked:
         if gap > loop.closed_m:
-            gap = min(gap, newton.least_gap(loop, near, everything)) if measured else gap
+            gap, name = min((gap, ""), newton.least_gap(loop, near, everything)) if measured else (gap, "")
+            where_open = f" at closure {name}" if name and len(loop.closures) > 1 else ""
             raise UnassembledError(
-                f"mechanism '{loop.name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm",
+                f"mechanism '{loop.name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm"
+                + where_open,
                 gap,
             )
         return newton.within_ranges(loop, reference, near)
@@ -294,7 +296,7 @@ def _assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float
         away = max(abs(pose[i] - value) for i, value in asked.items())
         if gap <= loop.closed_m and away <= HOME_TOLERANCE:
             return pose
-    gap = min(newton.least_gap(loop, trial, unnamed) for trial in starts) if measured else np.inf
+    gap = min(newton.least_gap(loop, trial, unnamed)[0] for trial in starts) if measured else np.inf
     raise AssemblyError(
         f"mechanism '{loop.name}' does not close at {where(loop.joints, asked)}: the loop stays open by {1e3 * gap:.3g} mm"
     )

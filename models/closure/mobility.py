@@ -224,7 +224,7 @@ def _gap_of_step(loop: KinematicLoop, pose: np.ndarray, direction: np.ndarray) -
     """Return the least gap [m] after one step along `direction`, with the joint that moves most held there."""
     lead = int(np.argmax(np.abs(direction)))
     trial = pose + _LEAST_TRIAL_LENGTH * loop.unit * direction / np.abs(direction[lead])
-    return newton.least_gap(loop, trial, [i for i in range(len(pose)) if i != lead])
+    return newton.least_gap(loop, trial, [i for i in range(len(pose)) if i != lead])[0]
 
 
 def lost_freedoms(joints, dynamics, poses, mobility: Mobility, tolerance_m: float) -> list[str]:

@@ -74,7 +74,11 @@ class KinematicLoop:
 
     def gap(self, phi: np.ndarray) -> float:
         """Return the largest gap [m] in values of phi; an angle counts with its lever."""
-        return max((float(np.linalg.norm(phi[closure.rows])) for closure in self.closures), default=0.0)
+        return self.widest(phi)[0]
+
+    def widest(self, phi: np.ndarray) -> tuple[float, str]:
+        """Return the largest gap [m] in values of phi, and the name of its closure."""
+        return max(((float(np.linalg.norm(phi[one.rows])), one.name) for one in self.closures), default=(0.0, ""))
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return J (n_rows, n_q) [m] with columns per unit step of each joint."""
@@ -136,8 +140,8 @@ def solve(
     return q, phi
 
 
-def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
-    """Return the smallest gap [m] near `start` of a loop that does not close, by least squares."""
+def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[float, str]:
+    """Return the gap [m] near `start` of a loop that does not close, by least squares, and the name of its closure."""
     import scipy
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -147,11 +151,11 @@ def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
         return phi, jacobian[:, free]
 
     if not free:
-        return loop.gap(loop.residual(start)[0])
+        return loop.widest(loop.residual(start)[0])
     found = scipy.optimize.least_squares(
         lambda x: at(x)[0], start[free], lambda x: at(x)[1], xtol=1e-8, ftol=1e-8, gtol=1e-14, max_nfev=200
     )
-    return loop.gap(found.fun)
+    return loop.widest(found.fun)
 
 
 def follow(

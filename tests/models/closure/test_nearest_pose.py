@@ -139,3 +139,17 @@ def test_a_parallelogram_drawn_flat_is_offered_a_pose_off_the_singular_one():
     assert "singular" in str(error)
     mechanism = load_mechanism(replaced(flat, "</mujoco>", f"{error.keyframe}</mujoco>"))
     assert mechanism.dof == 1
+
+
+def test_of_several_loops_the_one_that_stays_open_is_named():
+    """Two pairs of links: the second pair is too short to meet."""
+    link = (
+        '<body name="{0}" pos="{1} {2} 0"><joint axis="0 1 0"/><geom size=".01" pos=".1 0 0"/>'
+        '<site name="{0}" pos="{3} 0 .06"/></body>'
+    )
+    places = [("near1", 0, 0, 0.2), ("near2", 0.3, 0, -0.2), ("far1", 0, 1, 0.2), ("far2", 0.5, 1, -0.2)]
+    bodies = "".join(link.format(*place) for place in places)
+    ties = '<connect name="near" site1="near1" site2="near2"/><connect name="far" site1="far1" site2="far2"/>'
+    error = offered(f"<mujoco><worldbody>{bodies}</worldbody><equality>{ties}</equality></mujoco>")
+    assert error.gap_m == pytest.approx(0.5 - 2 * np.hypot(0.2, 0.06))
+    assert "mm at closure far; no closed pose was found near it" in str(error)
