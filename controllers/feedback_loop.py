@@ -76,17 +76,17 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
     memory = law.start(stepper.n)
     independent, n_u, bound, clock = stepper.independent, stepper.n_u, LARGEST_STATE**2, time.perf_counter
     logs = (log.pose, log.velocity, log.commanded, log.applied, log.speed)
-    some, every = bool(stepper.running.any()), bool(stepper.running.all())
+    running = int(np.count_nonzero(stepper.running))
     for k, (row, q, v, command, applied, speed) in enumerate(zip(log.instants.reshape(instants, -1), *logs, strict=True)):
         check()
-        if not some:
+        if not running:
             break
         stepper.read(q, v)
         s, rate = q[:, independent], v
         if sensors is not None:
             s, rate = measure(sensors, k, s, rate)
         begin = clock()
-        if every:
+        if running == stepper.n:
             command[...], memory, failed = _efforts(law, k, s, rate, memory, n_u)
         else:  # the law is not evaluated for frozen machines
             run, memory, command[...] = np.flatnonzero(stepper.running), memory.copy(), 0.0
@@ -96,7 +96,7 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
         # If the sum of squares is finite and small, all states and commands are valid.
         if not row.dot(row) < bound:
             _freeze_failures(log, stepper, k, failed)
-            some, every = bool(stepper.running.any()), bool(stepper.running.all())
+            running = int(np.count_nonzero(stepper.running))
         stepper.hold(command, applied, speed)
     for machine in np.flatnonzero(log.done < instants):
         for whole in (log.instants, log.applied, log.speed):

@@ -84,7 +84,7 @@ def _delete_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon") -> li
 
 
 def _delete_drives(spec: mujoco.MjSpec, transmission: mujoco.mjtTrn, kind: mujoco.mjtObj, gone: set[str]) -> list[str]:
-    """Delete the actuators on elements of a kind that go, with the sensors of both, and return the actuators' names."""
+    """Delete the actuators of deleted elements, and the sensors of both; return the names of the actuators."""
     acting = [one for one in spec.actuators if one.trntype == transmission and one.target in gone]
     names = [f"actuator {one.name or 'on ' + one.target}" for one in acting]
     lost = {kind: gone, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}

@@ -149,7 +149,7 @@ def _rotated_determinant(A: ca.SX) -> ca.SX:
 
 
 def _rotated(first: dict[int, ca.SX], other: dict[int, ca.SX], k: int) -> tuple[dict[int, ca.SX], dict[int, ca.SX]]:
-    """Return two rows, entries by column, after the rotation that leaves no entry of the second in column k."""
+    """Return two rotated rows, each as entries by column; the second one has no entry in column k."""
     along = first[k] + 1e-100  # far below rounding, for poses at which both entries are zero
     length = ca.sqrt(along**2 + other[k] ** 2)
     c, s = along / length, other[k] / length

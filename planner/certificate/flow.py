@@ -56,7 +56,7 @@ def flow(
     import scipy
 
     atol = 0.1 * rtol * np.maximum(1.0, np.abs(state))
-    # An infeasible motion may diverge: the result shows it without warnings, the implicit method meets infinite numbers.
+    # An infeasible motion may diverge. The result then says so, or the implicit method raises an error for infinite numbers.
     with np.errstate(all="ignore"):
         try:
             result = scipy.integrate.solve_ivp(

@@ -29,8 +29,7 @@ def summary_blocks(found: Inspection) -> list[Block]:
         Text(text=f"PROBLEM: {text}", tone="bad") for text in _first(problems, MOST_PROBLEMS, "problems")
     ]
     notes = [Text(text=text, tone="note") for text in _first(grouped(mechanism, found.notes), MOST_NOTES, "notes")]
-    limits = [limits_said(a.lower, a.upper, a.unit).removeprefix("limit ") for a in mechanism.actuators]
-    drives = listed([f"{a.name} ({limit})" for a, limit in zip(mechanism.actuators, limits, strict=True)], MOST_COORDINATES)
+    drives = listed([f"{a.name} ({limits_said(a.lower, a.upper, a.unit)})" for a in mechanism.actuators], MOST_COORDINATES)
     rank = f"{mechanism.n_closure_rows} rows of rank {len(mechanism.closure_rows)}"
     facts = Facts(
         rows=[

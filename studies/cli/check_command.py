@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.models.selection import floating_bodies
-from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
@@ -46,18 +45,19 @@ def run_check(arguments: argparse.Namespace) -> int:
             written = "selected.xml" if mechanism.selection else "model.xml"
             (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
 
-    blocks = whole.blocks() if arguments.all or arguments.at_deg else [*whole.summary(), _what_is_next(whole, arguments)]
+    summed_up = not (arguments.all or arguments.at_deg)
+    blocks = [*whole.summary(), _what_is_next(whole, arguments, is_problem)] if summed_up else whole.blocks()
     said = whole.record() if arguments.json or target is not None else {}
     deliver(arguments, target, said, blocks, lambda reports: reports.check_report(whole), draw)
     return NO if found.problems else DONE
 
 
-def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace) -> Facts:
+def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace, is_problem: bool) -> Facts:
     """Return the commands to go on with."""
     subject = shlex.join([arguments.model, *_selection_options(arguments)])
     from linkplan.studies.check.drives import joints_to_drive
 
-    mechanism, is_problem = whole.found.mechanism, arguments.model.endswith(".toml") or arguments.model in PROBLEMS
+    mechanism = whole.found.mechanism
     if mechanism.n_u == 0 and not joints_to_drive(mechanism):
         further = f"linkplan check {subject}, with an actuator that a plan can use in the model's <actuator>"
     elif mechanism.n_u == 0:

@@ -68,9 +68,9 @@ def said(cell: object, digits: int = 4) -> str:
     return f"{cell:.{digits}g}" if isinstance(cell, float) else str(cell)
 
 
-def limits_said(low: float, high: float, unit: str) -> str:
-    """Return limits as text: "limit -5 to 5 N.m", or "no limit"."""
-    return "no limit" if low == -math.inf and high == math.inf else f"limit {low:g} to {high:g} {unit}"
+def limits_said(low: float, high: float, unit: str, before: str = "") -> str:
+    """Return limits as text: "-5 to 5 N.m" behind the words `before`, or "no limit" alone."""
+    return "no limit" if low == -math.inf and high == math.inf else f"{before}{low:g} to {high:g} {unit}"
 
 
 def to_the_left(column: int, cells: Sequence[str]) -> bool:

@@ -88,7 +88,7 @@ def test_the_tracker_s_computing_time_is_a_part_of_the_run_s():
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
 def test_a_damped_servo_gives_the_effort_asked_whatever_speed_the_integrator_takes(integrator):
-    """In an implicit step the damping kv acts on the speed at its end; with constant acceleration it is known.
+    """In an implicit step, the damping kv acts on the speed at the end of the step, which a constant acceleration gives.
 
     The effort I a of the reference then moves the hinge by it to rounding, in steps of 2 ms, five in a period.
     """

@@ -162,7 +162,7 @@ def test_a_guess_meets_its_ends_and_counts_its_swings(last, swings):
 
 
 def test_states_are_a_quarter_of_the_way_around_the_quickest_motion_and_a_little_above_its_speed(monkeypatch):
-    """With 2.5 N.m on 0.25 kg m2 a quarter turn has the speed sqrt(10 pi / 2) in its middle; x = sqrt(0.25) s."""
+    """With 2.5 N.m on 0.25 kg m2, the speed at the middle of a quarter turn is sqrt(10 pi / 2); x = sqrt(0.25) s."""
     made = []
 
     class Made(Exception):  # noqa: N818 - it ends the search

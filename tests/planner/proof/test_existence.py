@@ -239,7 +239,7 @@ def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth
 
 
 def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():
-    """On all of the quarter turn, with x from -1 to 1, it is -A x: no more, and nothing is left as a remainder."""
+    """Over the whole quarter turn, x from -1 to 1, the defect is exactly -A x; its remainder is zero."""
     before, found = (ctx.prec, ctx.cap), near()
     try:
         ctx.prec = 100

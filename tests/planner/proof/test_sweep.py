@@ -140,7 +140,7 @@ def test_where_the_branch_was_lost_it_goes_on_from_a_guess_along_its_slope(monke
 
 
 def test_the_next_interval_begins_with_the_largest_boxes_that_were_decided_and_every_fourth_with_larger_ones(monkeypatch):
-    """The first half of an interval is decided in eighths, the second one in quarters."""
+    """Boxes in the first half of an interval are halved three times until they are decided, the others twice."""
 
     def decided(_sweep: _Sweep, _claim: int, _states: object, _piece: object, box: _Box) -> bool:
         return box.halvings >= (3 if box.centre < 0.5 else 2)

@@ -45,7 +45,7 @@ def test_a_motion_nears_a_singular_pose_where_it_comes_within_half_the_distance_
     [(1.0, 0.9e-3, True), (1.0, 1.1e-3, False), (1 - 0.9e-3, 0.9e-3, True), (1 - 1.1e-3, 0.9e-3, False)],
 )
 def test_the_last_motion_is_enough_if_it_uses_its_time_and_saved_little(used, saving, enough, monkeypatch):
-    """Each step takes `used` of the time that it may take, and saves `saving` of what is left."""
+    """Each step uses the share `used` of its allowed duration, and lowers the objective by the share `saving`."""
     problem = load_problem("knee-sprint", ["motion.duration_s=free", "motion.max_duration_s=10.0"])
     known = KnownMotions()
 
@@ -67,7 +67,7 @@ def test_the_last_motion_is_enough_if_it_uses_its_time_and_saved_little(used, sa
 def test_a_lost_step_is_tried_again_on_finer_meshes_and_leaves_the_last_motion_if_it_is_long_enough(
     least, kept, monkeypatch
 ):
-    """Motions of more than 1.16 s are lost: the step of 15 % is tried whole, as its root and as that one's root."""
+    """No motion of more than 1.16 s is found. The step of 15 % is halved twice (its square root, and the root of that)."""
     problem = load_problem(
         "knee-sprint", ["motion.duration_s=free", "motion.max_duration_s=10.0", f"motion.min_duration_s={least}"]
     )
