@@ -32,6 +32,7 @@ def test_the_unit_of_an_effort_at_rest_is_the_one_that_turns_its_joint_by_a_radi
     problem = body_problem(WHEELS, ONE_MOVES)
     scales = choose_scales(problem, first_guess(problem, problem.start_pose()))
     assert scales.effort[1] == pytest.approx(INERTIA / 0.5**2, rel=0.01)
+    assert scales.residual == pytest.approx(scales.effort)  # each motor turns one wheel
 
 
 def test_a_stable_motion_beside_a_joint_at_rest_is_integrated_in_one_go():

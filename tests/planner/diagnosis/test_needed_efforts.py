@@ -18,7 +18,7 @@ PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
 
 
 def problem(limit: str = "[-4, 4]", mjcf: str = HINGE) -> Problem:
-    name = "motor" if mjcf is HINGE else "m"
+    name = "m" if 'name="m"' in mjcf else "motor"
     return body_problem(mjcf, QUARTER_TURN + "duration_s = 1.0\n", f"limits.effort.{name}={limit}")
 
 
@@ -73,6 +73,13 @@ def test_what_no_actuator_gives_is_named_with_its_joint():
     found = path_effort(asked, motion_of(both))
     assert found.sentence.endswith(f", and no actuator gives the {PEAK_EFFORT:.4g} N.m on K")
     assert "no actuator gives" not in path_effort(problem(), motion_of(one)).sentence
+
+
+def test_rounding_is_no_effort_that_no_actuator_gives():
+    """Two motors share an effort that passes through zero half-way: their sum is not the effort to the last bit."""
+    second = '<motor name="other" joint="J" gear="0.3" ctrlrange="-4 4"/></actuator>'
+    geared = problem(mjcf=HINGE.replace("</actuator>", second))
+    assert "no actuator gives" not in path_effort(geared, motion_of(with_efforts(0.0, 0.0))).sentence
 
 
 @pytest.mark.parametrize(("share", "refused"), [(0.09, True), (0.11, False)])
