@@ -169,7 +169,7 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     """Solve with the marked intervals (n,) halved and return the iterate, or None.
 
     The solver starts at the coarser solution (warm) if efforts are bang arcs or jump inside intervals, else with a large
-    barrier parameter (cold). If one way finds no solution, the other is tried, and at last the warm one with nothing held.
+    barrier parameter (cold). If one way finds no solution, the other is tried.
     """
     coarse, case, target = state.at.found, state.case, state.target
     mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
@@ -177,31 +177,24 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     report, again = state.at.report, state.best is not None
     near = state.warm and report is not None and report.unstable and not report.unseen
 
-    def tried(word: str, fixed: FixedArcs | None, *, warm: bool = False, close: bool = False) -> Iterate[Any] | None:
-        rows = state.position_rows
-        return attempt(case, start, mesh, durations, what + word, position_rows=rows, fixed=fixed, warm=warm, close=close)
-
     def alike(finer: Iterate[Any]) -> bool:
         # Objectives on two meshes that are no further apart than a millionth belong to the same motion.
         change = abs(finer.solution.objective - coarse.solution.objective)
         return change <= 1e-6 * abs(coarse.solution.objective)
 
-    ways: list[tuple[str, dict[str, bool]]] = [("", {"warm": state.warm, "close": near})]
+    ways = [("", state.warm, near)]
     if again or target.enclosed:
-        ways.append((", warm start", {"close": True}))
+        ways.append((", warm start", False, True))
     found: list[Iterate[Any]] = []
-    for word, how in reversed(ways) if target.bang_bang or target.enclosed else ways:
-        finer = tried(word, coarse.fixed, **how)
+    for word, warm, close in reversed(ways) if target.bang_bang or target.enclosed else ways:
+        finer = attempt(
+            case, start, mesh, durations, what + word,
+            position_rows=state.position_rows, fixed=coarse.fixed, warm=warm, close=close,
+        )  # fmt: skip
         if finer is not None:
             found.append(finer)
             if finer.solution.status == SUCCEEDED and (target.enclosed or not target.bang_bang or alike(finer)):
                 break
-    # A solver that stops at its start has lost nothing: on singular arcs it does not reach its tolerance.
-    lost = all(finer.solution.status != SUCCEEDED and not alike(finer) for finer in found)
-    if again and coarse.fixed is not None and lost:
-        loose = tried(", efforts and paths free", None, close=True)
-        if loose is not None:
-            return loose
     return min(found, key=lambda finer: (finer.solution.status != SUCCEEDED, finer.solution.objective), default=None)
 
 

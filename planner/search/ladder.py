@@ -203,17 +203,11 @@ class Search:
         return first_guess(self.problem, self.start_pose)
 
     @cached_property
-    def least_limit(self) -> LeastLimit | None:
-        """The least factor on the effort limits with which a motion was found; None without such a motion."""
-        return least_limit_of_starts(self.within(Budget(iterations=HURRIED.iterations)), self.smooth)
-
-    @cached_property
     def named_limit(self) -> LeastLimit | None:
-        """The least factor on the effort limits on meshes fine enough for a message; None without a motion."""
-        found = self.least_limit
-        if found is None or found.factor <= 1.0:
-            return found
-        return settled_limit(self.within(Budget(iterations=HURRIED.iterations)), found)
+        """The least factor on the effort limits; one above 1 on meshes fine enough for a message. None without a motion."""
+        problem = self.within(HURRIED)
+        found = least_limit_of_starts(problem, self.smooth)
+        return found if found is None or found.factor <= 1.0 else settled_limit(problem, found)
 
     def first_starts(self) -> Iterator[tuple[str, Guess]]:
         """Yield the user's guess if it closes the loops, then the smooth path, with the words on each."""
