@@ -334,7 +334,7 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     if not selection:
         return name, spec, notes
     _name_all(spec.joints, "joint")
-    return name, spec, (*notes, *select(spec, spec.copy().compile(), selection))
+    return name, spec, (*notes, *select(spec, spec.compile(), selection))
 
 
 def _name_all(elements: Sequence, kind: str) -> None:

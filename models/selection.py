@@ -221,8 +221,6 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     kept = [j for j in range(model.njnt) if j not in locked and int(model.jnt_bodyid[j]) not in dropped]
     places = {model.joint(j).name: _slice(model, j) for j in kept}
     away = {model.joint(j).name for j in range(model.njnt) if int(model.jnt_bodyid[j]) in dropped}
-    for key in list(spec.keys):  # first: the poses would be cut to the bodies that are left, and come back
-        spec.delete(key)
     notes = [
         *_lock(spec, model, locked, qpos, away, spins),
         *_drop(spec, model, dropped),
@@ -230,8 +228,10 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     ]
     notes += _exclude(spec, asked.exclude_contacts)
     notes += add_motors(spec, asked.drive)
+    for key in list(spec.keys):
+        spec.delete(key)
     if model.nkey:
-        small = spec.copy().compile()
+        small = spec.compile()
         home = np.array(small.qpos0)
         for j in range(small.njnt):
             if small.joint(j).name in places:  # the hinges in place of a ball joint are zero at home

@@ -369,3 +369,22 @@ def test_a_base_that_falls_along_a_rail_floats_and_is_fixed():
 )
 def test_a_base_that_something_holds_on_its_rail_does_not_float(old, new):
     assert floating_joints(mujoco.MjModel.from_xml_string(replaced(ON_A_RAIL, old, new))) == set()
+
+
+def test_a_locked_link_on_a_body_that_the_compiler_fuses_stays_where_it_stood():
+    """`fusestatic`, the rule for URDF, merges the bracket into the world; the upper link is then the world's own child."""
+    arm = """<mujoco><compiler fusestatic="true"/><worldbody>
+      <body name="bracket" pos="0.1 0.2 0.3" euler="90 0 0">
+        <body name="upper" pos="0 0 0.5" euler="0 20 0"><joint name="shoulder" axis="0 1 0"/>
+          <inertial pos="0 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/>
+          <body name="lower" pos="0 0 0.4"><joint name="elbow" axis="0 1 0"/>
+            <inertial pos="0 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/></body></body></body>
+    </worldbody></mujoco>"""
+    places = []
+    for selection in (Selection(), Selection(keep=["lower"], fix_base=True), Selection(lock={"shoulder": 0.0})):
+        model = compile_model(arm, selection=selection)[1]
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        places.append(np.append(data.body("lower").xpos, data.body("lower").xmat))
+    assert places[1] == pytest.approx(places[0], abs=1e-12)
+    assert places[2] == pytest.approx(places[0], abs=1e-12)
