@@ -1,29 +1,28 @@
 """The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.controllers.sampling import Sampling, sampling
+from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.scan import Line, Scan, coordinate_line, judge_of, reduced_limits, scan_line
+from linkplan.studies.bode.scan import Line, Scan, coordinate_line, reduced_limits, scan_line
 from linkplan.studies.bode.touching import touched, touching
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
-    SIMULATED,
     FeedbackLoop,
     OperatingPoint,
-    feedback_loop,
-    law_gain,
+    SampledLaw,
     operating_point,
     refuse_above_nyquist,
+    sampled_law,
     with_lqr_errors,
 )
 from linkplan.studies.frequency.margins import Margins, margins
@@ -70,10 +69,7 @@ class BodeStudy:
     """A tracker's loops at several poses, and the margins over the whole reach."""
 
     mechanism: Mechanism
-    law: str
-    settings: Tracking
-    timing: Sampling
-    effort_limit: np.ndarray
+    law: SampledLaw
     points: tuple[BodePoint, ...]
     scans: tuple[Scan, ...]
     method: str | None
@@ -94,11 +90,11 @@ class BodeStudy:
     @property
     def loop_name(self) -> str:
         """The tracker with its gains, period and delay, as text."""
-        settings = self.settings
-        name = self.law if self.law == "lqr" else settings.gains_text(self.mechanism.independent_joints)
+        settings, timing = self.law.settings, self.law.timing
+        name = "lqr" if self.law.name == "lqr" else settings.gains_text(self.mechanism.independent_joints)
         name += f" sampled every {settings.period_s:g} s"
-        if self.timing.delay_steps:
-            name += f" with a delay of {self.timing.delay_s / settings.period_s:g} period(s)"
+        if timing.delay_steps:
+            name += f" with a delay of {timing.delay_s / settings.period_s:g} period(s)"
         return name
 
     @property
@@ -239,20 +235,18 @@ def bode_study(
     Raises:
         LinkplanError: for a pose that cannot be held, or frequencies above the Nyquist frequency.
     """
-    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    if frequency_hz is not None:
-        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), timing.period_s)
     positions = np.atleast_2d(positions)
-    points = [
-        operating_point(mechanism, position, effort_limit) for position in positions
-    ]  # or refuses a pose, before any work
+    chosen = sampled_law(mechanism, law, settings, effort_limit)
+    if frequency_hz is not None:
+        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
+    points = [operating_point(mechanism, s, effort_limit) for s in positions]  # or refuses a pose, before any work
     if law == "lqr":
-        settings = with_lqr_errors(settings, mechanism, points, effort_limit)
+        chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
     lines = _scan_lines(mechanism, positions, line) if scanned else []
-    scans = tuple(_scans(mechanism, lines, settings, effort_limit, timing, law, scanned, say))
+    scans = tuple(_scans(mechanism, lines, chosen, scanned, say))
     if line is not None:
         positions = _with_worst(positions, scans)
-    loops, ideal = _predicted(mechanism, positions, settings, effort_limit, timing, law, say)
+    loops, ideal = _predicted(mechanism, positions, chosen, say)
     pairs = touching(mechanism, loops)
     in_contact = touched(pairs, len(loops))
     trials = _settles(loops, in_contact, effort_limit)
@@ -262,7 +256,7 @@ def bode_study(
         bounds = [margins(loop, channel) for loop in loops]
         measured: dict[int, dict[str, Response]] = {}
         if setup is not None and stable:
-            at = default_frequencies([bounds[i] for i in stable], timing) if frequency_hz is None else frequency_hz
+            at = default_frequencies([bounds[i] for i in stable], chosen.timing) if frequency_hz is None else frequency_hz
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
@@ -281,10 +275,7 @@ def bode_study(
             found.append(point)
     return BodeStudy(
         mechanism=mechanism,
-        law=law,
-        settings=settings,
-        timing=timing,
-        effort_limit=np.array(effort_limit),
+        law=chosen,
         points=tuple(found),
         scans=scans,
         method=None if setup is None else setup.method,
@@ -294,15 +285,16 @@ def bode_study(
     )
 
 
-def _predicted(mechanism, positions: np.ndarray, settings: Tracking, effort_limit, timing: Sampling, law: str, say):
+def _predicted(
+    mechanism: Mechanism, positions: np.ndarray, law: SampledLaw, say: Callable[[str], None]
+) -> tuple[list[FeedbackLoop], list[FeedbackLoop]]:
     """Return the sampled and the continuous loops at positions (n, n_s)."""
     loops, ideal = [], []
     for position in positions:
-        point = operating_point(mechanism, position, effort_limit)
+        point = operating_point(mechanism, position, law.effort_limit)
         say(f"predicted at {point.name}")
-        gain = law_gain(point, law, settings, effort_limit)
-        loops.append(feedback_loop(point, gain, timing, SIMULATED))
-        ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
+        loops.append(law.loop(point))
+        ideal.append(law.loop(point, CONTINUOUS))
     return loops, ideal
 
 
@@ -316,20 +308,19 @@ def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit
     return settles
 
 
-def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort_limit, timing, law: str, count: int, say):
+def _scans(
+    mechanism: Mechanism,
+    lines: Sequence[tuple[int | None, Line]],
+    law: SampledLaw,
+    count: int,
+    say: Callable[[str], None],
+) -> Iterator[Scan]:
     """Yield the margins along lines: a coordinate's line for that coordinate's loop, a motion's line for all loops."""
     for coordinate, line in lines:
         say(f"margins over {line.name} from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}")
         for channel in mechanism.channels if coordinate is None else [coordinate]:
-            judge = judge_of(mechanism, settings, effort_limit, timing, law, [channel])
-
-            def at(x: float, judge=judge, line=line) -> Margins | None:
-                found = judge(line.at(x))
-                return None if found is None else found[0]
-
-            positions, found = scan_line(at, line.low, line.high, count)
-            if found:
-                yield Scan(channel=channel, line=line, positions=positions, margins=found)
+            if (found := scan_line(mechanism, line, law, channel, count)) is not None:
+                yield found
 
 
 def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) -> list[tuple[int | None, Line]]:

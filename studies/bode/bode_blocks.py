@@ -9,7 +9,7 @@ from linkplan.studies.bode.bode import BodePoint, BodeStudy
 from linkplan.studies.bode.scan import Scan, bounds_text
 from linkplan.studies.bode.touching import contact_sentence
 from linkplan.studies.check.softness import gap_sentence, held_gap
-from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.output.document import (
@@ -45,7 +45,7 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
     """
     message = study.message[:1].upper() + study.message[1:]
     blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
-    rows = [("mechanism", study.mechanism.name), ("tracker", study.law), ("feedback loop", study.loop_name)]
+    rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
     if len(study.mechanism.channels) > 1:
         names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
         text = (
@@ -146,7 +146,7 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
 
     Lines are predictions of the sampled loop, dots measurements; the dotted lines are those of continuous time.
     """
-    reference = "reference" if study.law == "pd" else "reference+ff"
+    reference = "reference" if study.law.name == "pd" else "reference+ff"
     titles = {"loop": "Open loop L", reference: f"{reference.replace('+', ' with ')} to position"}
     found: dict[str, list[Plot]] = {}
     for quantity, title in titles.items():
@@ -257,7 +257,7 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
         phase = least.margins.disk_phase_margin_deg
         title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"
         curves.append(Curve(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
-    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.timing.period_s)[::3]
+    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.law.timing.period_s)[::3]
     for k, entry in enumerate(entries):
         gain = entry.sampled.gains("loop", grid, entry.channel)
         # The plane has the part of every curve that is closest to the origin.
@@ -350,14 +350,13 @@ def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarr
 
 def sensitivity_along(study: BodeStudy, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies (m,) [Hz] and |S| (m, n) [dB] at a scan's n positions; NaN where the loop is unstable."""
-    grid = frequency_grid(study.timing.period_s)[::16]
+    grid = frequency_grid(study.law.timing.period_s)[::16]
     grid = grid[grid >= min((lowest_hz(entry) for entry in study.points), default=grid[0])]
-    limit = study.effort_limit
+    free = np.array([[-np.inf, np.inf]] * len(study.law.effort_limit))
     heat = np.full((len(grid), len(scan.positions)), np.nan)
     for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
         if not bounds.stable:  # an unstable loop has no sensitivity
             continue
-        point = operating_point(study.mechanism, scan.line.at(position), np.array([[-np.inf, np.inf]] * len(limit)))
-        loop = feedback_loop(point, law_gain(point, study.law, study.settings, limit), study.timing, SIMULATED)
+        loop = study.law.loop(operating_point(study.mechanism, scan.line.at(position), free))
         heat[:, column] = 20 * np.log10(np.abs(loop.gains("sensitivity", grid, scan.channel)))
     return grid, heat

@@ -18,7 +18,7 @@ import numpy as np
 
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.sampling import Sampling, augmented, closed, exact, simulated, spectral_radius
+from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.controllers.trackers.pd import pd
@@ -317,6 +317,30 @@ class FeedbackLoop:
             unit=quantity_unit(self.point, quantity, channel),
             origin=f"predicted, {self.kind}",
         )
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SampledLaw:
+    """A linear law by its name and settings, with its timing and the limits (n_u, 2) [N.m or N] of the actuators."""
+
+    name: str
+    settings: Tracking
+    timing: Sampling
+    effort_limit: np.ndarray
+
+    def loop(self, point: OperatingPoint, kind: str = SIMULATED) -> FeedbackLoop:
+        """Return the law's loop about a point.
+
+        Raises:
+            LinkplanError: for an unknown law, or an LQR without a stabilising gain.
+        """
+        return feedback_loop(point, law_gain(point, self.name, self.settings, self.effort_limit), self.timing, kind)
+
+
+def sampled_law(mechanism: Mechanism, name: str, settings: Tracking, effort_limit: np.ndarray) -> SampledLaw:
+    """Return a law with the period and the delay of its settings in the simulator's steps."""
+    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
+    return SampledLaw(name=name, settings=settings, timing=timing, effort_limit=np.array(effort_limit))
 
 
 def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:

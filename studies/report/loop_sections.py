@@ -37,17 +37,17 @@ def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[
 
 def tune_sections(found: Tuning) -> list[Section]:
     """Return the sections of gains for requirements."""
-    mechanism, wanted, joints = found.mechanism, found.wanted, tuned_joints(found)
+    mechanism, wanted, law, joints = found.mechanism, found.wanted, found.best.law, tuned_joints(found)
     rows = [
         ("mechanism", mechanism.name),
-        ("tracker", found.law),
+        ("tracker", law.name),
         ("wanted bandwidth", f"{wanted.bandwidth_hz:g} Hz at least"),
         ("wanted phase margin", f"{wanted.phase_margin_deg:g} deg at least"),
-        ("control period", f"{found.timing.period_s:g} s, delay {found.timing.delay_s:g} s"),
+        ("control period", f"{law.timing.period_s:g} s, delay {law.timing.delay_s:g} s"),
     ]
     if np.isfinite(wanted.sensitivity_peak):
         rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
-    if found.law != "lqr":
+    if law.name != "lqr":
         rows += [(f"gains {where}", gains) for where, gains in gain_lines(found)]
     blocks: list[Block] = [
         Facts(rows=rows),

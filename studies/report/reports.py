@@ -102,7 +102,7 @@ def decomposition_report(found: Decomposition) -> Report:
 
 def bode_report(study: BodeStudy, extras: Sequence[Section] = (), note: str | None = None) -> Report:
     """Return the report of a feedback loop; `extras` are the sections of further studies of it."""
-    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law}", verdict=False), *extras]
+    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law.name}", verdict=False), *extras]
     verdict = study.message if note is None else f"{study.message}; {note}"
     return report_of(f"Feedback loop of {study.mechanism.name}", verdict, study.stable, sections)
 

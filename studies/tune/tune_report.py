@@ -19,7 +19,7 @@ def tuned_joints(tuning: Tuning) -> list[Joint]:
 
 def joint_gains(tuning: Tuning) -> dict[str, tuple[float, float]]:
     """Return kp and kd of every joint with a loop, by its name."""
-    settings, joints = tuning.best.settings, tuning.mechanism.independent_joints
+    settings, joints = tuning.best.law.settings, tuning.mechanism.independent_joints
     gains = np.array(settings.gains(joints)).T
     return {
         joints[channel].name: (float(gains[channel, 0]), float(gains[channel, 1])) for channel in tuning.mechanism.channels
@@ -62,14 +62,15 @@ def places(tuning: Tuning, loops: Sequence[JudgedLoop]) -> tuple[np.ndarray, str
 
 def tune_record(tuning: Tuning) -> dict:
     """Return the JSON record of `linkplan tune`."""
-    gains: dict = {"period_s": tuning.timing.period_s, "delay_s": tuning.timing.delay_s}
+    timing = tuning.best.law.timing
+    gains: dict = {"period_s": timing.period_s, "delay_s": timing.delay_s}
     values, joints = tracking_values(tuning), tuned_joints(tuning)
     gains |= {key: value for key, value in values.items() if key not in ("period_s", "delay_periods")}
-    if tuning.law != "lqr" and len(joints) == 1:
+    if tuning.best.law.name != "lqr" and len(joints) == 1:
         gains |= {"motor_side": motor_gains(tuning)}
     return {
         "mechanism": tuning.mechanism.name,
-        "tracker": tuning.law,
+        "tracker": tuning.best.law.name,
         "found": tuning.found,
         "message": tuning.message,
         "wanted": {
@@ -99,9 +100,9 @@ def _place(loop: JudgedLoop, joints: Sequence[Joint]) -> dict:
 
 def tracking_values(tuning: Tuning) -> dict:
     """Return the gains under the keys of the [tracking] table of a problem file; with several loops by joint."""
-    settings, joints = tuning.best.settings, tuned_joints(tuning)
+    settings, joints = tuning.best.law.settings, tuned_joints(tuning)
     values: dict = {"kp": settings.kp, "kd": settings.kd}
-    if tuning.law == "lqr":
+    if tuning.best.law.name == "lqr":
         position, velocity = (joints[0].shown(float(weight[0])) for weight in settings.lqr_errors(joints))
         values = {f"lqr_position_{joints[0].unit}": position, f"lqr_velocity_{joints[0].unit}_s": velocity}
     values |= {"period_s": settings.period_s}
@@ -122,7 +123,7 @@ def tracking_table(tuning: Tuning) -> str:
 def tune_text(tuning: Tuning) -> str:
     """Return the gains in the joints' and the motor's units, and the margins of every loop at every pose, as text."""
     joints, lines = tuned_joints(tuning), [tuning.message, ""]
-    if tuning.law == "lqr":
+    if tuning.best.law.name == "lqr":
         (position_key, position), (velocity_key, velocity) = list(tracking_values(tuning).items())[:2]
         lines.append(
             f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g} (errors weighted like the full effort limit)"
