@@ -81,7 +81,7 @@ class Scan:
 
     def column(self, name: str) -> np.ndarray:
         """Return one figure (n,) of the margins, NaN where it is None."""
-        return np.array([np.nan if getattr(m, name) is None else getattr(m, name) for m in self.margins], dtype=float)
+        return figures(self.margins, name)
 
     @property
     def worst(self) -> int:
@@ -93,6 +93,11 @@ class Scan:
         values = np.where(np.isnan(self.column(name)), np.inf, self.column(name))
         k = int(np.argmin(values))
         return (float(values[k]), k) if np.isfinite(values[k]) else None
+
+
+def figures(bounds: Sequence[Margins], name: str) -> np.ndarray:
+    """Return one figure (n,) of margins, NaN where it is None."""
+    return np.array([getattr(one, name) for one in bounds], dtype=float)
 
 
 def stability(found: Margins | None) -> float:
