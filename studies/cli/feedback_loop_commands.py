@@ -112,8 +112,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
     said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
 
     def draw(place: Path) -> None:
-        from linkplan.studies.tune.draw_tune import tune_figure
-        from linkplan.studies.tune.tune_report import tracking_table
+        from linkplan.studies.tune.tune_report import tracking_table, tune_figure
 
         (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
         tune_figure(found, place / "tune.png")

@@ -233,22 +233,15 @@ class FeedbackLoop:
         unit = np.eye(len(steered))[steered.index(channel)]
         return float(1.0 / np.linalg.solve(K[np.ix_(steered, steered)], unit)[steered.index(channel)])
 
-    def system(self) -> "control.StateSpace":
-        """Return the open loop from commands to K x as python-control's state space."""
+    def system(self, *, closed: bool = False) -> "control.StateSpace":
+        """Return the loop as python-control's state space: open, from commands to K x, or closed, from commands to x."""
         import control
 
         A, B = self.steered_matrices()
-        C = np.zeros((len(self.gain), len(A)))
-        C[:, : len(self.steered_entries)] = self.gain[:, self.steered_entries]
-        return control.StateSpace(A, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
-
-    def closed_system(self) -> "control.StateSpace":
-        """Return the closed loop from commands added to the law's to the state x, as python-control's state space."""
-        import control
-
-        A, B = self.steered_matrices()
-        C = np.eye(len(self.steered_entries), len(A))
-        return control.StateSpace(self.matrix, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
+        state = np.eye(len(self.steered_entries), len(A))
+        read = state if closed else self.gain[:, self.steered_entries] @ state
+        period_s = 0 if self.kind == CONTINUOUS else self.timing.period_s
+        return control.StateSpace(self.matrix if closed else A, B, read, 0, period_s)
 
     def plant(self, frequency_hz: np.ndarray) -> np.ndarray:
         """Return G (n, 2 n_s, n_u), commands to the state, at frequencies [Hz].

@@ -214,8 +214,7 @@ class BodeResult:
         Raises:
             LinkplanError: for an unknown pose.
         """
-        loop = self._entry(pose, None).sampled
-        return loop.closed_system() if closed else loop.system()
+        return self._entry(pose, None).sampled.system(closed=closed)
 
     def frd(
         self, quantity: str = "loop", pose: str | None = None, *, joint: str | None = None, measured: bool = False
@@ -316,9 +315,7 @@ class TuneResult:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""
-        from linkplan.studies.tune.draw_tune import tune_figure
-
-        return drawn(path, lambda place: tune_figure(self.tuning, place))
+        return drawn(path, lambda place: tune_report.tune_figure(self.tuning, place))
 
     def __str__(self) -> str:
         return tune_report.tune_text(self.tuning) + _noted(self.note)

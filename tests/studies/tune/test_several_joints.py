@@ -14,10 +14,9 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.tune.draw_tune import tune_figure
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import tracking_table, tracking_values, tune_record, tune_text
+from linkplan.studies.tune.tune_report import tracking_table, tracking_values, tune_figure, tune_record, tune_text
 from tests.support.parallel_ankle import ankle
 from tests.support.tolerances_loops import MARGIN
 
@@ -132,7 +131,7 @@ def test_the_tracking_table_gives_a_problem_its_gains_by_joint(tmp_path):
     assert "the loop of O2, the others closed" in text
     assert f"at O1: kp = {values['kp']['O1']:.5g} N.m/rad" in text
     figure = tune_figure(found, tmp_path / "tune.png")
-    assert [axes.get_title() for axes in figure.axes[:2]] == ["loop of O1", "loop of O2"]
+    assert [axes.get_title().split(", ")[-1] for axes in figure.axes[:2]] == ["loop of O1", "loop of O2"]
 
 
 def _toml(value):

@@ -9,10 +9,9 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import damping_ratio, margins, settling_time_s
-from linkplan.studies.tune.draw_tune import tune_figure
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import motor_gains, tune_record, tune_text
+from linkplan.studies.tune.tune_report import motor_gains, tune_figure, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
 
