@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.trackers.pd import pd_gain
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.bode.bode import BodeStudy
@@ -13,7 +12,6 @@ from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_
 from linkplan.studies.frequency.stability_map import (
     StabilityMap,
     critical_kd,
-    effort_map,
     longest_period,
     pd_loop,
     stability_map,
@@ -61,14 +59,14 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
 
     def largest(x: float) -> float:
         try:
-            return _critical(point_at(x), own_kp, law.timing)[1]
+            return critical_kd(point_at(x), own_kp, law.timing)[1]
         except LinkplanError:  # poses between two held ones may not be held
             return np.inf
 
     if len(positions) > 1:
         positions = np.sort([*positions, *local_minima(largest, positions)])
     points = [point_at(x) for x in positions]
-    critical = np.array([_critical(point, own_kp, law.timing) for point in points])
+    critical = np.array([critical_kd(point, own_kp, law.timing) for point in points])
     inertia = np.array([float(point.inertia[0, 0]) for point in points])
     # 2 J / T is the largest stable kd without delay, and J / T^2 the natural scale of kp.
     largest_kd = 2 * inertia.max() / law.timing.period_s
@@ -78,12 +76,7 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     kp = np.geomspace(min([*own, 1e-4 * scale.min()]) / 3, max([*own, 5 * scale.max()]) * 2, _GRID_POINTS)
     found = stability_map(points, law.timing, kp, kd, law.effort_limit, say)
     delay = law.timing.delay_steps / law.timing.substeps
-    try:
-        longest, where = longest_period(
-            points, lambda point, _: pd_gain(effort_map(point), own_kp, own_kd), delay, law.timing.period_s
-        )
-    except LinkplanError:
-        longest, where = None, None
+    longest, where = longest_period(points, own_kp, own_kd, delay, law.timing.period_s)
     say("gains on both sides of the stability boundary at every pose, in MuJoCo")
     return MapStudy(
         found=found,
@@ -94,13 +87,6 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         longest_s=longest,
         longest_at=where,
     )
-
-
-def _critical(point: OperatingPoint, kp: float, timing) -> tuple[float, float]:
-    try:
-        return critical_kd(point, kp, timing)
-    except LinkplanError:
-        return np.nan, np.nan
 
 
 def _settles_near_border(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:
