@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling
-from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.scan import Line, Scan, coordinate_line, reduced_limits, scan_line
+from linkplan.studies.bode.scan import Line, Scan, coordinate_line, scan_line
 from linkplan.studies.bode.touching import touched, touching
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
@@ -30,10 +29,9 @@ from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
-DEFAULT_POSES = 5
 # Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
 # be singular.
-_REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
+REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCAN_POSITIONS = 41
 # A worst pose closer than this share of the line to a chosen pose is that pose.
 SAME_POSE_SHARE = 1e-3
@@ -147,50 +145,6 @@ def _counted(n: int) -> str:
     return "1 pose" if n == 1 else f"{n} poses"
 
 
-def default_poses(
-    mechanism: Mechanism, positions: np.ndarray | None = None, effort_limit: np.ndarray | None = None
-) -> tuple[np.ndarray, str | None]:
-    """Return the default positions (n, n_s), and a note if the actuators cannot hold the whole range at rest.
-
-    With one degree of freedom: five positions over the range of `positions` (m,), or seven over the reach, restricted to
-    positions that efforts within the limits (n_u, 2) hold at rest. With several degrees of freedom: home.
-    """
-    if mechanism.dof != 1:
-        return mechanism.home[mechanism.independent][None], None
-    if positions is not None and len(positions):
-        low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, DEFAULT_POSES)
-    else:
-        low, high = inner_reach(mechanism, 0)
-        shares = (np.array(_REACH_SHARES) - _REACH_SHARES[0]) / (_REACH_SHARES[-1] - _REACH_SHARES[0])
-        if turns_fully(mechanism, 0):  # there are no ends: the same number of poses, evenly over a turn
-            high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
-    tried = np.linspace(low, high, 81)
-    held = np.array([is_held(mechanism, np.array([position]), effort_limit) for position in tried])
-    if held.all() or not held.any():  # if none can be held, the caller's `operating_point` gives the reason
-        return (low + shares * (high - low))[:, None], None
-    kept, unheld, joint = tried[held], tried[~held], mechanism.independent_joints[0]
-    return kept[(shares * (len(kept) - 1)).round().astype(int)][:, None], (
-        f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}: the"
-        f" actuators cannot hold {len(unheld)} of {len(tried)} positions from {joint.said(low, 4)} to {joint.said(high, 4)}"
-        f" at rest, all between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
-    )
-
-
-def is_held(mechanism: Mechanism, position: np.ndarray, effort_limit: np.ndarray | None) -> bool:
-    """Return True if the actuators hold a position (n_s,) with a reserve to both limits."""
-    inside = reduced_limits(mechanism.effort_limit if effort_limit is None else effort_limit)
-    try:
-        operating_point(mechanism, position, inside)
-    except LinkplanError:
-        return False
-    return True
-
-
-def turns_fully(mechanism: Mechanism, coordinate: int) -> bool:
-    """Return True if a coordinate is a hinge that can make a full turn."""
-    return mechanism.independent_joints[coordinate].kind == "hinge" and reach(mechanism, coordinate).turns_fully
-
-
 def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
     """Return a joint's reach [rad or m] without 1 % at each end; for an unlimited joint, a full turn about home."""
     can = reach(mechanism, coordinate)
@@ -199,7 +153,7 @@ def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
     if can.turns_fully or not np.isfinite(high - low):
         half = np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.extent_m
         return home - half, home + half
-    return low + _REACH_SHARES[0] * (high - low), low + _REACH_SHARES[-1] * (high - low)
+    return low + REACH_SHARES[0] * (high - low), low + REACH_SHARES[-1] * (high - low)
 
 
 def bode_study(
