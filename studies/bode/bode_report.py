@@ -20,8 +20,11 @@ def bode_record(study: BodeStudy) -> dict:
     mechanism, law = study.mechanism, study.law
     by_pose: dict[bytes, dict] = {}
     for entry in study.points:
+        name = law.name
+        if len(mechanism.channels) > 1:
+            name += f" {mechanism.independent_joints[entry.channel].name}"
         row = by_pose.setdefault(entry.point.pose.tobytes(), _pose_record(entry.point))
-        row["loops"][law.name if len(mechanism.channels) == 1 else _channel_name(study, entry.channel)] = _loop_record(entry)
+        row["loops"][name] = _loop_record(entry)
     slides = mechanism.independent_joints[0].kind == "slide"
     weights = ("lqr_position_m", "lqr_velocity_m_s") if slides else ("lqr_position_deg", "lqr_velocity_deg_s")
     names = (*(weights if law.name == "lqr" else ("kp", "kd")), "period_s", "delay_periods")
@@ -93,10 +96,6 @@ def _measurement_record(study: BodeStudy) -> dict | None:
         "closed_loop_deviation_deg": None if deviation is None else deviation[1],
         **study.conditions,
     }
-
-
-def _channel_name(study: BodeStudy, channel: int) -> str:
-    return f"{study.law.name} {study.mechanism.independent_joints[channel].name}"
 
 
 def save_bode(study: BodeStudy, place: Path) -> None:
