@@ -99,12 +99,8 @@ def _conduct(folder: Path, batch: BatchFile, target: Path | None, engine: Engine
     todo = [block for block in range(block_count(n)) if block not in there]
     with contextlib.closing(streamed(engine, work, todo, say)) as results:
         for block, answers in results:
-            replace_file(part(folder, block, "zip"), functools.partial(_write, content=packed(answers)))
+            replace_file(part(folder, block, "zip"), functools.partial(Path.write_bytes, data=packed(answers)))
             progress.more(len(answers))
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
 
 
 def _work(batch: BatchFile, target: Path | None, parquet: bool, say: Say | None, block: int, threads: int) -> list[Planned]:

@@ -1,5 +1,6 @@
 """The study behind `linkplan bode --along`: the frozen feedback loop along a plan, and Floquet multipliers if periodic."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
@@ -52,17 +53,14 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     say(f"{law} frozen along {plan.problem.name}: {reference.n} control instants")
     radius = frozen_radii(mechanism, reference, gains, timing)
     instants = np.unique(np.linspace(0, reference.n - 1, 25).astype(int))
-    known: dict[int, tuple[Margins, int]] = {}
 
-    def worst(k: float) -> tuple[Margins, int]:
-        at = round(k)
-        if at not in known:
-            loop = frozen_loop(mechanism, reference, gains, timing, at)
-            every = [(margins(loop, channel, refine=False), channel) for channel in mechanism.channels]
-            known[at] = min(every, key=lambda one: stability(one[0]))
-        return known[at]
+    @functools.cache
+    def worst(k: int) -> tuple[Margins, int]:
+        loop = frozen_loop(mechanism, reference, gains, timing, k)
+        every = [(margins(loop, channel, refine=False), channel) for channel in mechanism.channels]
+        return min(every, key=lambda one: stability(one[0]))
 
-    between = [round(k) for k in local_minima(lambda k: stability(worst(k)[0]), instants)]
+    between = [round(k) for k in local_minima(lambda k: stability(worst(round(k))[0]), instants)]
     instants = np.unique([*instants, *between])
     found = [worst(k) for k in instants]
     cycle = None

@@ -1,29 +1,27 @@
 """The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.controllers.sampling import Sampling, sampling
-from linkplan.models.errors import LinkplanError
+from linkplan.controllers.sampling import Sampling
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.scan import Line, Scan, coordinate_line, judge_of, reduced_limits, scan_line
+from linkplan.studies.bode.scan import Line, Scan, coordinate_line, scan_line
 from linkplan.studies.bode.touching import touched, touching
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
-    SIMULATED,
     FeedbackLoop,
     OperatingPoint,
-    feedback_loop,
-    law_gain,
+    SampledLaw,
     operating_point,
     refuse_above_nyquist,
+    sampled_law,
     with_lqr_errors,
 )
 from linkplan.studies.frequency.margins import Margins, margins
@@ -31,10 +29,9 @@ from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
-DEFAULT_POSES = 5
 # Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
 # be singular.
-_REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
+REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCAN_POSITIONS = 41
 # A worst pose closer than this share of the line to a chosen pose is that pose.
 SAME_POSE_SHARE = 1e-3
@@ -70,10 +67,7 @@ class BodeStudy:
     """A tracker's loops at several poses, and the margins over the whole reach."""
 
     mechanism: Mechanism
-    law: str
-    settings: Tracking
-    timing: Sampling
-    effort_limit: np.ndarray
+    law: SampledLaw
     points: tuple[BodePoint, ...]
     scans: tuple[Scan, ...]
     method: str | None
@@ -94,11 +88,11 @@ class BodeStudy:
     @property
     def loop_name(self) -> str:
         """The tracker with its gains, period and delay, as text."""
-        settings = self.settings
-        name = self.law if self.law == "lqr" else settings.gains_text(self.mechanism.independent_joints)
+        settings, timing = self.law.settings, self.law.timing
+        name = "lqr" if self.law.name == "lqr" else settings.gains_text(self.mechanism.independent_joints)
         name += f" sampled every {settings.period_s:g} s"
-        if self.timing.delay_steps:
-            name += f" with a delay of {self.timing.delay_s / settings.period_s:g} period(s)"
+        if timing.delay_steps:
+            name += f" with a delay of {timing.delay_s / settings.period_s:g} period(s)"
         return name
 
     @property
@@ -151,50 +145,6 @@ def _counted(n: int) -> str:
     return "1 pose" if n == 1 else f"{n} poses"
 
 
-def default_poses(
-    mechanism: Mechanism, positions: np.ndarray | None = None, effort_limit: np.ndarray | None = None
-) -> tuple[np.ndarray, str | None]:
-    """Return the default positions (n, n_s), and a note if the actuators cannot hold the whole range at rest.
-
-    With one degree of freedom: five positions over the range of `positions` (m,), or seven over the reach, restricted to
-    positions that efforts within the limits (n_u, 2) hold at rest. With several degrees of freedom: home.
-    """
-    if mechanism.dof != 1:
-        return mechanism.home[mechanism.independent][None], None
-    if positions is not None and len(positions):
-        low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, DEFAULT_POSES)
-    else:
-        low, high = inner_reach(mechanism, 0)
-        shares = (np.array(_REACH_SHARES) - _REACH_SHARES[0]) / (_REACH_SHARES[-1] - _REACH_SHARES[0])
-        if turns_fully(mechanism, 0):  # there are no ends: the same number of poses, evenly over a turn
-            high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
-    tried = np.linspace(low, high, 81)
-    held = np.array([is_held(mechanism, np.array([position]), effort_limit) for position in tried])
-    if held.all() or not held.any():  # if none can be held, the caller's `operating_point` gives the reason
-        return (low + shares * (high - low))[:, None], None
-    kept, unheld, joint = tried[held], tried[~held], mechanism.independent_joints[0]
-    return kept[(shares * (len(kept) - 1)).round().astype(int)][:, None], (
-        f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}: the"
-        f" actuators cannot hold {len(unheld)} of {len(tried)} positions from {joint.said(low, 4)} to {joint.said(high, 4)}"
-        f" at rest, all between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
-    )
-
-
-def is_held(mechanism: Mechanism, position: np.ndarray, effort_limit: np.ndarray | None) -> bool:
-    """Return True if the actuators hold a position (n_s,) with a reserve to both limits."""
-    inside = reduced_limits(mechanism.effort_limit if effort_limit is None else effort_limit)
-    try:
-        operating_point(mechanism, position, inside)
-    except LinkplanError:
-        return False
-    return True
-
-
-def turns_fully(mechanism: Mechanism, coordinate: int) -> bool:
-    """Return True if a coordinate is a hinge that can make a full turn."""
-    return mechanism.independent_joints[coordinate].kind == "hinge" and reach(mechanism, coordinate).turns_fully
-
-
 def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
     """Return a joint's reach [rad or m] without 1 % at each end; for an unlimited joint, a full turn about home."""
     can = reach(mechanism, coordinate)
@@ -203,7 +153,7 @@ def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
     if can.turns_fully or not np.isfinite(high - low):
         half = np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.extent_m
         return home - half, home + half
-    return low + _REACH_SHARES[0] * (high - low), low + _REACH_SHARES[-1] * (high - low)
+    return low + REACH_SHARES[0] * (high - low), low + REACH_SHARES[-1] * (high - low)
 
 
 def bode_study(
@@ -239,20 +189,18 @@ def bode_study(
     Raises:
         LinkplanError: for a pose that cannot be held, or frequencies above the Nyquist frequency.
     """
-    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    if frequency_hz is not None:
-        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), timing.period_s)
     positions = np.atleast_2d(positions)
-    points = [
-        operating_point(mechanism, position, effort_limit) for position in positions
-    ]  # or refuses a pose, before any work
+    chosen = sampled_law(mechanism, law, settings, effort_limit)
+    if frequency_hz is not None:
+        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
+    points = [operating_point(mechanism, s, effort_limit) for s in positions]  # or refuses a pose, before any work
     if law == "lqr":
-        settings = with_lqr_errors(settings, mechanism, points, effort_limit)
+        chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
     lines = _scan_lines(mechanism, positions, line) if scanned else []
-    scans = tuple(_scans(mechanism, lines, settings, effort_limit, timing, law, scanned, say))
+    scans = tuple(_scans(mechanism, lines, chosen, scanned, say))
     if line is not None:
         positions = _with_worst(positions, scans)
-    loops, ideal = _predicted(mechanism, positions, settings, effort_limit, timing, law, say)
+    loops, ideal = _predicted(mechanism, positions, chosen, say)
     pairs = touching(mechanism, loops)
     in_contact = touched(pairs, len(loops))
     trials = _settles(loops, in_contact, effort_limit)
@@ -262,7 +210,7 @@ def bode_study(
         bounds = [margins(loop, channel) for loop in loops]
         measured: dict[int, dict[str, Response]] = {}
         if setup is not None and stable:
-            at = default_frequencies([bounds[i] for i in stable], timing) if frequency_hz is None else frequency_hz
+            at = default_frequencies([bounds[i] for i in stable], chosen.timing) if frequency_hz is None else frequency_hz
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
@@ -281,10 +229,7 @@ def bode_study(
             found.append(point)
     return BodeStudy(
         mechanism=mechanism,
-        law=law,
-        settings=settings,
-        timing=timing,
-        effort_limit=np.array(effort_limit),
+        law=chosen,
         points=tuple(found),
         scans=scans,
         method=None if setup is None else setup.method,
@@ -294,15 +239,16 @@ def bode_study(
     )
 
 
-def _predicted(mechanism, positions: np.ndarray, settings: Tracking, effort_limit, timing: Sampling, law: str, say):
+def _predicted(
+    mechanism: Mechanism, positions: np.ndarray, law: SampledLaw, say: Callable[[str], None]
+) -> tuple[list[FeedbackLoop], list[FeedbackLoop]]:
     """Return the sampled and the continuous loops at positions (n, n_s)."""
     loops, ideal = [], []
     for position in positions:
-        point = operating_point(mechanism, position, effort_limit)
+        point = operating_point(mechanism, position, law.effort_limit)
         say(f"predicted at {point.name}")
-        gain = law_gain(point, law, settings, effort_limit)
-        loops.append(feedback_loop(point, gain, timing, SIMULATED))
-        ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
+        loops.append(law.loop(point))
+        ideal.append(law.loop(point, CONTINUOUS))
     return loops, ideal
 
 
@@ -316,20 +262,19 @@ def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit
     return settles
 
 
-def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort_limit, timing, law: str, count: int, say):
+def _scans(
+    mechanism: Mechanism,
+    lines: Sequence[tuple[int | None, Line]],
+    law: SampledLaw,
+    count: int,
+    say: Callable[[str], None],
+) -> Iterator[Scan]:
     """Yield the margins along lines: a coordinate's line for that coordinate's loop, a motion's line for all loops."""
     for coordinate, line in lines:
         say(f"margins over {line.name} from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}")
         for channel in mechanism.channels if coordinate is None else [coordinate]:
-            judge = judge_of(mechanism, settings, effort_limit, timing, law, [channel])
-
-            def at(x: float, judge=judge, line=line) -> Margins | None:
-                found = judge(line.at(x))
-                return None if found is None else found[0]
-
-            positions, found = scan_line(at, line.low, line.high, count)
-            if found:
-                yield Scan(channel=channel, line=line, positions=positions, margins=found)
+            if (found := scan_line(mechanism, line, law, channel, count)) is not None:
+                yield found
 
 
 def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) -> list[tuple[int | None, Line]]:

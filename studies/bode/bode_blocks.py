@@ -9,13 +9,12 @@ from linkplan.studies.bode.bode import BodePoint, BodeStudy
 from linkplan.studies.bode.scan import Scan, bounds_text
 from linkplan.studies.bode.touching import contact_sentence
 from linkplan.studies.check.softness import gap_sentence, held_gap
-from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.output.document import (
     Axis,
     Block,
-    Curve,
     Facts,
     Heat,
     Limit,
@@ -45,7 +44,7 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
     """
     message = study.message[:1].upper() + study.message[1:]
     blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
-    rows = [("mechanism", study.mechanism.name), ("tracker", study.law), ("feedback loop", study.loop_name)]
+    rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
     if len(study.mechanism.channels) > 1:
         names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
         text = (
@@ -146,7 +145,7 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
 
     Lines are predictions of the sampled loop, dots measurements; the dotted lines are those of continuous time.
     """
-    reference = "reference" if study.law == "pd" else "reference+ff"
+    reference = "reference" if study.law.name == "pd" else "reference+ff"
     titles = {"loop": "Open loop L", reference: f"{reference.replace('+', ' with ')} to position"}
     found: dict[str, list[Plot]] = {}
     for quantity, title in titles.items():
@@ -246,7 +245,7 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
     """Return the open loops in the complex plane, with the critical point and the disk of the least disk margin."""
     turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 121))
     title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.measured for entry in entries) else ''}"
-    curves = [Curve(name="unit circle", x=rounded(turn.real), y=rounded(turn.imag), look="dots", colour=None, width=1.0)]
+    curves = [Series(name="unit circle", x=rounded(turn.real), y=rounded(turn.imag), look="dots", colour=None, width=1.0)]
     stable = [(margin, k) for k, entry in enumerate(entries) if (margin := entry.margins.disk_margin) is not None]
     if stable:
         least_margin, k = min(stable)
@@ -256,20 +255,20 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
         gain = least.margins.disk_gain_margin_db or np.inf
         phase = least.margins.disk_phase_margin_deg
         title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"
-        curves.append(Curve(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
-    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.timing.period_s)[::3]
+        curves.append(Series(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
+    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.law.timing.period_s)[::3]
     for k, entry in enumerate(entries):
         gain = entry.sampled.gains("loop", grid, entry.channel)
         # The plane has the part of every curve that is closest to the origin.
         half_width = max(half_width, 1.3 * min(float(np.abs(gain).min()), _MAX_NYQUIST_GAIN))
         gain = np.where(np.abs(gain) < _MAX_NYQUIST_GAIN, gain, np.nan)  # no straight line across a resonance
-        curves.append(Curve(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
+        curves.append(Series(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
         if "loop" in entry.measured:
             points = entry.measured["loop"].gain
             points = points[np.abs(points) < _MAX_NYQUIST_GAIN]
             dots = {**line_style(k), "look": "points"}
-            curves.append(Curve(name="", x=rounded(points.real), y=rounded(points.imag), **dots))
-    curves.append(Curve(name="critical point -1", x=[-1.0], y=[0.0], look="cross", colour=None, width=2.0))
+            curves.append(Series(name="", x=rounded(points.real), y=rounded(points.imag), **dots))
+    curves.append(Series(name="critical point -1", x=[-1.0], y=[0.0], look="cross", colour=None, width=2.0))
     ends = (-half_width, half_width)
     return Plane(
         title=title,
@@ -313,7 +312,7 @@ def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
         title="Sensitivity |S| over position and frequency",
         x_axis=replace(axis, ends=(float(x[0]), float(x[-1])) if len(x) > 1 else None),
         y_axis=Axis(label="frequency", unit="Hz", log=True, ends=(float(grid[0]), float(grid[-1]))),
-        curves=[Curve(name="crossover", x=rounded(x), y=rounded(scan.column("crossover_hz"), log=True), colour=None)],
+        curves=[Series(name="crossover", x=rounded(x), y=rounded(scan.column("crossover_hz"), log=True), colour=None)],
         heat=Heat(
             name="|S|, blank where it is unstable; red amplifies",
             unit="dB",
@@ -350,14 +349,13 @@ def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarr
 
 def sensitivity_along(study: BodeStudy, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies (m,) [Hz] and |S| (m, n) [dB] at a scan's n positions; NaN where the loop is unstable."""
-    grid = frequency_grid(study.timing.period_s)[::16]
+    grid = frequency_grid(study.law.timing.period_s)[::16]
     grid = grid[grid >= min((lowest_hz(entry) for entry in study.points), default=grid[0])]
-    limit = study.effort_limit
+    free = np.array([[-np.inf, np.inf]] * len(study.law.effort_limit))
     heat = np.full((len(grid), len(scan.positions)), np.nan)
     for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
         if not bounds.stable:  # an unstable loop has no sensitivity
             continue
-        point = operating_point(study.mechanism, scan.line.at(position), np.array([[-np.inf, np.inf]] * len(limit)))
-        loop = feedback_loop(point, law_gain(point, study.law, study.settings, limit), study.timing, SIMULATED)
+        loop = study.law.loop(operating_point(study.mechanism, scan.line.at(position), free))
         heat[:, column] = 20 * np.log10(np.abs(loop.gains("sensitivity", grid, scan.channel)))
     return grid, heat

@@ -17,22 +17,23 @@ if TYPE_CHECKING:
 
 def bode_record(study: BodeStudy) -> dict:
     """Return the JSON record of `linkplan bode`."""
-    mechanism, settings = study.mechanism, study.settings
+    mechanism, law = study.mechanism, study.law
     by_pose: dict[bytes, dict] = {}
     for entry in study.points:
+        name = law.name
+        if len(mechanism.channels) > 1:
+            name += f" {mechanism.independent_joints[entry.channel].name}"
         row = by_pose.setdefault(entry.point.pose.tobytes(), _pose_record(entry.point))
-        row["loops"][study.law if len(mechanism.channels) == 1 else _channel_name(study, entry.channel)] = _loop_record(
-            entry
-        )
+        row["loops"][name] = _loop_record(entry)
     slides = mechanism.independent_joints[0].kind == "slide"
     weights = ("lqr_position_m", "lqr_velocity_m_s") if slides else ("lqr_position_deg", "lqr_velocity_deg_s")
-    names = (*(weights if study.law == "lqr" else ("kp", "kd")), "period_s", "delay_periods")
+    names = (*(weights if law.name == "lqr" else ("kp", "kd")), "period_s", "delay_periods")
     return {
         "mechanism": mechanism.name,
         "stable": study.stable,
         "message": study.message,
-        "tracker": study.law,
-        "gains": {name: getattr(settings, name) for name in names},
+        "tracker": law.name,
+        "gains": {name: getattr(law.settings, name) for name in names},
         "disputed": list(study.disputed),
         "softness": softness_of(study),
         "contacts": contacts_of(study),
@@ -97,15 +98,11 @@ def _measurement_record(study: BodeStudy) -> dict | None:
     }
 
 
-def _channel_name(study: BodeStudy, channel: int) -> str:
-    return f"{study.law} {study.mechanism.independent_joints[channel].name}"
-
-
 def save_bode(study: BodeStudy, place: Path) -> None:
     """Draw every figure of a study into a folder: bode.png, nyquist.png, sensitivity.png and margins.png."""
     from linkplan.studies.output.figure import figure_of
 
-    joints, title = study.mechanism.independent_joints, f"{study.mechanism.name}, {study.law}: {study.loop_name}"
+    joints, title = study.mechanism.independent_joints, f"{study.mechanism.name}, {study.law.name}: {study.loop_name}"
     channels = study.mechanism.channels
     suffixes = {channel: f"-{joints[channel].name}" if len(channels) > 1 else "" for channel in channels}
     for channel, suffix in suffixes.items():
@@ -124,7 +121,7 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | Non
 
     how = "line: predicted, sampled; dotted: continuous"
     how += f"; dots: MuJoCo, {study.method}" if any(entry.measured for entry in entries) else ""
-    title = f"{study.mechanism.name}, {study.law}: {study.message}; {how}"
+    title = f"{study.mechanism.name}, {study.law.name}: {study.message}; {how}"
     return figure_of(
         side_by_side(*responses(study, entries, "").values()), path, title=title, columns=2, panel_in=(6.0, 2.9)
     )

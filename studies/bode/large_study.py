@@ -37,7 +37,7 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
     curve = feasible_curve(
         entry.point,
         default_amplitudes(entry.point),
-        study.effort_limit,
+        study.law.effort_limit,
         position_limit=None if limits is None else limits.position,
         speed_limit=None if limits is None else limits.speed,
     )
@@ -45,9 +45,9 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
     say(f"large signals at {entry.point.name}")
     signals = large_signals(
         entry.sampled,
-        study.effort_limit,
+        study.law.effort_limit,
         default_large_frequencies(entry.sampled, entry.margins.crossover_hz),
-        quantity="reference" if study.law == "pd" else "reference+ff",
+        quantity="reference" if study.law.name == "pd" else "reference+ff",
         farthest=float(within.max()) if within.size else None,
         say=say,
     )

@@ -8,10 +8,10 @@ import numpy as np
 from linkplan.studies.bode.along_motion import AlongMotion
 from linkplan.studies.bode.large_study import LargeStudy
 from linkplan.studies.bode.map_study import TRIAL_GAIN_SHARE, MapStudy, agreement
-from linkplan.studies.bode.scan import bounds_text
+from linkplan.studies.bode.scan import bounds_text, figures
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES
 from linkplan.studies.frequency.floquet import floquet_text
-from linkplan.studies.output.document import MEASURED, Axis, Block, Curve, Facts, Heat, Plane, Plot, Series, Text, table_of
+from linkplan.studies.output.document import MEASURED, Axis, Block, Facts, Heat, Plane, Plot, Series, Text, table_of
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.output.plan_blocks import radius_figure
@@ -71,18 +71,18 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
 def _gains(study: MapStudy, marked: Marked, stiffness: str, damping: str) -> Plane:
     found = study.found
     kp, kd, radius = found.border
-    curves = [Curve(name="predicted stability boundary", colour=4, width=2.2, **_contour(kd, kp, radius, 1.0))]
+    curves = [Series(name="predicted stability boundary", colour=4, width=2.2, **_contour(kd, kp, radius, 1.0))]
     for k, level in enumerate((15.0, 30.0, 45.0, 60.0)):
         line = _contour(found.kd, found.kp, found.phase_margin_deg, level)
         if line["x"]:
-            curves.append(Curve(name=f"phase margin {level:g} deg", colour=0, width=0.8 + 0.4 * k, look="dash", **line))
+            curves.append(Series(name=f"phase margin {level:g} deg", colour=0, width=0.8 + 0.4 * k, look="dash", **line))
     if found.tried:
         tried = np.array([(kp, kd) for kp, kd, _ in found.tried])
         for settles, look, name in ((True, "points", "settles in MuJoCo"), (False, "cross", "does not settle")):
             which = found.settles == settles
             x, y = (rounded(tried[which, column], log=True) for column in (1, 0))
-            curves.append(Curve(name=name, x=x, y=y, look=look, colour=None))
-    curves += [Curve(name=name, x=[kd], y=[kp], look="star", colour=1 + k) for k, (name, kp, kd) in enumerate(marked)]
+            curves.append(Series(name=name, x=x, y=y, look=look, colour=None))
+    curves += [Series(name=name, x=[kd], y=[kp], look="star", colour=1 + k) for k, (name, kp, kd) in enumerate(marked)]
     return Plane(
         title="Stable gains over all positions",
         x_axis=Axis(label="kd", unit=damping, log=True, ends=(float(found.kd[0]), float(found.kd[-1]))),
@@ -120,13 +120,9 @@ def along_blocks(found: AlongMotion) -> list[Block]:
     cycle = found.floquet
     none = "the motion is not periodic: there are no Floquet multipliers"
     blocks: list[Block] = [Text(text=frozen), Text(text=none if cycle is None else floquet_text(cycle))]
-
-    def figure(name: str) -> np.ndarray:
-        return np.array([np.nan if getattr(m, name) is None else getattr(m, name) for m in found.margins], dtype=float)
-
     margins = [
-        Line(name="phase margin", values=figure("phase_margin_deg"), unit="deg"),
-        Line(name="disk phase margin", values=figure("disk_phase_margin_deg"), unit="deg"),
+        Line(name="phase margin", values=figures(found.margins, "phase_margin_deg"), unit="deg"),
+        Line(name="disk phase margin", values=figures(found.margins, "disk_phase_margin_deg"), unit="deg"),
     ]
     several = ", the worst coordinate's loop" if len(joints) > 1 else ""
     title = f"Margins at frozen instants{several}"
@@ -183,23 +179,23 @@ def large_blocks(study: LargeStudy) -> list[Block]:
     order = np.argsort(ratio[known])
     x = rounded(ratio[known][order], log=True)
     described = (
-        ("saturation's", signals.describing_predicted, "line"),
-        ("MuJoCo", np.abs(signals.describing), "points"),
+        ("saturation's", signals.describing_predicted, "line", None),
+        ("MuJoCo", np.abs(signals.describing), "points", 1),
     )
     describing = Plane(
         title="Describing function",
         x_axis=Axis(label="commanded effort over its limit", unit="1", log=True),
         y_axis=Axis(label="applied over commanded effort", unit="1", log=True),
         curves=[
-            Curve(name=name, x=x, y=rounded(values[known][order], log=True), look=look, colour=None if look == "line" else 1)
-            for name, values, look in described
+            Series(name=name, x=x, y=rounded(values[known][order], log=True), look=look, colour=colour)
+            for name, values, look, colour in described
         ],
     )
     live = (curve.frequency_hz > 0) & np.isfinite(curve.frequency_hz)
     tried = np.isfinite(signals.saturated)
     hz = np.broadcast_to(signals.frequency_hz[:, None], signals.amplitude.shape)
     curves = [
-        Curve(
+        Series(
             name="feasible for any controller",
             x=rounded(curve.frequency_hz[live], log=True),
             y=rounded(joint.shown(1.0) * curve.amplitude[live], log=True),
@@ -210,7 +206,7 @@ def large_blocks(study: LargeStudy) -> list[Block]:
     for past, look, name in ((False, "cross", "this loop, not saturated"), (True, "points", "saturated")):
         which = tried & ((signals.saturated > 0) == past)
         curves.append(
-            Curve(
+            Series(
                 name=name,
                 x=rounded(hz[which], log=True),
                 y=rounded(joint.shown(1.0) * signals.amplitude[which], log=True),

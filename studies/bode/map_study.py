@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.trackers.pd import pd_gain
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.bode.bode import BodeStudy
@@ -13,7 +12,6 @@ from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_
 from linkplan.studies.frequency.stability_map import (
     StabilityMap,
     critical_kd,
-    effort_map,
     longest_period,
     pd_loop,
     stability_map,
@@ -50,57 +48,45 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     Raises:
         LinkplanError: for a mechanism of more than one degree of freedom.
     """
-    mechanism, settings = study.mechanism, study.settings
+    mechanism, law = study.mechanism, study.law
     refuse_several_freedoms(mechanism, "a stability map")
-    own_kp, own_kd = (float(gain[0]) for gain in settings.gains(mechanism.independent_joints))
+    own_kp, own_kd = (float(gain[0]) for gain in law.settings.gains(mechanism.independent_joints))
     at = [float(entry.point.state[0]) for entry in study.points]
     positions = np.linspace(min(at), max(at), 9 if len(at) > 1 else 1)
 
     def point_at(x: float) -> OperatingPoint:
-        return operating_point(mechanism, np.array([x]), study.effort_limit)
+        return operating_point(mechanism, np.array([x]), law.effort_limit)
 
     def largest(x: float) -> float:
         try:
-            return _critical(point_at(x), own_kp, study.timing)[1]
+            return critical_kd(point_at(x), own_kp, law.timing)[1]
         except LinkplanError:  # poses between two held ones may not be held
             return np.inf
 
     if len(positions) > 1:
         positions = np.sort([*positions, *local_minima(largest, positions)])
     points = [point_at(x) for x in positions]
-    critical = np.array([_critical(point, own_kp, study.timing) for point in points])
+    critical = np.array([critical_kd(point, own_kp, law.timing) for point in points])
     inertia = np.array([float(point.inertia[0, 0]) for point in points])
     # 2 J / T is the largest stable kd without delay, and J / T^2 the natural scale of kp.
-    largest_kd = 2 * inertia.max() / settings.period_s
+    largest_kd = 2 * inertia.max() / law.timing.period_s
     kd = np.geomspace(1e-3 * largest_kd, 4.0 * max(largest_kd, own_kd), _GRID_POINTS)
-    scale = inertia / settings.period_s**2
+    scale = inertia / law.timing.period_s**2
     own = [own_kp] if own_kp > 0 else []
     kp = np.geomspace(min([*own, 1e-4 * scale.min()]) / 3, max([*own, 5 * scale.max()]) * 2, _GRID_POINTS)
-    found = stability_map(points, study.timing, kp, kd, study.effort_limit, say)
-    delay = study.timing.delay_steps / study.timing.substeps
-    try:
-        longest, where = longest_period(
-            points, lambda point, _: pd_gain(effort_map(point), own_kp, own_kd), delay, settings.period_s
-        )
-    except LinkplanError:
-        longest, where = None, None
+    found = stability_map(points, law.timing, kp, kd, law.effort_limit, say)
+    delay = law.timing.delay_steps / law.timing.substeps
+    longest, where = longest_period(points, own_kp, own_kd, delay, law.timing.period_s)
     say("gains on both sides of the stability boundary at every pose, in MuJoCo")
     return MapStudy(
         found=found,
-        settles_near_border=_settles_near_border(points, own_kp, critical[:, 1], study.timing, study.effort_limit),
+        settles_near_border=_settles_near_border(points, own_kp, critical[:, 1], law.timing, law.effort_limit),
         kp=own_kp,
         kd=own_kd,
         critical=critical,
         longest_s=longest,
         longest_at=where,
     )
-
-
-def _critical(point: OperatingPoint, kp: float, timing) -> tuple[float, float]:
-    try:
-        return critical_kd(point, kp, timing)
-    except LinkplanError:
-        return np.nan, np.nan
 
 
 def _settles_near_border(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The poses at which a loop is analysed: the requested ones, or by default poses over the motion or the reach."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -7,11 +8,14 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.reach import reach
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.bode.bode import DEFAULT_POSES, default_poses, inner_reach, is_held, turns_fully
-from linkplan.studies.bode.scan import Line, coordinate_line, motion_line
-from linkplan.studies.frequency.feedback_loops import require_actuated
+from linkplan.studies.bode.bode import REACH_SHARES, inner_reach
+from linkplan.studies.bode.scan import Line, coordinate_line, motion_line, reduced_limits
+from linkplan.studies.frequency.feedback_loops import operating_point, require_actuated
+
+_DEFAULT_POSES = 5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -46,11 +50,7 @@ def loop_poses(
     """
     require_actuated(mechanism)
     if not asked:
-        return (
-            _along_motion(mechanism, problem, effort_limit)
-            if mechanism.dof > 1
-            else _over_reach(mechanism, problem, effort_limit)
-        )
+        return (_along_motion if mechanism.dof > 1 else _over_reach)(mechanism, problem, effort_limit)
     names = [joint.name for joint in mechanism.independent_joints]
     home = dict(zip(names, mechanism.home[mechanism.independent], strict=True))
     for pose in asked:
@@ -62,14 +62,46 @@ def loop_poses(
 
 
 def _over_reach(mechanism: Mechanism, problem: Problem | None, effort_limit: np.ndarray) -> LoopPoses:
-    """Return default poses for one degree of freedom, over the motion or the reach, and the line between their ends."""
-    ends = _motion_range(problem)
-    positions, note = default_poses(mechanism, ends, effort_limit)
+    """Return five poses over the motion of one degree of freedom, or seven over its reach, and the line between their ends.
+
+    They are restricted to positions that efforts within the limits hold at rest; a note says so.
+    """
+    ends, joint, note = _motion_range(problem), mechanism.independent_joints[0], None
+    whole_turn = ends is None and joint.kind == "hinge" and reach(mechanism, 0).turns_fully
+    if ends is not None:
+        low, high, shares = float(ends.min()), float(ends.max()), np.linspace(0.0, 1.0, _DEFAULT_POSES)
+    else:
+        low, high = inner_reach(mechanism, 0)
+        shares = (np.array(REACH_SHARES) - REACH_SHARES[0]) / (REACH_SHARES[-1] - REACH_SHARES[0])
+        if whole_turn:  # there are no ends: the same number of poses, evenly over a turn
+            high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
+    tried = np.linspace(low, high, 81)
+    held = _are_held(mechanism, tried[:, None], effort_limit)
+    positions = low + shares * (high - low)
+    if held.any() and not held.all():  # if none can be held, the caller's `operating_point` gives the reason
+        kept, unheld = tried[held], tried[~held]
+        positions = kept[(shares * (len(kept) - 1)).round().astype(int)]
+        note = (
+            f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}: the"
+            f" actuators cannot hold {len(unheld)} of {len(tried)} positions from {joint.said(low, 4)} to"
+            f" {joint.said(high, 4)} at rest, all between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
+        )
+    positions = positions[:, None]
     low, high = float(positions.min()), float(positions.max())
-    if ends is None and note is None and turns_fully(mechanism, 0):
+    if whole_turn and note is None:
         low, high = inner_reach(mechanism, 0)
     line = coordinate_line(mechanism, 0, low, high, positions[0]) if low < high else None
     return LoopPoses(positions=positions, note=note, line=line)
+
+
+def _are_held(mechanism: Mechanism, positions: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
+    """Return True for each of the positions (n, n_s) that the actuators hold with a reserve to both limits, (n,)."""
+    inside, held = reduced_limits(effort_limit), np.zeros(len(positions), dtype=bool)
+    for k, position in enumerate(positions):
+        with contextlib.suppress(LinkplanError):
+            operating_point(mechanism, position, inside)
+            held[k] = True
+    return held
 
 
 def _along_motion(mechanism: Mechanism, problem: Problem | None, effort_limit: np.ndarray) -> LoopPoses:
@@ -83,11 +115,11 @@ def _along_motion(mechanism: Mechanism, problem: Problem | None, effort_limit: n
         return home
     time = np.linspace(0.0, guess.duration_s, 61)
     path = guess.position(time)
-    held = np.array([is_held(mechanism, s, effort_limit) for s in path])
+    held = _are_held(mechanism, path, effort_limit)
     if not held.any():  # the caller's `operating_point` gives the reason
         return LoopPoses(positions=path[:1])
     kept = np.flatnonzero(held)
-    positions = path[kept[np.linspace(0, len(kept) - 1, DEFAULT_POSES).round().astype(int)]]
+    positions = path[kept[np.linspace(0, len(kept) - 1, _DEFAULT_POSES).round().astype(int)]]
     note = f"poses are taken along the path of {problem.name}, at equal times"
     if not held.all():
         note += f"; the actuators cannot hold the path at rest at {int((~held).sum())} of {len(held)} instants"

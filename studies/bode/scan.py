@@ -1,15 +1,14 @@
 """Margins along a continuous line: a scan, with every local minimum of the disk, gain and phase margin refined."""
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import OperatingPoint, feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import SampledLaw, operating_point
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.output.plan_blocks import radius_figure
@@ -82,7 +81,7 @@ class Scan:
 
     def column(self, name: str) -> np.ndarray:
         """Return one figure (n,) of the margins, NaN where it is None."""
-        return np.array([np.nan if getattr(m, name) is None else getattr(m, name) for m in self.margins], dtype=float)
+        return figures(self.margins, name)
 
     @property
     def worst(self) -> int:
@@ -94,6 +93,11 @@ class Scan:
         values = np.where(np.isnan(self.column(name)), np.inf, self.column(name))
         k = int(np.argmin(values))
         return (float(values[k]), k) if np.isfinite(values[k]) else None
+
+
+def figures(bounds: Sequence[Margins], name: str) -> np.ndarray:
+    """Return one figure (n,) of margins, NaN where it is None."""
+    return np.array([getattr(one, name) for one in bounds], dtype=float)
 
 
 def stability(found: Margins | None) -> float:
@@ -108,33 +112,31 @@ def stability(found: Margins | None) -> float:
     return 1.0 - (found.spectral_radius or 2.0)
 
 
-def scan_line(
-    judge: Callable[[float], Margins | None], low: float, high: float, count: int
-) -> tuple[np.ndarray, tuple[Margins, ...]]:
-    """Return increasing parameters (n,) from low to high, and the margins there; parameters without margins are omitted.
+def scan_line(mechanism: Mechanism, line: Line, law: SampledLaw, channel: int, count: int) -> Scan | None:
+    """Return the margins of a coordinate's loop along a line, where efforts hold the mechanism; None if nowhere.
 
     `count` parameters are evenly spaced. The others are the local minima of `stability` and, if all loops are stable, of
     the gain and the phase margin.
     """
-    known: dict[float, Margins | None] = {}
+    judge = judge_of(mechanism, line, law, [channel])
 
     def at(x: float) -> Margins | None:
-        if x not in known:
-            known[x] = judge(x)
-        return known[x]
+        found = judge(x)
+        return found[0] if found else None
 
-    even = np.linspace(low, high, count)
+    def figure(name: str, x: float) -> float:
+        value = getattr(at(x), name, None)
+        return np.inf if value is None else value
+
+    even = np.linspace(line.low, line.high, count)
     places = {float(x) for x in even} | set(local_minima(lambda x: stability(at(x)), even))
-    if all(m is None or m.stable for m in known.values()):
+    if all(bounds is None or bounds.stable for bounds in map(at, places)):
         for name in ("gain_margin_db", "phase_margin_deg"):
-
-            def figure(x: float, name: str = name) -> float:
-                value = None if (m := at(x)) is None else getattr(m, name)
-                return np.inf if value is None else value
-
-            places |= set(local_minima(figure, even))
-    kept = [x for x in sorted(places) if at(x) is not None]
-    return np.array(kept), tuple(m for x in kept if (m := at(x)) is not None)
+            places |= set(local_minima(functools.partial(figure, name), even))
+    known = {x: bounds for x in sorted(places) if (bounds := at(x)) is not None}
+    if not known:
+        return None
+    return Scan(channel=channel, line=line, positions=np.array([*known]), margins=tuple(known.values()))
 
 
 def reduced_limits(effort_limit: np.ndarray) -> np.ndarray:
@@ -151,18 +153,16 @@ def bounds_text(bounds: Margins) -> str:
     return f"unstable, largest pole {radius_figure(bounds.spectral_radius)}"
 
 
-def judge_of(
-    mechanism: Mechanism, settings: Tracking, effort_limit: np.ndarray, timing: Sampling, law: str, channels: Sequence[int]
-) -> Callable[[np.ndarray], list[Margins] | None]:
-    """Return the function from positions (n_s,) to the margins of the channels' loops, or None if no effort holds them."""
-    inside = reduced_limits(effort_limit)
+def judge_of(mechanism: Mechanism, line: Line, law: SampledLaw, channels: Sequence[int]) -> Callable[[float], list[Margins]]:
+    """Return the function from a line's parameter to the margins of the channels' loops; none where no effort holds it."""
+    inside = reduced_limits(law.effort_limit)
 
-    def judge(s: np.ndarray) -> list[Margins] | None:
+    @functools.cache
+    def judge(x: float) -> list[Margins]:
         try:
-            point: OperatingPoint = operating_point(mechanism, s, inside)
-            loop = feedback_loop(point, law_gain(point, law, settings, effort_limit), timing)
+            loop = law.loop(operating_point(mechanism, line.at(x), inside))
             return [margins(loop, channel, refine=False) for channel in channels]
         except LinkplanError:  # the pose cannot be held, or LQR has no stabilising gain
-            return None
+            return []
 
     return judge

@@ -28,32 +28,18 @@ from linkplan.planner.problem.problem import Problem
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class KinematicLoopPath:
-    """A mechanism along a path of n poses (n, n_q), at rest at each.
+class Sweep:
+    """A mechanism along a path of n poses (n, n_q), with its reduced inertias.
 
-    `coordinate` is the independent joint that is swept over its reach while the others stay at home. It is None along a
-    problem's motion, which has times `time_s` (n,). Efforts on hinges are in [N.m], on slides in [N]; efforts of actuators
-    are in the actuator's unit.
+    `coordinate` is the independent joint that is swept over its reach while the others stay at home, None along a problem's
+    motion.
     """
 
     mechanism: Mechanism
     title: str
     coordinate: int | None
-    time_s: np.ndarray | None
     poses: np.ndarray
-    ratio: np.ndarray  # (n, n_s, n_u) effort on a coordinate per effort of an actuator
-    rates: np.ndarray  # (n, n_q, n_s) every joint's speed per speed of a coordinate
     reduced_inertia: np.ndarray  # (n, n_s, n_s)
-    reflected_inertia: (
-        np.ndarray
-    )  # (n, n_u) with the other coordinates free; infinite if the actuator moves nothing, nan if M_r is singular
-    gravity_effort: np.ndarray  # (n, n_s) that holds the weight
-    holding_effort: np.ndarray  # (n, n_u) least effort of the actuators that holds weight and springs
-    unheld_effort: np.ndarray  # (n, n_s) effort that no effort of the actuators provides
-    available_effort: np.ndarray  # (n, n_s, 2) least and largest effort on each coordinate alone, by the actuators' limits
-    limit: np.ndarray  # (n_u, 2) of the actuators' efforts
-    singularity: np.ndarray  # (n,) least determinant of J_z's blocks relative to home; 0 at a singular pose
-    closure_force: np.ndarray  # (n, n_closures) [N] norm of each closure's force while weight and springs are held
 
     @property
     def positions(self) -> np.ndarray:
@@ -62,19 +48,24 @@ class KinematicLoopPath:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Sweep:
-    """The reach of one independent joint: its poses (n, n_q), the others at home, and the reduced inertias (n, n_s, n_s)."""
+class KinematicLoopPath(Sweep):
+    """The report along a path, at rest at each of its poses.
 
-    mechanism: Mechanism
-    title: str
-    coordinate: int
-    poses: np.ndarray
-    reduced_inertia: np.ndarray
+    A problem's motion has times `time_s` (n,). Efforts on hinges are in [N.m], on slides in [N]; efforts of actuators are in
+    the actuator's unit.
+    """
 
-    @property
-    def positions(self) -> np.ndarray:
-        """The independent positions (n, n_s) [rad or m]."""
-        return self.poses[:, self.mechanism.independent]
+    time_s: np.ndarray | None
+    ratio: np.ndarray  # (n, n_s, n_u) effort on a coordinate per effort of an actuator
+    rates: np.ndarray  # (n, n_q, n_s) every joint's speed per speed of a coordinate
+    reflected_inertia: np.ndarray  # (n, n_u), others free; infinite if the actuator moves nothing, nan if M_r is singular
+    gravity_effort: np.ndarray  # (n, n_s) that holds the weight
+    holding_effort: np.ndarray  # (n, n_u) least effort of the actuators that holds weight and springs
+    unheld_effort: np.ndarray  # (n, n_s) effort that no effort of the actuators provides
+    available_effort: np.ndarray  # (n, n_s, 2) least and largest effort on each coordinate alone, by the actuators' limits
+    limit: np.ndarray  # (n_u, 2) of the actuators' efforts
+    singularity: np.ndarray  # (n,) least determinant of J_z's blocks relative to home; 0 at a singular pose
+    closure_force: np.ndarray  # (n, n_closures) [N] norm of each closure's force while weight and springs are held
 
 
 def measure(
@@ -128,10 +119,13 @@ def _at_rest(dynamics: ReducedDynamics) -> ca.Function:
     return ca.Function("at_rest", [q], [ca.densify(inverse(q, still, still))])
 
 
-def reach_paths(sweeps: Sequence[Sweep]) -> tuple[KinematicLoopPath, ...]:
-    """Return the report along each sweep."""
+def reach_paths(along: Sequence[Sweep]) -> tuple[KinematicLoopPath, ...]:
+    """Return the report along each path, unless the path is a report itself."""
     return tuple(
-        measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate, inertia=of.reduced_inertia) for of in sweeps
+        of
+        if isinstance(of, KinematicLoopPath)
+        else measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate, inertia=of.reduced_inertia)
+        for of in along
     )
 
 
@@ -224,7 +218,7 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
 
 
-def inertia_notes(path: KinematicLoopPath | Sweep) -> list[str]:
+def inertia_notes(path: Sweep) -> list[str]:
     """Return a sentence on the poses of a path at which the reduced inertia is singular, if there are any."""
     singular = np.flatnonzero(~is_regular(path.reduced_inertia))
     if not len(singular):

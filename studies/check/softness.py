@@ -9,6 +9,7 @@ with R = A (1 - d) / d, A the inertia of the row, K from `solref` and the impeda
 loops; therefore a tracked plan differs by the gap.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -51,21 +52,10 @@ class SoftClosure:
 
 def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple[SoftClosure, ...]:
     """Return the connects and welds whose closure gap exceeds a share of the model's extent, in descending order."""
-    model = mechanism.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(mechanism.home)
-    mujoco.mj_forward(model, data)
-    loads, found = _loads(mechanism), []
-    for c, (name, index) in enumerate({closure.name: closure.index for closure in mechanism.closures}.items()):
-        of_it = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (np.asarray(data.efc_id) == index)
-        if not tied_points(model, index) or not of_it.any():
-            continue
-        row = int(np.flatnonzero(of_it)[0])
-        stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[row]
-        inertia = float(data.efc_R[row]) * impedance / (1 - impedance)
-        forces = [(who, float(np.linalg.norm(force[mechanism.closure_slice(c)]))) for who, force in loads]
+    model, loads, found = mechanism.model, _loads(mechanism), []
+    for name, index, rows, inertia, law in _closure_laws(mechanism, mechanism.home):
+        forces = [(who, float(np.linalg.norm(force[rows]))) for who, force in loads]
         who, most = max(forces[1:], key=lambda item: item[1], default=(None, 0.0))
-        law = float(stiffness), np.array(model.eq_solimp[index])
         weight, rated = (steady_gap(force * inertia, *law) for force in (forces[0][1], most))
         least = stiff_time_constant_s(model)
         stiff = np.array(STIFF_SOLIMP)
@@ -86,21 +76,27 @@ def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple
 
 def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
     """Return the largest closure gap [m] in MuJoCo at a pose (n_q,) held at rest by efforts (n_u,)."""
-    model, gaps = mechanism.model, [0.0]
+    still = np.zeros(mechanism.dof)
+    force = np.array(mechanism.dynamics.closure_force(pose, still, still, hold)).ravel()
+    laws = _closure_laws(mechanism, pose)
+    return max((steady_gap(float(np.linalg.norm(force[rows])) * A, *law) for _, _, rows, A, law in laws), default=0.0)
+
+
+def _closure_laws(
+    mechanism: Mechanism, pose: np.ndarray
+) -> Iterator[tuple[str, int, slice, float, tuple[float, np.ndarray]]]:
+    """Yield name, equality, rows of the forces, A and (K, solimp) of each active connect and weld at a pose (n_q,)."""
+    model = mechanism.model
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(pose)
     mujoco.mj_forward(model, data)
-    still = np.zeros(mechanism.dof)
-    force = np.array(mechanism.dynamics.closure_force(pose, still, still, hold)).ravel()
-    for c, index in enumerate(dict.fromkeys(closure.index for closure in mechanism.closures)):
-        of_it = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (np.asarray(data.efc_id) == index)
-        if not tied_points(model, index) or not of_it.any():
-            continue
-        row = int(np.flatnonzero(of_it)[0])
-        stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[row]
-        push = np.linalg.norm(force[mechanism.closure_slice(c)]) * data.efc_R[row] * impedance / (1 - impedance)
-        gaps.append(steady_gap(float(push), float(stiffness), np.array(model.eq_solimp[index])))
-    return max(gaps)
+    equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    for c, (name, index) in enumerate({closure.name: closure.index for closure in mechanism.closures}.items()):
+        of_it = np.flatnonzero(equality & (np.asarray(data.efc_id) == index))
+        if tied_points(model, index) and len(of_it):
+            stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[of_it[0]]
+            inertia = float(data.efc_R[of_it[0]]) * impedance / (1 - impedance)
+            yield name, index, mechanism.closure_slice(c), inertia, (float(stiffness), np.array(model.eq_solimp[index]))
 
 
 def _loads(mechanism: Mechanism) -> list[tuple[str | None, np.ndarray]]:

@@ -34,13 +34,12 @@ class WholeCheck:
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
     found: Inspection
-    motion: KinematicLoopPath | None
-    sweeps: tuple[Sweep, ...]
+    along: tuple[Sweep, ...]
 
     @cached_property
     def paths(self) -> tuple[KinematicLoopPath, ...]:
         """The loop report along the motion, or along each sweep; a summary needs none."""
-        return reach_paths(self.sweeps) if self.motion is None else (self.motion,)
+        return reach_paths(self.along)
 
     @property
     def name(self) -> str:
@@ -118,11 +117,11 @@ def check_whole(
     """
     motion, off_path = _motion(problem)
     found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.contacts)
-    sweeps = reach_sweeps(mechanism, found.reaches) if motion is None else ()
+    along = reach_sweeps(mechanism, found.reaches) if motion is None else (motion,)
     chosen = () if problem is None else problem.notes
-    singular = [note for path in (sweeps if motion is None else (motion,)) for note in inertia_notes(path)]
+    singular = [note for path in along for note in inertia_notes(path)]
     notes = (*found.notes, *singular, *notes, *chosen, *off_path)
-    return WholeCheck(found=replace(found, notes=notes), motion=motion, sweeps=sweeps)
+    return WholeCheck(found=replace(found, notes=notes), along=along)
 
 
 def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

@@ -87,9 +87,8 @@ def _amplitude(arguments: argparse.Namespace, mechanism: Mechanism) -> float | N
 
 def run_tune(arguments: argparse.Namespace) -> int:
     """Find gains for requirements; 1 if there are none."""
-    from linkplan.controllers.sampling import sampling
     from linkplan.studies.bode.poses import loop_poses
-    from linkplan.studies.frequency.feedback_loops import operating_point
+    from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
     from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
     from linkplan.studies.tune.tune import refuse_weights_of_several, tune
     from linkplan.studies.tune.tune_report import tune_record, tune_text
@@ -108,13 +107,12 @@ def run_tune(arguments: argparse.Namespace) -> int:
     looked = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
     note = looked.note
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
-    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say, line=looked.line)
+    law = sampled_law(mechanism, arguments.tracker, settings, limit)
+    found = tune(points, wanted, law, say=say, line=looked.line)
     said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
 
     def draw(place: Path) -> None:
-        from linkplan.studies.tune.draw_tune import tune_figure
-        from linkplan.studies.tune.tune_report import tracking_table
+        from linkplan.studies.tune.tune_report import tracking_table, tune_figure
 
         (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
         tune_figure(found, place / "tune.png")
@@ -188,5 +186,5 @@ def _extra(name: str, study, problem: Problem | None, say: Progress) -> tuple[di
     plan = plan_motion(problem, say)
     if plan.trajectory is None:
         raise LinkplanError(f"--along: {problem.name} has no motion: {plan.message}")
-    found = along_motion.along_motion(plan, study.law, study.settings, say)
+    found = along_motion.along_motion(plan, study.law.name, study.law.settings, say)
     return along_motion.along_record(found), loop_blocks.along_blocks(found)

@@ -12,36 +12,33 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.plan import Plan
 from linkplan.studies.cli.common import deliver, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import progress
+from linkplan.studies.cli.printing import Progress, progress
 from linkplan.studies.output.document import Block, Report, Section
 
 if TYPE_CHECKING:
-    from linkplan.controllers.rollout import Rollout
-    from linkplan.studies.compare.compare import Comparison
+    from linkplan.studies.compare.compare import Comparison, Mismatch
 
 
 def run_track(arguments: argparse.Namespace) -> int:
     """Run one tracker; 1 if the plan has no motion or the loop is unstable."""
-    from linkplan.studies.compare.compare import comparison_record, default_mismatch, track
+    from linkplan.studies.compare.compare import Comparison, comparison_record, track
     from linkplan.studies.compare.user_tracker import tracker_named
 
     if arguments.sample is not None:
         return _run_sample(arguments)
     asked = tracker_named(arguments.tracker)
     target, say = output_folder(arguments), progress(arguments)
-    mismatch_given = _check_mismatch(arguments)
-    plan = plan_asked(arguments, say)
-    mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
+    plan, mismatch = _plan_and_mismatch(arguments, say)
     run = track(plan, asked, mismatch)
     title, stem = ("nominal", "nominal") if mismatch is None else (mismatch.name, "mismatch")
-    comparison = _of_one(plan, run, run.tracker, title, stem)
+    comparison = Comparison(plan=plan, nominal={run.tracker: run}, title=title, stem=stem)
     _deliver(arguments, target, comparison, comparison_record(comparison) | {"tracker": run.tracker})
     return DONE if plan.passed and run.stable else NO
 
 
 def _run_sample(arguments: argparse.Namespace) -> int:
     """Run one sample of an experiment again; 1 if it fails or is unstable."""
-    from linkplan.studies.compare.compare import comparison_record
+    from linkplan.studies.compare.compare import Comparison, comparison_record
     from linkplan.studies.experiment.block import replay
     from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
     from linkplan.studies.output.document import Text
@@ -52,18 +49,12 @@ def _run_sample(arguments: argparse.Namespace) -> int:
     experiment = saved_experiment(Path(arguments.plan))
     refuse_changed_tracker(Path(arguments.plan), tracker)
     run, said = replay(experiment, tracker, number)
-    comparison = _of_one(experiment.plan, run, tracker, f"sample {number}", f"sample-{number}")
+    title, stem = f"sample {number}", f"sample-{number}"
+    comparison = Comparison(plan=experiment.plan, nominal={tracker: run}, title=title, stem=stem)
     record = comparison_record(comparison) | {"tracker": tracker, "sample": said}
     failure = [Text(text=said["failure"], tone="bad")] if said["failure"] else []
     _deliver(arguments, target, comparison, record, [*failure, *machine_section(said).blocks], said)
     return DONE if said["failure"] is None and run.stable else NO
-
-
-def _of_one(plan: Plan, run: "Rollout", tracker: str, title: str, stem: str) -> "Comparison":
-    """Return a single run as a comparison of one tracker."""
-    from linkplan.studies.compare.compare import Comparison
-
-    return Comparison(plan=plan, nominal={tracker: run}, mismatch=None, mismatched={}, title=title, stem=stem)
 
 
 def _refuse_beside_sample(arguments: argparse.Namespace) -> None:
@@ -81,28 +72,29 @@ def _refuse_beside_sample(arguments: argparse.Namespace) -> None:
         )
 
 
-def _check_mismatch(arguments: argparse.Namespace) -> bool:
-    """Check the numbers of the mismatch and tell if there is one."""
+def _plan_and_mismatch(arguments: argparse.Namespace, say: Progress) -> tuple[Plan, "Mismatch | None"]:
+    """Return the plan and the mismatch asked for, or None; its numbers are checked before the plan is made."""
+    from linkplan.studies.compare.compare import default_mismatch
+
     factor, delay = arguments.mass_factor, arguments.delay_periods
     if not (np.isfinite(factor) and factor > 0):
         raise ProblemError(f"--mass-factor is a positive number, got {factor:g}")
     if not 0 <= delay <= 1000:
         raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {delay:g}")
-    return factor != 1.0 or delay != 0
+    plan = plan_asked(arguments, say)
+    return plan, default_mismatch(plan, factor, delay) if factor != 1.0 or delay != 0 else None
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Run all trackers; 1 if the plan has no motion or no tracker is stable on the nominal model."""
-    from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
+    from linkplan.studies.compare.compare import compare, comparison_record
     from linkplan.studies.compare.comparison_blocks import document_blocks
     from linkplan.studies.compare.document import DOCUMENT_KP, document_record, is_the_documents, mended_runs
     from linkplan.studies.compare.user_tracker import trackers_named
 
     asked = trackers_named(arguments.trackers)
     target, say = output_folder(arguments), progress(arguments)
-    mismatch_given = _check_mismatch(arguments)
-    plan = plan_asked(arguments, say)
-    mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
+    plan, mismatch = _plan_and_mismatch(arguments, say)
     comparison = compare(plan, mismatch, say, asked)
     said = comparison_record(comparison)
     document: list[Block] = []

@@ -3,8 +3,6 @@
 import argparse
 from pathlib import Path
 
-import numpy as np
-
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import mechanism_from_tables
@@ -16,7 +14,7 @@ from linkplan.studies.cli.printing import progress
 
 def run_transfer(arguments: argparse.Namespace) -> int:
     """Carry efforts, gains and inertia across a linkage; 1 if the table misses the interpolation error asked for."""
-    from linkplan.studies.transfer.study import GAINS, no_load_speeds, transfer_study
+    from linkplan.studies.transfer.study import GAINS, transfer_study
     from linkplan.studies.transfer.transfer_blocks import transfer_blocks, transfer_record
 
     target, say = output_folder(arguments), progress(arguments)
@@ -30,8 +28,7 @@ def run_transfer(arguments: argparse.Namespace) -> int:
         [joint.strip() for joint in arguments.joints.split(",")],
         tolerance=arguments.tolerance,
         ends=_ends(arguments.range, mechanism),
-        effort_limit=None if problem is None else np.array(problem.limits.actuators_effort),
-        motor_speed=None if problem is None else no_load_speeds(problem),
+        problem=problem,
         motor_speeds=() if arguments.motor_speed is None else numbers(arguments.motor_speed, "motor_speed"),
         gains=gains,
         along=along,

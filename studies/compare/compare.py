@@ -56,8 +56,8 @@ class Comparison:
 
     plan: Plan
     nominal: dict[str, Rollout]
-    mismatch: Mismatch | None
-    mismatched: dict[str, Rollout]
+    mismatch: Mismatch | None = None
+    mismatched: dict[str, Rollout] = field(default_factory=dict)
     title: str = "nominal"  # of the first group of runs
     stem: str = "nominal"  # of the first group's file names
     run_time: dict[str, RunTime] = field(default_factory=dict)

@@ -1,7 +1,7 @@
 """The summary of an experiment: each tracker's metrics with intervals, pairs of trackers, the worst samples."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -124,7 +124,5 @@ def summary_record(summary: Summary) -> dict:
         }
         for pair in summary.pairs
     ]
-    metrics = {
-        name: {"text": metric.text, "unit": metric.unit, "better": metric.better} for name, metric in summary.metrics.items()
-    }
+    metrics = {name: asdict(metric) for name, metric in summary.metrics.items()}
     return {"samples": summary.samples, "trackers": trackers, "pairs": pairs, "metrics": metrics}

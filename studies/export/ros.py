@@ -7,7 +7,6 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import accelerations, sampled
 from linkplan.studies.export.output_joints import with_outputs
 from linkplan.studies.export.samples import Samples
 
@@ -27,9 +26,10 @@ def joint_trajectory_text(samples: Samples, joints: Sequence[str] = ()) -> str:
         shown = [mechanism.joint_index(name, ProblemError) for name in joints]
         if len(joints) > mechanism.dof:
             raise ProblemError(f"joints are {mechanism.dof}, one for each degree of freedom, got {len(joints)}")
-        effort = _effort_on(checked_outputs(with_outputs(mechanism, joints), joints), samples, joints)
+        coordinates = checked_outputs(with_outputs(mechanism, joints), joints)
     else:
-        shown, effort = mechanism.independent.tolist(), samples.generalised_effort()
+        shown, coordinates = mechanism.independent.tolist(), mechanism
+    effort = samples.effort_on(coordinates, [mechanism.joints[i].name for i in shown])
     names = [json.dumps(mechanism.joints[i].name, ensure_ascii=False) for i in shown]
     units = [f"{mechanism.joints[i].name} [{'rad' if mechanism.joints[i].kind == 'hinge' else 'm'}]" for i in shown]
     follow = [joint.name for i, joint in enumerate(mechanism.joints) if i not in shown]
@@ -45,7 +45,7 @@ def joint_trajectory_text(samples: Samples, joints: Sequence[str] = ()) -> str:
     quantities = {
         "positions": samples.q[:, shown],
         "velocities": samples.rates[:, shown] if joints else samples.velocity,
-        "accelerations": _accelerations(samples, shown) if joints else samples.acceleration,
+        "accelerations": samples.accelerations()[:, shown] if joints else samples.acceleration,
         "effort": effort,
     }
     for k, time in enumerate(samples.time_s - samples.time_s[0]):
@@ -70,18 +70,6 @@ def checked_outputs(outputs: Mechanism, joints: Sequence[str]) -> Mechanism:
             f"joints are {asked}, one for each degree of freedom, got {len(joints)}; {', '.join(others)} would be left out"
         )
     return outputs
-
-
-def _effort_on(outputs: Mechanism, samples: Samples, joints: Sequence[str]) -> np.ndarray:
-    """Return the actuators' effort (n, n_joints) on output joints, the coordinates of the mechanism `outputs`."""
-    order = [joint.name for joint in outputs.independent_joints]
-    maps = sampled(outputs.dynamics.effort_map, samples.q)[:, [order.index(name) for name in joints]]
-    return np.einsum("ksu,ku->ks", maps, samples.effort)
-
-
-def _accelerations(samples: Samples, shown: Sequence[int]) -> np.ndarray:
-    mechanism = samples.plan.problem.mechanism
-    return accelerations(mechanism, samples.q, samples.velocity, samples.acceleration)[:, shown]
 
 
 def _numbers(values: np.ndarray) -> str:

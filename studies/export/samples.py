@@ -1,11 +1,13 @@
 """A plan at instants, in the coordinates of MuJoCo and in reduced coordinates."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
-from linkplan.models.poses.along import sampled
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import accelerations, sampled
 from linkplan.models.poses.controls import needed_controls
 from linkplan.planner.plan import MotionTable, Plan, motion_table
 
@@ -53,9 +55,14 @@ class Samples:
             controls[:, actuator.channel] = needed[:, column]
         return controls
 
-    def generalised_effort(self) -> np.ndarray:
-        """Return the actuators' effort on the independent coordinates, Gamma^T B u (n, n_s) [N.m or N]."""
-        maps = sampled(self.plan.problem.mechanism.dynamics.effort_map, self.q)
+    def accelerations(self) -> np.ndarray:
+        """Return the accelerations of all coordinates (n, n_q)."""
+        return accelerations(self.plan.problem.mechanism, self.q, self.velocity, self.acceleration)
+
+    def effort_on(self, mechanism: Mechanism, joints: Sequence[str]) -> np.ndarray:
+        """Return the actuators' effort on some independent joints of a mechanism, Gamma^T B u (n, n_joints) [N.m or N]."""
+        order = [joint.name for joint in mechanism.independent_joints]
+        maps = sampled(mechanism.dynamics.effort_map, self.q)[:, [order.index(name) for name in joints]]
         return np.einsum("ksu,ku->ks", maps, self.effort)
 
 

@@ -70,10 +70,9 @@ def run(
     responses = [{} for _ in loops]
     for row, (_, excitation) in enumerate(excited.rows):
         place = row // len(excitations)
-        found = {name: spectra[:, lines, row, i] for i, name in enumerate(("in", "command", "position"))}
+        found = spectra[:, lines, row]
         quality = _quality(spectra[-1, :, row, 1:], lines) | {"saturated": np.full(len(lines), cut[row] / N)}
-        origin = f"measured in MuJoCo, {setup.method}, {excitation}"
-        responses[place] |= quantities(loops[place], channel, excitation, frequency, found, quality, origin)
+        responses[place] |= quantities(loops[place], channel, excitation, frequency, found, quality, setup.method)
     return Measurement(
         responses=tuple(responses),
         simulated_steps=excited.simulations.periods * n * timing.substeps,

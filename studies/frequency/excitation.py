@@ -147,9 +147,9 @@ def quantities(
     channel: int,
     excitation: str,
     frequency_hz: np.ndarray,
-    signals: dict[str, np.ndarray],
+    signals: np.ndarray,
     quality: dict[str, np.ndarray],
-    origin: str,
+    method: str,
 ) -> dict[str, Response]:
     """Return the responses that follow from one excitation.
 
@@ -158,11 +158,11 @@ def quantities(
         channel: the joint.
         excitation: a key of EXCITATIONS.
         frequency_hz: (n,).
-        signals: phasors (windows, n) of the added signal, "in", the command, "command", and the position, "position".
+        signals: phasors (windows, n, 3 or more) of the added signal, the command and the position.
         quality: coherence, distortion, residual and saturated (n,) of the same signals.
-        origin: stored in the responses.
+        method: of the measurement, stored in the responses.
     """
-    W, U, Y = signals["in"], signals["command"], signals["position"]
+    W, U, Y = (signals[:, :, i] for i in range(3))
     by_quantity = {
         "plant": lambda: Y / U,
         "loop": lambda: (W - U) / U,
@@ -180,7 +180,7 @@ def quantities(
             frequency_hz=frequency_hz,
             gain=estimates.mean(axis=0),
             unit=quantity_unit(loop.point, name, channel),
-            origin=origin,
+            origin=f"measured in MuJoCo, {method}, {excitation}",
             uncertainty=spread,
             **quality,
         )

@@ -15,6 +15,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.studies.frequency.feedback_loops import OperatingPoint
+from linkplan.studies.frequency.worst import last_good
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -95,25 +96,12 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
         return None
 
     grid = np.geomspace(1e-3, 1e7, 60)  # Hz, beyond any mechanism's motion on both sides
-    good, bad = 0.0, None
+    good = 0.0
     for frequency in grid:
-        reason = broken(frequency)
-        if reason is not None:
-            bad = frequency
-            break
+        if (reason := broken(frequency)) is not None:
+            return (0.0, reason) if good == 0.0 else last_good(broken, good, frequency, reason, 1e-7)
         good = frequency
-    if bad is None:
-        return np.inf, "nothing"
-    if good == 0.0:
-        return 0.0, reason
-    while bad - good > 1e-7 * good:
-        middle = 0.5 * (good + bad)
-        there = broken(middle)
-        if there is None:
-            good = middle
-        else:
-            bad, reason = middle, there
-    return good, reason
+    return np.inf, "nothing"
 
 
 def default_amplitudes(point: OperatingPoint) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.sampling import Sampling, augmented, closed, exact, simulated, spectral_radius
+from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.controllers.trackers.pd import pd
@@ -233,22 +233,15 @@ class FeedbackLoop:
         unit = np.eye(len(steered))[steered.index(channel)]
         return float(1.0 / np.linalg.solve(K[np.ix_(steered, steered)], unit)[steered.index(channel)])
 
-    def system(self) -> "control.StateSpace":
-        """Return the open loop from commands to K x as python-control's state space."""
+    def system(self, *, closed: bool = False) -> "control.StateSpace":
+        """Return the loop as python-control's state space: open, from commands to K x, or closed, from commands to x."""
         import control
 
         A, B = self.steered_matrices()
-        C = np.zeros((len(self.gain), len(A)))
-        C[:, : len(self.steered_entries)] = self.gain[:, self.steered_entries]
-        return control.StateSpace(A, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
-
-    def closed_system(self) -> "control.StateSpace":
-        """Return the closed loop from commands added to the law's to the state x, as python-control's state space."""
-        import control
-
-        A, B = self.steered_matrices()
-        C = np.eye(len(self.steered_entries), len(A))
-        return control.StateSpace(self.matrix, B, C, 0, 0 if self.kind == CONTINUOUS else self.timing.period_s)
+        state = np.eye(len(self.steered_entries), len(A))
+        read = state if closed else self.gain[:, self.steered_entries] @ state
+        period_s = 0 if self.kind == CONTINUOUS else self.timing.period_s
+        return control.StateSpace(self.matrix if closed else A, B, read, 0, period_s)
 
     def plant(self, frequency_hz: np.ndarray) -> np.ndarray:
         """Return G (n, 2 n_s, n_u), commands to the state, at frequencies [Hz].
@@ -317,6 +310,30 @@ class FeedbackLoop:
             unit=quantity_unit(self.point, quantity, channel),
             origin=f"predicted, {self.kind}",
         )
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SampledLaw:
+    """A linear law by its name and settings, with its timing and the limits (n_u, 2) [N.m or N] of the actuators."""
+
+    name: str
+    settings: Tracking
+    timing: Sampling
+    effort_limit: np.ndarray
+
+    def loop(self, point: OperatingPoint, kind: str = SIMULATED) -> FeedbackLoop:
+        """Return the law's loop about a point.
+
+        Raises:
+            LinkplanError: for an unknown law, or an LQR without a stabilising gain.
+        """
+        return feedback_loop(point, law_gain(point, self.name, self.settings, self.effort_limit), self.timing, kind)
+
+
+def sampled_law(mechanism: Mechanism, name: str, settings: Tracking, effort_limit: np.ndarray) -> SampledLaw:
+    """Return a law with the period and the delay of its settings in the simulator's steps."""
+    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
+    return SampledLaw(name=name, settings=settings, timing=timing, effort_limit=np.array(effort_limit))
 
 
 def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:

@@ -137,6 +137,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     raised, lowered = gm[gm > 1], gm[(gm < 1) & (gm > 0)]
     delays = np.mod(pm, 2 * np.pi) / (2 * np.pi * crossover)
     complementary = 1.0 - sensitivity
+    at_rest = abs(complementary[0])
     alpha = 1.0 / _peak(frequency, np.abs(sensitivity - 0.5), lambda f: abs(1.0 / (1.0 + at(f)) - 0.5))[1]
     peak_hz, peak = _peak(frequency, np.abs(sensitivity), lambda f: abs(1.0 / (1.0 + at(f))))
     resonance_hz, resonance = _peak(frequency, np.abs(complementary), lambda f: abs(1.0 - 1.0 / (1.0 + at(f))))
@@ -152,7 +153,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         crossover_hz=_finite(crossover[nearest]) if crossover.size else None,
         other_crossovers_hz=tuple(float(f) for f in np.delete(crossover, nearest)) if crossover.size else (),
         bandwidth_hz=bandwidth(complementary, frequency),
-        resonance_db=_ratio_db(resonance, complementary[0]),
+        resonance_db=float(20 * np.log10(resonance / at_rest)) if at_rest > 1e-9 and resonance else None,
         resonance_hz=resonance_hz,
         sensitivity_peak=peak,
         sensitivity_peak_hz=peak_hz,
@@ -182,11 +183,6 @@ def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float],
     peaks = [(float(values[k]), float(frequency[k])), *((function(float(f)), float(f)) for f in np.exp(places))]
     value, at = max(peaks)
     return at, value
-
-
-def _ratio_db(value: complex, other: complex) -> float | None:
-    """Return the ratio of two gains [dB]; None if one of them is zero."""
-    return float(20 * np.log10(abs(value) / abs(other))) if abs(other) > 1e-9 and value else None
 
 
 def _finite(value: float) -> float | None:

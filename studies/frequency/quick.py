@@ -25,13 +25,11 @@ class QuickMargins:
     damping_ratio: np.ndarray
 
 
-def quick_margins(point: OperatingPoint, gains: np.ndarray, timing: Sampling, channel: int = 0) -> QuickMargins:
-    """Return the figures of gains K (n, n_u, 2 n_s) about a point; meaningless for an unstable loop."""
-    return quick_loops(point, gains, timing, [channel])[0]
-
-
 def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, channels: Sequence[int]) -> list[QuickMargins]:
-    """Return the figures of the loop of each channel, with the others closed, for gains K (n, n_u, 2 n_s) about a point."""
+    """Return the figures of the loop of each channel, with the others closed, for gains K (n, n_u, 2 n_s) about a point.
+
+    They are meaningless for an unstable loop.
+    """
     n_u = gains.shape[1]
     loop = feedback_loop(point, gains[0], timing)
     frequency = np.geomspace(1e-5 * timing.nyquist_hz, timing.nyquist_hz, 300)

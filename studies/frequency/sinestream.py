@@ -69,12 +69,11 @@ def run(
     responses, actuated = [{} for _ in loops], [{} for _ in loops]
     for row, (_, excitation) in enumerate(excited.rows):
         at, place = slice(row * n_f, (row + 1) * n_f), row // len(excitations)
-        signals = {name: phasors[at, :, i].T for i, name in enumerate(("in", "command", "position"))}
+        signals = phasors[at].swapaxes(0, 1)
         names = ("coherence", "distortion", "residual", "saturated")
         quality: dict[str, np.ndarray] = dict(zip(names, columns[at].T, strict=True))
-        origin = f"measured in MuJoCo, sinestream, {excitation}"
-        responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, quality, origin)
-        actuated[place][excitation] = signals["command"][-1], phasors[at, -1, 3]
+        responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, quality, "sinestream")
+        actuated[place][excitation] = signals[-1, :, 1], signals[-1, :, 3]
     return Measurement(
         responses=tuple(responses),
         simulated_steps=simulated_periods * timing.substeps,

@@ -5,17 +5,17 @@ phase margin.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, spectral_radius
 from linkplan.controllers.trackers.pd import pd, pd_gain
-from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop
-from linkplan.studies.frequency.quick import quick_margins
+from linkplan.studies.frequency.quick import quick_loops
 from linkplan.studies.frequency.trial import settle_trials
+from linkplan.studies.frequency.worst import last_good
 
 # Points along each axis of the grid that the boundary is drawn from.
 _BORDER_GRID_POINTS = 240
@@ -39,8 +39,8 @@ class StabilityMap:
     radius: np.ndarray
     phase_margin_deg: np.ndarray
     border: tuple[np.ndarray, np.ndarray, np.ndarray]
-    tried: tuple[tuple[float, float, int], ...] = ()
-    settles: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    tried: tuple[tuple[float, float, int], ...]
+    settles: np.ndarray
 
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
@@ -67,16 +67,12 @@ def pd_gains(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray) -> np.ndarra
 
 
 def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[float, float]:
-    """Return the smallest and the largest kd at which the sampled loop is stable with the given kp.
-
-    Raises:
-        LinkplanError: if no kd is stable.
-    """
+    """Return the smallest and the largest kd at which the sampled loop is stable with the given kp, NaN if none is."""
     scale = float(np.max(np.linalg.eigvalsh(np.atleast_2d(point.inertia)))) / timing.period_s
     kd = np.concatenate([[0.0], np.geomspace(1e-6 * scale, 10 * scale, 3600)])
     stable = radii(point, np.full_like(kd, kp), kd, timing) < 1.0
     if not np.any(stable):
-        raise LinkplanError(f"no kd stabilises kp = {kp:g} at {point.name}, sampled every {timing.period_s:g} s")
+        return np.nan, np.nan
     inside = np.flatnonzero(stable)
 
     def border(good: float, bad: float) -> float:
@@ -96,29 +92,23 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
 
 
 def longest_period(
-    points: Sequence[OperatingPoint],
-    gain: Callable[[OperatingPoint, float], np.ndarray],
-    delay_periods: float,
-    begin_s: float,
-) -> tuple[float, OperatingPoint | None]:
-    """Return the longest control period [s] at which a law is stable at every point, and the point that limits it.
+    points: Sequence[OperatingPoint], kp: float, kd: float, delay_periods: float, begin_s: float
+) -> tuple[float | None, OperatingPoint | None]:
+    """Return the longest control period [s] at which PD is stable at every point, and the point that limits it.
+
+    The period is None if PD is unstable at any, and infinite if it is stable at any.
 
     Args:
         points: operating points of one mechanism.
-        gain: function (point, period) that returns the law's gain K (n_u, 2 n_s).
+        kp: gain [N.m/rad or N/m].
+        kd: gain [N.m.s/rad or N.s/m].
         delay_periods: computing delay in periods.
         begin_s: the first period to try [s]; it is halved while unstable, then increased.
-
-    Raises:
-        LinkplanError: if the law is unstable at any period.
     """
 
     def unstable(period: float) -> OperatingPoint | None:
-        for point in points:
-            timing = sampling(point.mechanism, period, delay_periods)
-            if not feedback_loop(point, gain(point, period), timing).stable:
-                return point
-        return None
+        timing = sampling(points[0].mechanism, period, delay_periods)
+        return next((point for point in points if not pd_loop(point, kp, kd, timing).stable), None)
 
     good = begin_s
     for _ in range(40):
@@ -126,21 +116,14 @@ def longest_period(
             break
         good *= 0.5
     else:
-        raise LinkplanError(f"the feedback loop is unstable at {unstable(good).name} at any control period")
+        return None, None
     bad, culprit = good, None
     while culprit is None and bad < 1e6 * begin_s:
         good, bad = bad, 1.05 * bad
         culprit = unstable(bad)
     if culprit is None:
         return np.inf, None
-    while bad - good > 1e-4 * good:
-        middle = 0.5 * (good + bad)
-        there = unstable(middle)
-        if there is None:
-            good = middle
-        else:
-            bad, culprit = middle, there
-    return good, culprit
+    return last_good(unstable, good, bad, culprit, 1e-4)
 
 
 def stability_map(
@@ -148,12 +131,12 @@ def stability_map(
     timing: Sampling,
     kp: np.ndarray,
     kd: np.ndarray,
-    effort_limit: np.ndarray | None = None,
+    effort_limit: np.ndarray,
     say: Callable[[str], None] = silent,
 ) -> StabilityMap:
-    """Return the map over gains kp (n,) and kd (m,).
+    """Return the map over gains kp (n,) and kd (m,); gains on both sides of the border are simulated, too.
 
-    If `effort_limit` (n_u, 2) is given, gains on both sides of the border are also simulated in MuJoCo.
+    `effort_limit` (n_u, 2) [N.m or N] is that of MuJoCo's actuators.
     """
     shape = len(kp), len(kd)
     radius, margin = np.zeros(shape), np.full(shape, np.inf)
@@ -163,9 +146,12 @@ def stability_map(
         say(f"gains at {point.name}")
         fine = np.maximum(fine, radii(point, fine_kp[:, None], fine_kd[None, :], timing))
         radius = np.maximum(radius, radii(point, kp[:, None], kd[None, :], timing))
-        phase = [quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing).phase_margin_deg for p in kp]
-        margin = np.minimum(margin, phase)
-    found = StabilityMap(
+        quick = [quick_loops(point, pd_gains(point, np.full(len(kd), p), kd), timing, [0])[0] for p in kp]
+        margin = np.minimum(margin, [one.phase_margin_deg for one in quick])
+    tried = border_points(points, timing, kp)
+    say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
+    loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
+    return StabilityMap(
         points=tuple(points),
         timing=timing,
         kp=np.array(kp),
@@ -173,26 +159,17 @@ def stability_map(
         radius=radius,
         phase_margin_deg=np.where(radius >= 1.0, np.nan, margin),
         border=(fine_kp, fine_kd, fine),
+        tried=tuple(tried),
+        settles=settle_trials(loops, effort_limit) if loops else np.zeros(0, dtype=bool),
     )
-    if effort_limit is None:
-        return found
-    tried = border_points(found)
-    say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
-    loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
-    return replace(found, tried=tuple(tried), settles=settle_trials(loops, effort_limit)) if loops else found
 
 
-def border_points(found: StabilityMap) -> list[tuple[float, float, int]]:
+def border_points(points: Sequence[OperatingPoint], timing: Sampling, kp: np.ndarray) -> list[tuple[float, float, int]]:
     """Return gains (kp, kd, point index) on both sides of the upper border, for the point that determines it at each kp."""
-    tried, share = [], 0.03
-    for kp in np.geomspace(found.kp[0] if found.kp[0] > 0 else found.kp[1], found.kp[-1], 7):
-        borders = []
-        for index, point in enumerate(found.points):
-            try:
-                borders.append((critical_kd(point, kp, found.timing)[1], index))
-            except LinkplanError:
-                borders.append((0.0, index))
-        kd, index = min(borders)
+    found, share = [], 0.03
+    for gain in np.geomspace(kp[0] if kp[0] > 0 else kp[1], kp[-1], 7).tolist():
+        largest = [critical_kd(point, gain, timing)[1] for point in points]
+        kd, index = min((0.0 if np.isnan(kd) else kd, index) for index, kd in enumerate(largest))
         if 0 < kd < np.inf:
-            tried += [(float(kp), kd * (1 - share), index), (float(kp), kd * (1 + share), index)]
-    return tried
+            found += [(gain, kd * (1 - share), index), (gain, kd * (1 + share), index)]
+    return found

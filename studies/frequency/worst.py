@@ -1,11 +1,31 @@
-"""Local minima of a function of one variable: a coarse scan, then Brent's method near every minimum of the scan."""
+"""Where a function of one variable is worst: its local minima, and the last argument before something breaks."""
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 import scipy.optimize
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
+
+Broken = TypeVar("Broken")
+
+
+def last_good(
+    broken: Callable[[float], Broken | None], good: float, bad: float, why: Broken, tolerance: float
+) -> tuple[float, Broken]:
+    """Return the largest good argument below a bad one, to a relative tolerance, and what breaks just above it.
+
+    `broken` returns None at good arguments; `why` is its value at `bad`.
+    """
+    while bad - good > tolerance * good:
+        middle = 0.5 * (good + bad)
+        there = broken(middle)
+        if there is None:
+            good = middle
+        else:
+            bad, why = middle, there
+    return good, why
 
 
 def local_minima(function: Callable[[float], float], at: np.ndarray, values: np.ndarray | None = None) -> list[float]:

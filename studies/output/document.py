@@ -119,10 +119,11 @@ class Axis(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Series(Struct, frozen=True, kw_only=True, eq=False):
-    """A line over the x of a plot or over its own x. `colour` counts from 0.
+    """A line over the x of a plot or over its own x, or a curve in a plane. `colour` counts from 0.
 
-    `look` is "line", "dash", "dots", "points", or "steps", in which a value holds until the next x. Without a colour,
-    the line has the colour of text. A line without a name has no entry in the legend.
+    `look` is "line", "dash", "dots", "points", or "steps", in which a value holds until the next x; for a curve also
+    "cross", "star" or "area" (filled, closed). Without a colour, the line has the colour of text. A line without a name has
+    no entry in the legend.
     """
 
     name: str
@@ -160,20 +161,6 @@ class Plot(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
             _same_length(f"'{one.name}' in plot '{self.title}'", one.y, "places", self.x if one.x is None else one.x)
 
 
-class Curve(Struct, frozen=True, kw_only=True, eq=False):
-    """A curve in a plane through points (n,), (n,). `look` as for `Series`, or "cross", "star", "area" (filled, closed)."""
-
-    name: str
-    x: Numbers
-    y: Numbers
-    look: str = "line"
-    colour: int | None = 0
-    width: float = 1.6
-
-    def __post_init__(self) -> None:
-        _same_length(f"curve '{self.name}'", self.y, "places", self.x)
-
-
 class Heat(Struct, frozen=True, kw_only=True, eq=False):
     """Values (n_y, n_x) over a grid: low values are blue, high values red, between `ends`; None is left blank."""
 
@@ -191,7 +178,7 @@ class Heat(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Plane(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
-    """Curves in a plane: a phase plane, a Nyquist curve, a map of gains.
+    """Curves through points of their own in a plane: a phase plane, a Nyquist curve, a map of gains.
 
     `track` is the index of the curve along which a dot moves with the cursor of `group`, at `track_times` (n,).
     `equal` gives both axes one scale.
@@ -200,13 +187,17 @@ class Plane(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, 
     title: str
     x_axis: Axis
     y_axis: Axis
-    curves: Sequence[Curve]
+    curves: Sequence[Series]
     heat: Heat | None = None
     equal: bool = False
     group: str = ""
     track: int | None = None
     track_times: Numbers = ()
     period: float | None = None
+
+    def __post_init__(self) -> None:
+        for one in self.curves:
+            _same_length(f"curve '{one.name}'", one.y, "places", one.x or ())
 
 
 class Span(Struct, frozen=True, kw_only=True, eq=False):

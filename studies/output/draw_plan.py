@@ -113,14 +113,8 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
     if reference is not None:
         wanted = reference.derivative(time)
         positions += [
-            Line(
-                name=f"{joint.name}, reference",
-                values=joint.shown(1.0) * wanted[:, k],
-                unit=joint.unit,
-                look="dash",
-                colour=None,
-            )
-            for k, joint in enumerate(mechanism.independent_joints)
+            Line(name=f"{joint.name}, reference", values=joint.shown(1.0) * x, unit=joint.unit, look="dash", colour=None)
+            for joint, x in zip(mechanism.independent_joints, wanted.T, strict=True)
         ]
     efforts = [
         Line(name=actuator.name, values=motion.effort[:, j], unit=actuator.unit, limits=tuple(limits.effort[j]))
@@ -135,7 +129,7 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
         "dependent position": over_time(
             "Position of the dependent joints", "position", joints(dependent, motion.pose, limits.position, "")
         ),
-        "site": plots("Sites", "place", TIME, time, _site_lines(plan, motion), group=group, period=period),
+        "site": over_time("Sites", "place", _site_lines(plan, motion)),
         "speed": over_time(
             "Speed of the independent joints", "speed", joints(independent, motion.rates, limits.speed, "/s")
         ),

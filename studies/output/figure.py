@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter
 
-from linkplan.studies.output.document import MEASURED, Axis, Bars, Block, Curve, Limit, Plane, Plot, Series
+from linkplan.studies.output.document import MEASURED, Axis, Bars, Block, Limit, Numbers, Plane, Plot, Series
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
@@ -238,7 +238,7 @@ def draw_bars(axis, bars: Bars) -> None:
 _DRAWERS: dict[type, Callable] = {Plot: draw_plot, Plane: draw_plane, Bars: draw_bars}
 
 
-def _draw_line(axis, one: Series | Curve, x: Sequence) -> None:
+def _draw_line(axis, one: Series, x: Numbers | None) -> None:
     look = {"linewidth": one.width} | _STYLES[one.look]
     axis.plot(
         _numbers(x),
@@ -271,6 +271,6 @@ def _colour(one) -> str:
     return BLACK if one.colour is None else SERIES[one.colour % len(SERIES)]
 
 
-def _numbers(values: Sequence) -> np.ndarray:
+def _numbers(values: Sequence | None) -> np.ndarray:
     """Return numbers, or rows of numbers, as an array with NaN where there is no value."""
     return np.array(values, dtype=float)

@@ -33,22 +33,13 @@ def rounded(values: np.ndarray, *, log: bool = False, digits: int = 5) -> list:
     become None.
     """
     values = np.asarray(values, dtype=float)
-    if values.ndim > 1:
-        return _rounded(values, _scale(values), log, digits)
-    known = values[np.isfinite(values)]
-    span = 10 * float(np.ptp(known)) if len(known) else 0.0
-    return _rounded(values, min(_scale(values), max(span, _LEAST_SPAN_SHARE * _scale(values))), log, digits)
-
-
-def _scale(values: np.ndarray) -> float:
-    known = np.abs(values[np.isfinite(values)])
-    return float(known.max(initial=0.0))
-
-
-def _rounded(values: np.ndarray, scale: float, log: bool, digits: int) -> list:
     if log:
         rows = [[significant(x) if x > 0 else None for x in row] for row in np.atleast_2d(values).tolist()]
     else:
+        known = values[np.isfinite(values)]
+        scale = float(np.abs(known).max(initial=0.0))
+        if values.ndim == 1 and len(known):
+            scale = min(scale, max(10 * float(np.ptp(known)), _LEAST_SPAN_SHARE * scale))
         places = digits - 1 - math.floor(math.log10(scale)) if scale > 0 else 0
         rows = [[_plain(x) for x in row] for row in np.round(np.atleast_2d(values), places).tolist()]
     return rows if values.ndim > 1 else rows[0]
@@ -62,7 +53,6 @@ def _plain(value: float) -> float | int | None:
 
 def times(values: np.ndarray) -> list:
     """Return instants (n,) [s] to a millionth of their span, as lists."""
-    values = np.asarray(values, dtype=float)
     return rounded(values, digits=7)
 
 

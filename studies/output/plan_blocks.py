@@ -3,7 +3,7 @@
 Figures are printed with the digits that are known of them.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -168,18 +168,25 @@ def _error_rows(plan: Plan) -> list[list]:
     ]
 
 
+def joint_margins(plan: Plan) -> Iterator[tuple[str, str, int, tuple[float, float], float]]:
+    """Yield each finite margin of a joint to its range, then to its speed limit: title, "" or "/s", joint, ends, margin."""
+    limits, certificate = plan.problem.limits, plan.certificate
+    for what, per, bounds, margins in (
+        ("range", "", limits.position, certificate.position_margin_rad),
+        ("speed limit", "/s", limits.speed, certificate.speed_margin_rad_s),
+    ):
+        for k, (joint, (low, high)) in enumerate(zip(plan.problem.mechanism.joints, bounds, strict=True)):
+            if np.isfinite(margins[k]):
+                yield f"{what} of {joint.name}", per, k, (low, high), float(margins[k])
+
+
 def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     """Return the rows of the certificate's margins, largest closure forces and powers."""
-    motion, mechanism, rows = plan.problem.motion, plan.problem.mechanism, []
-    for what, per, margins in (
-        ("range", "", certificate.position_margin_rad),
-        ("speed limit", "/s", certificate.speed_margin_rad_s),
-    ):
-        rows += [
-            [f"margin to the {what} of {joint.name}", joint.shown(margin), f"{joint.unit}{per}"]
-            for joint, margin in zip(mechanism.joints, margins, strict=True)
-            if np.isfinite(margin)
-        ]
+    motion, mechanism = plan.problem.motion, plan.problem.mechanism
+    rows: list[list] = [
+        [f"margin to the {title}", mechanism.joints[k].shown(margin), f"{mechanism.joints[k].unit}{per}"]
+        for title, per, k, _, margin in joint_margins(plan)
+    ]
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
         rows.append(["error of sites at start, waypoints and goal", figure(certificate.site_error_m, 2), "m"])
     rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.controllers.sampling import MOST_DELAY_PERIODS, sampling
+from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
@@ -21,7 +21,7 @@ from linkplan.reporting import Progress, listener
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, bode_study
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
-from linkplan.studies.frequency.feedback_loops import QUANTITIES, operating_point
+from linkplan.studies.frequency.feedback_loops import QUANTITIES, operating_point, sampled_law
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.tune import tune as tuning
@@ -145,8 +145,8 @@ def tune(
     tuning.refuse_weights_of_several(mechanism, tracker)
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
-    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    found = tuning.tune(points, wanted, settings, timing, limit, law=tracker, say=say, line=looked.line)
+    law = sampled_law(mechanism, tracker, settings, limit)
+    found = tuning.tune(points, wanted, law, say=say, line=looked.line)
     return TuneResult(tuning=found, note=looked.note)
 
 
@@ -214,8 +214,7 @@ class BodeResult:
         Raises:
             LinkplanError: for an unknown pose.
         """
-        loop = self._entry(pose, None).sampled
-        return loop.closed_system() if closed else loop.system()
+        return self._entry(pose, None).sampled.system(closed=closed)
 
     def frd(
         self, quantity: str = "loop", pose: str | None = None, *, joint: str | None = None, measured: bool = False
@@ -239,7 +238,7 @@ class BodeResult:
                 known = ", ".join(entry.measured) or "none"
                 raise ProblemError(f"no '{quantity}' was measured at {entry.point.name}; measured: {known}")
             return entry.measured[quantity].frd()
-        frequency_hz = frequency_grid(self.study.settings.period_s)[:-1]  # below the Nyquist frequency
+        frequency_hz = frequency_grid(self.study.law.timing.period_s)[:-1]  # below the Nyquist frequency
         return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()
 
     def _entry(self, pose: str | None, joint: str | None) -> BodePoint:
@@ -316,9 +315,7 @@ class TuneResult:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""
-        from linkplan.studies.tune.draw_tune import tune_figure
-
-        return drawn(path, lambda place: tune_figure(self.tuning, place))
+        return drawn(path, lambda place: tune_report.tune_figure(self.tuning, place))
 
     def __str__(self) -> str:
         return tune_report.tune_text(self.tuning) + _noted(self.note)

@@ -58,8 +58,7 @@ def track(
     say(f"{answer.problem.name}: one tracker")
     run = study.track(answer, tracker, mismatch)
     title = "nominal" if mismatch is None else mismatch.name
-    one = study.Comparison(plan=answer, nominal={run.tracker: run}, mismatch=None, mismatched={}, title=title)
-    return TrackingResult(comparison=one)
+    return TrackingResult(comparison=study.Comparison(plan=answer, nominal={run.tracker: run}, title=title))
 
 
 def compare(

@@ -18,7 +18,7 @@ from linkplan.planner.problem.settings import plain
 from linkplan.reporting import Progress, listener
 from linkplan.studies.transfer.columns import arrays_of
 from linkplan.studies.transfer.serial_study import Serial
-from linkplan.studies.transfer.study import Transfer, no_load_speeds, transfer_study
+from linkplan.studies.transfer.study import Transfer, transfer_study
 from linkplan.subjects import Subject, plan_to_track, subject_of
 
 if TYPE_CHECKING:
@@ -87,8 +87,7 @@ def transfer(
         list(joints),
         tolerance=tolerance,
         ends=ends,
-        effort_limit=None if problem is None else np.array(problem.limits.actuators_effort),
-        motor_speed=None if problem is None else no_load_speeds(problem),
+        problem=problem,
         motor_speeds=() if motor_speed is None else _listed(motor_speed, "motor_speed"),
         along=None if along is None else plan_to_track(along),
         gains={name: _listed(values, name) for name, values in gains.items() if values is not None},

@@ -24,6 +24,12 @@ class Eye:
     azimuth: float
     elevation: float
 
+    def aim(self, camera: mujoco.MjvCamera) -> None:
+        """Point MuJoCo's free camera."""
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        camera.lookat[:], camera.distance = self.target, self.distance
+        camera.azimuth, camera.elevation = np.degrees(self.azimuth), np.degrees(self.elevation)
+
 
 def axes_of(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the picture's right and up and the direction of sight, each (3,), for azimuth and elevation [rad]."""

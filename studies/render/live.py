@@ -86,14 +86,7 @@ def aim(plan: Plan, tracker: str) -> Callable[[mujoco.MjvCamera], None]:
     motion = tracked_motion(plan, tracker)
     model = motion.mechanism.model
     direction = own_direction(model)
-    eye = framed(all_points(motion, direction), *direction, float(np.radians(model.vis.global_.fovy)), 1.5)
-
-    def point(camera: mujoco.MjvCamera) -> None:
-        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.lookat[:], camera.distance = eye.target, eye.distance
-        camera.azimuth, camera.elevation = np.degrees(eye.azimuth), np.degrees(eye.elevation)
-
-    return point
+    return framed(all_points(motion, direction), *direction, float(np.radians(model.vis.global_.fovy)), 1.5).aim
 
 
 def _words(motion: Motion, tracking: Tracking, controls: Controls, k: int) -> Rows:

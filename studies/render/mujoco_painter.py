@@ -87,9 +87,7 @@ def mujoco_painter(
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     camera = mujoco.MjvCamera()
     if isinstance(eye, Eye):
-        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.lookat[:], camera.distance = eye.target, eye.distance
-        camera.azimuth, camera.elevation = np.degrees(eye.azimuth), np.degrees(eye.elevation)
+        eye.aim(camera)
         # The clipping planes are at a hundredth of the distance and at a hundred times the distance.
         model.stat.extent, model.vis.map.znear, model.vis.map.zfar = eye.distance, 0.01, 100.0
         model.stat.center[:] = eye.target

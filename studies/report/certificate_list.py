@@ -17,6 +17,7 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion
 from linkplan.studies.output.numbers import significant
+from linkplan.studies.output.plan_blocks import joint_margins
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
 # residual alone does not decide it.
@@ -55,25 +56,16 @@ def _efforts(plan: Plan, motion: Motion) -> list[Item]:
 
 def _ranges(plan: Plan, motion: Motion) -> list[Item]:
     """Return the joints' ranges and speed limits: the value nearest to its limit, and that limit."""
-    problem, certificate, items = plan.problem, plan.certificate, []
-    kinds = (
-        ("range", "", motion.pose, problem.limits.position, certificate.position_margin_rad),
-        ("speed limit", "/s", motion.rates, problem.limits.speed, certificate.speed_margin_rad_s),
-    )
-    for what, per, values, bounds, margins in kinds:
-        for k, joint in enumerate(problem.mechanism.joints):
-            if not np.isfinite(margins[k]):
-                continue
-            low, high = bounds[k]
-            at = int(np.argmin(np.minimum(values[:, k] - low, high - values[:, k])))
-            upper = high - values[at, k] <= values[at, k] - low
-            limit = high if upper else low
-            value = _seen(limit - margins[k] if upper else limit + margins[k])
-            passed = bool(margins[k] >= -RANGE_SLACK)
-            when = certificate.worst_time_s.get(f"{what} of {joint.name}")
-            unit = f"{joint.unit}{per}"
-            shown, bound = (joint.shown(float(x)) for x in (value, limit))
-            items.append(_item(f"{what} of {joint.name}", passed, shown, bound, unit, when))
+    along, items = {"": motion.pose, "/s": motion.rates}, []
+    for title, per, k, (low, high), margin in joint_margins(plan):
+        joint, values = plan.problem.mechanism.joints[k], along[per][:, k]
+        at = int(np.argmin(np.minimum(values - low, high - values)))
+        upper = high - values[at] <= values[at] - low
+        limit = high if upper else low
+        value = _seen(limit - margin if upper else limit + margin)
+        shown, bound = (joint.shown(float(x)) for x in (value, limit))
+        when = plan.certificate.worst_time_s.get(title)
+        items.append(_item(title, margin >= -RANGE_SLACK, shown, bound, f"{joint.unit}{per}", when))
     return items
 
 

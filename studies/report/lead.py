@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Facts
 from linkplan.studies.output.draw_plan import Motion
-from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit
+from linkplan.studies.output.plan_blocks import figure, joint_margins, known_digits, objective_unit
 
 
 def verdict_sentence(plan: Plan) -> str:
@@ -56,19 +56,12 @@ def _least_margin(plan: Plan) -> tuple[str, str]:
 
 def _margins(plan: Plan) -> Iterator[tuple[float, str]]:
     """Yield every margin as a share of its limit and in words."""
-    problem, certificate = plan.problem, plan.certificate
-    kinds = (
-        ("range", "", problem.limits.position, certificate.position_margin_rad),
-        ("speed limit", "/s", problem.limits.speed, certificate.speed_margin_rad_s),
-    )
-    for what, per, bounds, margins in kinds:
-        for joint, (low, high), margin in zip(problem.mechanism.joints, bounds, margins, strict=True):
-            if np.isfinite(margin):
-                whole = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x))
-                when = certificate.worst_time_s.get(f"{what} of {joint.name}")
-                at = "" if when is None else f", at {when:.4g} s"
-                words = f"{joint.shown(float(margin)):.4g} {joint.unit}{per} to the {what} of {joint.name}{at}"
-                yield float(margin) / (whole or 1.0), words
+    joints, certificate = plan.problem.mechanism.joints, plan.certificate
+    for title, per, k, (low, high), margin in joint_margins(plan):
+        whole = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x))
+        when = certificate.worst_time_s.get(title)
+        at = "" if when is None else f", at {when:.4g} s"
+        yield margin / (whole or 1.0), f"{joints[k].shown(margin):.4g} {joints[k].unit}{per} to the {title}{at}"
     for one in certificate.margins:
         words = f"{one.left:.4g} {one.unit}".rstrip() + f" to the limit on {one.title}, at {one.time_s:.4g} s"
         yield one.left / (abs(one.limit) or abs(one.value) or 1.0), words

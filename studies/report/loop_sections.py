@@ -1,16 +1,12 @@
 """The sections of a feedback loop, of further studies of it, and of tuned gains."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.bode.bode_blocks import margins_along, nyquist, responses, sensitivities, summary
-from linkplan.studies.output.document import Axis, Block, Code, Facts, Limit, Plot, Section, Series, table_of
-from linkplan.studies.output.numbers import rounded
-from linkplan.studies.tune.judged import JudgedLoop
+from linkplan.studies.output.document import Block, Code, Facts, Section, table_of
 from linkplan.studies.tune.tune import Tuning
-from linkplan.studies.tune.tune_report import gain_lines, places, tracking_table, tuned_joints
+from linkplan.studies.tune.tune_report import gain_lines, tracking_table, tune_plots, tuned_joints
 
 
 def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[Section]:
@@ -37,17 +33,17 @@ def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[
 
 def tune_sections(found: Tuning) -> list[Section]:
     """Return the sections of gains for requirements."""
-    mechanism, wanted, joints = found.mechanism, found.wanted, tuned_joints(found)
+    mechanism, wanted, law, joints = found.mechanism, found.wanted, found.best.law, tuned_joints(found)
     rows = [
         ("mechanism", mechanism.name),
-        ("tracker", found.law),
+        ("tracker", law.name),
         ("wanted bandwidth", f"{wanted.bandwidth_hz:g} Hz at least"),
         ("wanted phase margin", f"{wanted.phase_margin_deg:g} deg at least"),
-        ("control period", f"{found.timing.period_s:g} s, delay {found.timing.delay_s:g} s"),
+        ("control period", f"{law.timing.period_s:g} s, delay {law.timing.delay_s:g} s"),
     ]
     if np.isfinite(wanted.sensitivity_peak):
         rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
-    if found.law != "lqr":
+    if law.name != "lqr":
         rows += [(f"gains {where}", gains) for where, gains in gain_lines(found)]
     blocks: list[Block] = [
         Facts(rows=rows),
@@ -71,33 +67,6 @@ def tune_sections(found: Tuning) -> list[Section]:
         positions = [(one.name, one.unit) for one in joints]
         blocks += [
             table_of(f"At every position looked at{of}", [*positions, *heads], cells),
-            *_tuned_plots(found, loops, of),
+            *tune_plots(found, loops, of),
         ]
     return [Section(title=f"Gains for {mechanism.name}", blocks=blocks)]
-
-
-def _tuned_plots(found: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plot]:
-    """Return bandwidth and phase margin of one joint's loops over the position or the pose, with the requirements."""
-    at, place, place_unit = places(found, loops)
-    order, shown = np.argsort(at), []
-    for name, what, unit, wanted in (
-        ("bandwidth_hz", "bandwidth", "Hz", found.wanted.bandwidth_hz),
-        ("phase_margin_deg", "phase margin", "deg", found.wanted.phase_margin_deg),
-    ):
-        bounds = [getattr(loops[k].margins, name) for k in order]
-        values = rounded(np.array([np.nan if value is None else value for value in bounds]))
-        shown.append(
-            Plot(
-                title=f"{what[:1].upper()}{what[1:]} over the {place if of else 'position'}{of}",
-                group="along:tune",
-                x_axis=Axis(label=place, unit=place_unit),
-                y_axis=Axis(label=what, unit=unit),
-                x=rounded(at[order]),
-                series=[
-                    Series(name=what, y=values),
-                    Series(name="looked at", y=values, look="points"),
-                ],
-                limits=[Limit(name="wanted at least", value=float(wanted))],
-            )
-        )
-    return shown

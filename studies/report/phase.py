@@ -6,7 +6,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.phase_plane.grid import Plane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan import Plan
-from linkplan.studies.output.document import Axis, Curve, Plane
+from linkplan.studies.output.document import Axis, Plane, Series
 from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.numbers import drawn_rows, rounded, times
 
@@ -20,11 +20,11 @@ def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) ->
     unit = joint.shown(1.0)
     s, v = motion.position[:, 0], motion.velocity[:, 0]
     rows = drawn_rows(np.column_stack([s, v]))
-    path = Curve(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
+    path = Series(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
     most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded next to singular poses
     limits = [] if not np.all(np.isfinite(plan.problem.limits.effort)) else _limit_curves(plan, motion, most)
     curves = [
-        Curve(name=name, x=rounded(unit * x), y=rounded(unit * y), look=look, colour=colour)
+        Series(name=name, x=rounded(unit * x), y=rounded(unit * y), look=look, colour=colour)
         for name, x, y, look, colour in limits
     ]
     return Plane(

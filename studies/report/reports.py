@@ -84,10 +84,8 @@ def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
 
 def _foremost(outcome: Outcome) -> str:
     """Return each tracker's imperfection with the largest influence on the first rms error."""
-    record = outcome.record["sensitivity"]
-    metric = next(name for name in record["metrics"] if name.startswith("rms_error"))
-    first = {tracker: found[metric]["ranking"][0] for tracker, found in record["trackers"].items()}
-    return ", ".join(f"{label} ({tracker})" for tracker, label in first.items())
+    found = outcome.sensitivity
+    return ", ".join(f"{found.ranking(tracker, found.mains[0])[0]} ({tracker})" for tracker in found.influences)
 
 
 def decomposition_report(found: Decomposition) -> Report:
@@ -102,7 +100,7 @@ def decomposition_report(found: Decomposition) -> Report:
 
 def bode_report(study: BodeStudy, extras: Sequence[Section] = (), note: str | None = None) -> Report:
     """Return the report of a feedback loop; `extras` are the sections of further studies of it."""
-    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law}", verdict=False), *extras]
+    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law.name}", verdict=False), *extras]
     verdict = study.message if note is None else f"{study.message}; {note}"
     return report_of(f"Feedback loop of {study.mechanism.name}", verdict, study.stable, sections)
 

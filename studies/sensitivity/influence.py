@@ -111,7 +111,7 @@ def _morris(scheme: Scheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _
         num_resamples=_BOOTSTRAP_RESAMPLES,
         conf_level=_CONFIDENCE_LEVEL,
         num_levels=MORRIS_LEVELS,
-        seed=np.random.default_rng(np.random.SeedSequence(seed)),
+        seed=np.random.default_rng(seed),
     )
     names = ("mu_star", "mu_star_conf", "mu", "sigma")
     importance, half, mean, spread = (np.array(found[name], dtype=float) for name in names)

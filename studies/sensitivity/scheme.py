@@ -76,7 +76,7 @@ def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int)
         )
     if design == SOBOL:
         groups = 1 << (groups.bit_length() - 1)
-    cube = {ONE_AT_A_TIME: _one_at_a_time, MORRIS: _morris, SOBOL: _sobol}[design](d, groups, seed, noisy)
+    cube = _cube(design, d, groups, seed, noisy)
     points, draws = cube, np.zeros(len(cube), dtype=int)
     if noisy:
         points = cube[:, :-1]
@@ -86,30 +86,23 @@ def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int)
     return Scheme(design=design, points=points, draws=draws, n_groups=groups, noisy=noisy)
 
 
-def _one_at_a_time(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
-    """Return for each group the middle, then each factor at its low and at its high end."""
-    del seed
-    factors = d - noisy
-    group = np.full((2 * factors + 1, d), 0.5)
-    for i in range(factors):
-        group[1 + 2 * i, i], group[2 + 2 * i, i] = 0.0, 1.0
-    return np.tile(group, (groups, 1))
+def _cube(design: str, d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
+    """Return the trials (n, d) of whole groups.
 
-
-def _morris(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
-    """Return trajectories of d steps, each of one factor by two thirds of its range (Morris, Technometrics 33, 1991)."""
-    del noisy
-    return salib("sample.morris").sample(unit_cube(d), groups, num_levels=MORRIS_LEVELS, seed=_generator(seed))
-
-
-def _sobol(d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:
-    """Return groups A, A with one column of B in turn, B (Saltelli et al., Computer Physics Communications 181, 2010)."""
-    del noisy
-    return salib("sample.sobol").sample(unit_cube(d), groups, calc_second_order=False, seed=_generator(seed))
-
-
-def _generator(seed: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed))
+    One at a time: the middle, then each factor at its low and at its high end. Morris: a trajectory of d steps, each of one
+    factor by two thirds of its range (Technometrics 33, 1991). Sobol: A, A with one column of B in turn, B (Saltelli et al.,
+    Computer Physics Communications 181, 2010).
+    """
+    if design == ONE_AT_A_TIME:
+        factors = d - noisy
+        group = np.full((2 * factors + 1, d), 0.5)
+        for i in range(factors):
+            group[1 + 2 * i, i], group[2 + 2 * i, i] = 0.0, 1.0
+        return np.tile(group, (groups, 1))
+    generator = np.random.default_rng(seed)
+    if design == MORRIS:
+        return salib("sample.morris").sample(unit_cube(d), groups, num_levels=MORRIS_LEVELS, seed=generator)
+    return salib("sample.sobol").sample(unit_cube(d), groups, calc_second_order=False, seed=generator)
 
 
 def salib(name: str) -> ModuleType:

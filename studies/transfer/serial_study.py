@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.errors import ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import accelerations
 from linkplan.models.transfer.output_map import OutputMap
 from linkplan.models.transfer.rest import OutputMotion, SerialErrors, rest_values, serial_errors
 from linkplan.models.transfer.serial import SerialModel, serial_model
@@ -75,12 +74,11 @@ def motion_of_plan(plan: Plan, outputs: OutputMap) -> OutputMotion:
         raise ProblemError(f"the plan '{plan.problem.name}' is of another model, payload included, than the table")
     samples = samples_of(plan)
     index = [mechanism.joint_index(joint.name) for joint in outputs.joints]
-    acceleration = accelerations(mechanism, samples.q, samples.velocity, samples.acceleration)
     return OutputMotion(
         time_s=samples.time_s,
         position=samples.q[:, index],
         velocity=samples.rates[:, index],
-        acceleration=acceleration[:, index],
+        acceleration=samples.accelerations()[:, index],
     )
 
 

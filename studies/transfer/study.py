@@ -76,8 +76,7 @@ def transfer_study(
     *,
     tolerance: float = 1e-3,
     ends: Mapping[str, tuple[float, float]] | None = None,
-    effort_limit: np.ndarray | None = None,
-    motor_speed: np.ndarray | None = None,
+    problem: Problem | None = None,
     motor_speeds: Sequence[float] = (),
     gains: Mapping[str, Sequence[float]] | None = None,
     along: Plan | None = None,
@@ -90,8 +89,7 @@ def transfer_study(
         names: of the output joints.
         tolerance: interpolation error allowed, as a share of each quantity's largest size.
         ends: positions [rad or m] between which the table lies, by joint; by default the reach.
-        effort_limit: of all actuators (n_u, 2) [N.m or N]; by default the model's.
-        motor_speed: top speeds of all actuators (n_u,) [rad/s or m/s], NaN where unknown.
+        problem: gives effort limits and the motors' top speeds; by default the model's limits.
         motor_speeds: top speeds of the table's motors, in the actuators' units; one for all, or one each.
         gains: by their name in `GAINS`, in SI; one for all, or one each.
         along: a plan of the same model, along whose motion the serial equivalent's errors are stated.
@@ -107,7 +105,10 @@ def transfer_study(
     carried = {}
     for name, values in (gains or {}).items():
         carried[name] = each(values, name, n_o if name.startswith("joint") else n_m)
-    speed = None if motor_speed is None or np.isnan(motor_speed[motors]).any() else motor_speed[motors]
+    limit, speed = outputs.effort_limit, None
+    if problem is not None:
+        limit, known = np.array(problem.limits.actuators_effort)[motors], no_load_speeds(problem)[motors]
+        speed = None if np.isnan(known).any() else known
     if len(motor_speeds):
         speed = each(motor_speeds, "motor_speed", n_m)
     for name in ends or {}:
@@ -117,7 +118,6 @@ def transfer_study(
     say(f"{', '.join(names)}: tables of {', '.join(one.name for one in outputs.actuators)}")
     motion = None if along is None else motion_of_plan(along, outputs)
     table = transfer_table(outputs, tolerance, spans)
-    limit = outputs.effort_limit if effort_limit is None else effort_limit[motors]
     serial, note = serial_of(table, limit, motion)
     return Transfer(
         table=table,

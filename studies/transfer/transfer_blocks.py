@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.transfer.polytope import effort_box, effort_corners
 from linkplan.models.transfer.table import REFINED
-from linkplan.studies.output.document import Axis, Block, Curve, Facts, Plane, Plot, Text, table_of
+from linkplan.studies.output.document import Axis, Block, Facts, Plane, Plot, Series, Text, table_of
 from linkplan.studies.output.lines import Line, overlaid_width, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.transfer.serial_study import error_plots, serial_blocks, serial_record
@@ -232,6 +232,6 @@ def _polytope(transfer: Transfer) -> Plane:
             continue
         around = corners[scipy.spatial.ConvexHull(corners).vertices]
         around = np.concatenate([around, around[:1]])
-        curves.append(Curve(name=name, x=rounded(around[:, 0]), y=rounded(around[:, 1]), colour=colour))
+        curves.append(Series(name=name, x=rounded(around[:, 0]), y=rounded(around[:, 1]), colour=colour))
     axes = [Axis(label=f"effort on {joint.name}", unit=joint.si_units[1]) for joint in (first, second)]
     return Plane(title="Efforts that the motors can give", x_axis=axes[0], y_axis=axes[1], curves=curves)

@@ -7,8 +7,7 @@ import numpy as np
 
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import OperatingPoint, feedback_loop, law_gain
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw
 from linkplan.studies.frequency.margins import Margins, margins
 
 # By default an error settles within this many cycles of the bandwidth, and poles have at least this damping ratio.
@@ -71,9 +70,9 @@ class JudgedLoop:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class EvaluatedGains:
-    """One set of gains with its loops, joint by joint and pose by pose, and the largest relative shortfall or zero."""
+    """A law with its loops, joint by joint and pose by pose, and the largest relative shortfall or zero."""
 
-    settings: Tracking
+    law: SampledLaw
     loops: tuple[JudgedLoop, ...]
     shortfall: float
 
@@ -84,36 +83,25 @@ class EvaluatedGains:
         return value, self.loops[index]
 
 
-def evaluated(
-    points: Sequence[OperatingPoint],
-    settings: Tracking,
-    wanted: Wanted,
-    timing: Sampling,
-    effort_limit: np.ndarray,
-    law: str,
-) -> EvaluatedGains:
-    """Return gains with the loops of all joints at all points, and the largest relative shortfall."""
-    loops = [
-        _judged(point, channel, settings, timing, effort_limit, law)
-        for channel in points[0].mechanism.channels
-        for point in points
-    ]
-    lacking = max(min(shortfall(loop.margins, wanted, timing), UNSTABLE_SHORTFALL) for loop in loops)
-    return EvaluatedGains(settings=settings, loops=tuple(loops), shortfall=float(max(0.0, lacking)))
+def evaluated(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLaw) -> EvaluatedGains:
+    """Return a law with the loops of all joints at all points, and the largest relative shortfall."""
+    loops = [_judged(point, channel, law) for channel in points[0].mechanism.channels for point in points]
+    lacking = max(min(shortfall(loop.margins, wanted, law.timing), UNSTABLE_SHORTFALL) for loop in loops)
+    return EvaluatedGains(law=law, loops=tuple(loops), shortfall=float(max(0.0, lacking)))
 
 
-def _judged(point: OperatingPoint, channel: int, settings: Tracking, timing: Sampling, effort_limit, law: str) -> JudgedLoop:
+def _judged(point: OperatingPoint, channel: int, law: SampledLaw) -> JudgedLoop:
     try:
-        loop = feedback_loop(point, law_gain(point, law, settings, effort_limit), timing)
+        loop = law.loop(point)
         found, stiffness = margins(loop, channel), loop.stiffness_at_rest(channel)
     except LinkplanError:
         found, stiffness = Margins(stable=False), np.nan
     return JudgedLoop(point=point, channel=channel, margins=found, stiffness=stiffness)
 
 
-def shortfall(found: Margins | None, wanted: Wanted, timing: Sampling) -> float:
+def shortfall(found: Margins, wanted: Wanted, timing: Sampling) -> float:
     """Return the largest relative shortfall of margins: negative with a reserve, infinite if unstable."""
-    if found is None or not found.stable:
+    if not found.stable:
         return np.inf
     band = found.bandwidth_hz or timing.nyquist_hz
     short = [float(np.log(wanted.bandwidth_hz / band)), found.sensitivity_peak / wanted.sensitivity_peak - 1.0]

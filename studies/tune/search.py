@@ -9,7 +9,7 @@ from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.keys.kinds import LQR_ERRORS
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import OperatingPoint, law_gain
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw, law_gain
 from linkplan.studies.frequency.quick import QuickMargins, quick_loops
 from linkplan.studies.frequency.stability_map import effort_map
 from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, Wanted, evaluated
@@ -25,16 +25,8 @@ _SEARCH_RESERVE = 1.005
 MAX_ROUNDS = 5
 
 
-def found_gains(
-    points: Sequence[OperatingPoint],
-    wanted: Wanted,
-    settings: Tracking,
-    timing: Sampling,
-    effort_limit: np.ndarray,
-    law: str,
-    say: Callable[[str], None],
-) -> Tracking:
-    """Return the settings with the gains that fall short least at the points, and damp least among those that meet all.
+def found_gains(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLaw, say: Callable[[str], None]) -> SampledLaw:
+    """Return the law with the gains that fall short least at the points, and damp least among those that meet all.
 
     Several joints first get gains of the same natural frequency and damping ratio, each for its own inertia. Where these
     fall short, one joint's gains are searched at a time, with the loops of the others closed, in a few rounds through the
@@ -43,10 +35,11 @@ def found_gains(
     mechanism = points[0].mechanism
     channels, joints = mechanism.channels, mechanism.independent_joints
     if len(channels) == 1:
-        return _refined(points, wanted, settings, timing, effort_limit, law, channels, say)
-    first = {name: {joint.name: 0.0 for joint in joints} for name in ("kp", "kd")}  # spins have no gains
-    settings = _refined(points, wanted, replace(settings, **first), timing, effort_limit, law, channels, say)
-    best = evaluated(points, settings, wanted, timing, effort_limit, law)
+        return _refined(points, wanted, law, channels, say)
+    zeros = {joint.name: 0.0 for joint in joints}  # spins have no gains
+    first = replace(law, settings=replace(law.settings, kp=zeros, kd=zeros))
+    best = evaluated(points, wanted, _refined(points, wanted, first, channels, say))
+    law = best.law
     for number in range(MAX_ROUNDS):
         if best.shortfall == 0.0:
             break
@@ -56,27 +49,24 @@ def found_gains(
             def told(words: str, number: int = number, name: str = name) -> None:
                 say(f"{name}, round {number + 1}: {words}")
 
-            settings = _refined(points, wanted, settings, timing, effort_limit, law, [channel], told)
-        found = evaluated(points, settings, wanted, timing, effort_limit, law)
+            law = _refined(points, wanted, law, [channel], told)
+        found = evaluated(points, wanted, law)
         best = found if found.shortfall < best.shortfall else best
-    return best.settings
+    return best.law
 
 
 def _refined(
-    points,
+    points: Sequence[OperatingPoint],
     wanted: Wanted,
-    settings: Tracking,
-    timing: Sampling,
-    effort_limit,
-    law: str,
+    law: SampledLaw,
     channels: Sequence[int],
     say: Callable[[str], None],
-) -> Tracking:
+) -> SampledLaw:
     """Return the best gains of some joints on a grid that is refined around its best point; other joints keep theirs."""
     ends = np.log([_NATURAL_FREQUENCY_RANGE, _DAMPING_RATIO_RANGE])
     centre, half = ends.mean(axis=1), 0.5 * np.diff(ends, axis=1).ravel()
-    best: tuple[float, float, Tracking] | None = None
-    several = law == "lqr" or len(points[0].mechanism.channels) > 1
+    best: tuple[float, float, SampledLaw] | None = None
+    several = law.name == "lqr" or len(points[0].mechanism.channels) > 1
     # Grid points along each axis: fewer for LQR, which solves a Riccati equation for every candidate and pose, and for
     # several joints, whose loops are all judged for every candidate.
     count = 9 if several else 17
@@ -84,8 +74,10 @@ def _refined(
         say(f"gains, grid {level + 1} of {_GRID_LEVELS}" + ("" if best is None else f", shortfall {best[0]:.3g}"))
         axis = np.linspace(-1.0, 1.0, count)
         at = [(a, b) for a in centre[0] + half[0] * axis for b in centre[1] + half[1] * axis]
-        candidates = [_settings(points, wanted, settings, law, channels, *np.exp(place).tolist()) for place in at]
-        shortfalls = _shortfalls(points, candidates, wanted, timing, effort_limit, law)
+        candidates = [
+            replace(law, settings=_settings(points, wanted, law, channels, *np.exp(place).tolist())) for place in at
+        ]
+        shortfalls = _shortfalls(points, candidates, wanted)
         # The damping gain increases with the product of natural frequency and damping ratio, the sum of their logarithms.
         ranked = min(range(len(at)), key=lambda i: (shortfalls[i], sum(at[i])))
         row = float(shortfalls[ranked]), sum(at[ranked]), candidates[ranked]
@@ -96,7 +88,12 @@ def _refined(
 
 
 def _settings(
-    points, wanted: Wanted, settings: Tracking, law: str, channels: Sequence[int], natural: float, damping: float
+    points: Sequence[OperatingPoint],
+    wanted: Wanted,
+    law: SampledLaw,
+    channels: Sequence[int],
+    natural: float,
+    damping: float,
 ) -> Tracking:
     """Return settings with gains or weights of some joints, each for its mean inertia.
 
@@ -104,7 +101,8 @@ def _settings(
     """
     omega, joints = 2 * np.pi * wanted.bandwidth_hz * natural, points[0].mechanism.independent_joints
     inertia = [float(np.exp(np.mean([np.log(point.inertia[k, k]) for point in points]))) for k in channels]
-    if law == "lqr":
+    settings = law.settings
+    if law.name == "lqr":
         return _with_weights(points, settings, channels[0], inertia[0], omega, damping)
     names = [joints[k].name for k in channels]
     kp = {name: own * omega**2 for name, own in zip(names, inertia, strict=True)}
@@ -134,17 +132,17 @@ def _effort_weight(points: Sequence[OperatingPoint], channel: int) -> float:
     return limit / abs(float(effort_map(points[0])[0, channel]))
 
 
-def _shortfalls(points, candidates: list[Tracking], wanted: Wanted, timing: Sampling, effort_limit, law: str) -> np.ndarray:
+def _shortfalls(points: Sequence[OperatingPoint], candidates: Sequence[SampledLaw], wanted: Wanted) -> np.ndarray:
     """Return the relative shortfall of each candidate (n,), the largest over the points, from approximate margins.
 
     At a point it is the sum over the joints' loops of each one's largest shortfall.
     """
-    total = np.zeros(len(candidates))
+    total, timing = np.zeros(len(candidates)), candidates[0].timing
     for point in points:
         gains, known = [], np.ones(len(candidates), dtype=bool)
-        for i, candidate in enumerate(candidates):
+        for i, one in enumerate(candidates):
             try:
-                gains.append(law_gain(point, law, candidate, effort_limit))
+                gains.append(law_gain(point, one.name, one.settings, one.effort_limit))
             except LinkplanError:  # LQR without a solution
                 gains.append(np.zeros((point.mechanism.n_u, 2 * point.mechanism.dof)))
                 known[i] = False

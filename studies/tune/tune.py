@@ -12,15 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.sampling import Sampling
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
 from linkplan.studies.bode.scan import Line, judge_of
-from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, operating_point
+from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, SampledLaw, operating_point
 from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, EvaluatedGains, Wanted, evaluated, shortfall
 from linkplan.studies.tune.search import MAX_ROUNDS, found_gains
@@ -31,9 +29,7 @@ class Tuning:
     """The best gains at all points, whether they meet the requirements (`found`), and the verdict as a sentence."""
 
     mechanism: Mechanism
-    law: str
     wanted: Wanted
-    timing: Sampling
     points: tuple[OperatingPoint, ...]
     best: EvaluatedGains
     found: bool
@@ -43,11 +39,8 @@ class Tuning:
 def tune(
     points: Sequence[OperatingPoint],
     wanted: Wanted,
-    settings: Tracking,
-    timing: Sampling,
-    effort_limit: np.ndarray,
+    law: SampledLaw,
     *,
-    law: str = "pd",
     say: Callable[[str], None] = silent,
     line: Line | None = None,
 ) -> Tuning:
@@ -58,21 +51,18 @@ def tune(
 
     Args:
         points: of one mechanism; one pose or more.
-        line: the line that the points sample; None if the user gave the poses.
         wanted: the requirements at the worst point.
-        settings: period and delay; gains and weights are replaced.
-        timing: with the same period and delay.
-        effort_limit: (n_u, 2) [N.m or N].
-        law: pd, pd+ff or lqr.
+        law: pd, pd+ff or lqr with its timing; its gains and weights are replaced.
         say: receives progress messages.
+        line: the line that the points sample; None if the user gave the poses.
 
     Raises:
         LinkplanError: for a bandwidth above the Nyquist frequency, an unknown law, or LQR with several degrees of freedom.
     """
-    mechanism = points[0].mechanism
-    if law not in LINEAR:
-        raise LinkplanError(f"unknown tracker '{law}'; trackers are {', '.join(LINEAR)}")
-    refuse_weights_of_several(mechanism, law)
+    mechanism, timing = points[0].mechanism, law.timing
+    if law.name not in LINEAR:
+        raise LinkplanError(f"unknown tracker '{law.name}'; trackers are {', '.join(LINEAR)}")
+    refuse_weights_of_several(mechanism, law.name)
     if wanted.bandwidth_hz >= timing.nyquist_hz:
         raise LinkplanError(
             f"a bandwidth of {wanted.bandwidth_hz:g} Hz is above the Nyquist frequency, {timing.nyquist_hz:g} Hz at a"
@@ -80,36 +70,26 @@ def tune(
         )
     points = list(points)
     for last in [*[False] * (MAX_ROUNDS - 1), True]:
-        settings_found = found_gains(points, wanted, settings, timing, effort_limit, law, say)
-        best = evaluated(points, settings_found, wanted, timing, effort_limit, law)
+        best = evaluated(points, wanted, found_gains(points, wanted, law, say))
+        law = best.law
         if line is None or best.shortfall or last:
             break
         say("the worst of these gains over the whole line")
-        worst = _worst(mechanism, line, settings_found, wanted, timing, effort_limit, law)
-        violated = [
-            point for point in worst if evaluated([point], settings_found, wanted, timing, effort_limit, law).shortfall
-        ]
+        worst = _worst(mechanism, line, law, wanted)
+        violated = [point for point in worst if evaluated([point], wanted, law).shortfall]
         if not violated:
             break
         points = _along(points, violated)
     # Evaluate the line's worst pose too: it may still violate the requirements after the last round.
     if line is not None and not best.shortfall:
-        worst = _worst(mechanism, line, settings_found, wanted, timing, effort_limit, law)
+        worst = _worst(mechanism, line, law, wanted)
         at, distance = np.array([point.state for point in points]), SAME_POSE_SHARE * np.ptp(line.states, axis=0).max()
         worst = [point for point in worst if np.abs(at - point.state).max(axis=1).min() > distance][:1]
         points = _along(points, worst)
-        best = evaluated(points, settings_found, wanted, timing, effort_limit, law)
+        best = evaluated(points, wanted, law)
     found = best.shortfall == 0.0
-    return Tuning(
-        mechanism=mechanism,
-        law=law,
-        wanted=wanted,
-        timing=timing,
-        points=tuple(points),
-        best=best,
-        found=found,
-        message=_message(points, wanted, timing, best, law, found, line),
-    )
+    message = _message(points, wanted, best, found, line)
+    return Tuning(mechanism=mechanism, wanted=wanted, points=tuple(points), best=best, found=found, message=message)
 
 
 def refuse_weights_of_several(mechanism: Mechanism, law: str) -> None:
@@ -127,27 +107,26 @@ def _along(points: Sequence[OperatingPoint], added: Sequence[OperatingPoint]) ->
     return sorted(every, key=lambda point: float(point.state[0])) if points[0].mechanism.dof == 1 else every
 
 
-def _worst(mechanism, line: Line, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str):
+def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Wanted) -> list[OperatingPoint]:
     """Return up to three points of a line with the largest shortfall, among its local maxima."""
-    judge, known = judge_of(mechanism, settings, effort_limit, timing, law, mechanism.channels), {}
+    judge = judge_of(mechanism, line, law, mechanism.channels)
 
     def reserve(x: float) -> float:
         """Return the reserve, strongly negative if unstable, infinite if the pose cannot be held."""
-        if x not in known:
-            found = judge(line.at(x))
-            short = np.inf if found is None else max(shortfall(one, wanted, timing) for one in found)
-            known[x] = np.inf if found is None else -min(short, UNSTABLE_SHORTFALL + (found[0].spectral_radius or 0.0))
-        return known[x]
+        found = judge(x)
+        if not found:
+            return np.inf
+        short = max(shortfall(one, wanted, law.timing) for one in found)
+        return -min(short, UNSTABLE_SHORTFALL + (found[0].spectral_radius or 0.0))
 
     even = np.linspace(line.low, line.high, SCAN_POSITIONS)
     places = sorted([*even, *local_minima(reserve, even)], key=reserve)[:3]
-    return [operating_point(mechanism, line.at(float(x)), effort_limit) for x in places if np.isfinite(reserve(x))]
+    return [operating_point(mechanism, line.at(float(x)), law.effort_limit) for x in places if np.isfinite(reserve(x))]
 
 
-def _message(
-    points, wanted: Wanted, timing: Sampling, best: EvaluatedGains, law: str, found: bool, line: Line | None
-) -> str:
+def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGains, found: bool, line: Line | None) -> str:
     """Return the verdict as a sentence."""
+    timing, words = best.law.timing, LAW_NAMES[best.law.name]
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if np.isfinite(wanted.sensitivity_peak):
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"
@@ -172,10 +151,10 @@ def _message(
         reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({at_phase.name})"]
         reached.append(f"an error settles to 2 % within {settling:.3g} s ({at_settling.name})")
         reached.append(f"stiffness at rest {softest.stiffness:.4g} {unit} at the least ({softest.name})")
-        return f"{LAW_NAMES[law]} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
+        return f"{words} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
     # The hold of one period and the delay cost this much phase at the required bandwidth with any gains.
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
-    cannot = f"{LAW_NAMES[law]} cannot give {asked} at {everywhere}, {sampled}"
+    cannot = f"{words} cannot give {asked} at {everywhere}, {sampled}"
     return f"{cannot}: {_reason(wanted, best)}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
 
 

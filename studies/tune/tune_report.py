@@ -1,15 +1,23 @@
-"""The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, and a text table."""
+"""The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, a text table, and plots."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.tables import inline
+from linkplan.studies.bode.scan import figures
+from linkplan.studies.output.document import Axis, Limit, Plot, Series
+from linkplan.studies.output.numbers import rounded
 from linkplan.studies.output.text import table
 from linkplan.studies.tune.judged import JudgedLoop
 from linkplan.studies.tune.tune import Tuning
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def tuned_joints(tuning: Tuning) -> list[Joint]:
@@ -19,7 +27,7 @@ def tuned_joints(tuning: Tuning) -> list[Joint]:
 
 def joint_gains(tuning: Tuning) -> dict[str, tuple[float, float]]:
     """Return kp and kd of every joint with a loop, by its name."""
-    settings, joints = tuning.best.settings, tuning.mechanism.independent_joints
+    settings, joints = tuning.best.law.settings, tuning.mechanism.independent_joints
     gains = np.array(settings.gains(joints)).T
     return {
         joints[channel].name: (float(gains[channel, 0]), float(gains[channel, 1])) for channel in tuning.mechanism.channels
@@ -60,24 +68,65 @@ def places(tuning: Tuning, loops: Sequence[JudgedLoop]) -> tuple[np.ndarray, str
     return np.array(at), joints[0].name, joints[0].unit
 
 
+def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plot]:
+    """Return the plots of one joint's margins over the position or the pose, with the requirements; `of` ends the titles."""
+    (at, place, unit), wanted = places(tuning, loops), tuning.wanted
+    order, found = np.argsort(at), []
+    margins = [loops[k].margins for k in order]
+    lost = at[order][[not one.stable for one in margins]]
+    for name, what, per, limit, words in (
+        ("bandwidth_hz", "bandwidth", "Hz", wanted.bandwidth_hz, "wanted at least"),
+        ("phase_margin_deg", "phase margin", "deg", wanted.phase_margin_deg, "wanted at least"),
+        ("sensitivity_peak", "peak of |S|", "1", wanted.sensitivity_peak, "wanted at most"),
+    ):
+        values, asked = figures(margins, name), [limit] if np.isfinite(limit) and limit > 0 else []
+        series = [Series(name=what, y=rounded(values)), Series(name="looked at", y=rounded(values), look="points")]
+        if len(lost):
+            series.append(Series(name="unstable", x=rounded(lost), y=[0.0] * len(lost), look="points", colour=4))
+        highest = max([*values[np.isfinite(values)].tolist(), *asked], default=0.0)
+        found.append(
+            Plot(
+                title=f"{what[:1].upper()}{what[1:]} over the {place if of else 'position'}{of}",
+                group="along:tune",
+                x_axis=Axis(label=place, unit=unit or "1"),
+                y_axis=Axis(label=what, unit=per, ends=(0.0, 1.12 * highest or 1.0)),
+                x=rounded(at[order]),
+                series=series,
+                limits=[Limit(name=words, value=float(x)) for x in asked],
+            )
+        )
+    return found
+
+
+def tune_figure(tuning: Tuning, path: Path | None = None) -> "Figure":
+    """Return the figure of every joint's margins over the poses, saved at `path` if given."""
+    from linkplan.studies.output.figure import figure_of, side_by_side
+
+    joints, columns = tuned_joints(tuning), []
+    for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
+        loops = [loop for loop in tuning.best.loops if loop.channel == channel]
+        columns.append(tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"))
+    size, title = (7.5 if len(joints) == 1 else 4.5, 2.5), f"{tuning.mechanism.name}: {tuning.message}"
+    return figure_of(side_by_side(*columns), path, title=title, columns=len(columns), panel_in=size)
+
+
 def tune_record(tuning: Tuning) -> dict:
     """Return the JSON record of `linkplan tune`."""
-    gains: dict = {"period_s": tuning.timing.period_s, "delay_s": tuning.timing.delay_s}
+    timing, wanted = tuning.best.law.timing, tuning.wanted
+    gains: dict = {"period_s": timing.period_s, "delay_s": timing.delay_s}
     values, joints = tracking_values(tuning), tuned_joints(tuning)
     gains |= {key: value for key, value in values.items() if key not in ("period_s", "delay_periods")}
-    if tuning.law != "lqr" and len(joints) == 1:
+    if tuning.best.law.name != "lqr" and len(joints) == 1:
         gains |= {"motor_side": motor_gains(tuning)}
     return {
         "mechanism": tuning.mechanism.name,
-        "tracker": tuning.law,
+        "tracker": tuning.best.law.name,
         "found": tuning.found,
         "message": tuning.message,
-        "wanted": {
-            "bandwidth_hz": tuning.wanted.bandwidth_hz,
-            "phase_margin_deg": tuning.wanted.phase_margin_deg,
-            "sensitivity_peak": tuning.wanted.sensitivity_peak if np.isfinite(tuning.wanted.sensitivity_peak) else None,
-            "settling_s": tuning.wanted.longest_settling_s,
-            "damping_ratio": tuning.wanted.damping_ratio,
+        "wanted": asdict(wanted)
+        | {
+            "sensitivity_peak": wanted.sensitivity_peak if np.isfinite(wanted.sensitivity_peak) else None,
+            "settling_s": wanted.longest_settling_s,
         },
         "gains": gains,
         "points": [
@@ -99,9 +148,9 @@ def _place(loop: JudgedLoop, joints: Sequence[Joint]) -> dict:
 
 def tracking_values(tuning: Tuning) -> dict:
     """Return the gains under the keys of the [tracking] table of a problem file; with several loops by joint."""
-    settings, joints = tuning.best.settings, tuned_joints(tuning)
+    settings, joints = tuning.best.law.settings, tuned_joints(tuning)
     values: dict = {"kp": settings.kp, "kd": settings.kd}
-    if tuning.law == "lqr":
+    if tuning.best.law.name == "lqr":
         position, velocity = (joints[0].shown(float(weight[0])) for weight in settings.lqr_errors(joints))
         values = {f"lqr_position_{joints[0].unit}": position, f"lqr_velocity_{joints[0].unit}_s": velocity}
     values |= {"period_s": settings.period_s}
@@ -122,7 +171,7 @@ def tracking_table(tuning: Tuning) -> str:
 def tune_text(tuning: Tuning) -> str:
     """Return the gains in the joints' and the motor's units, and the margins of every loop at every pose, as text."""
     joints, lines = tuned_joints(tuning), [tuning.message, ""]
-    if tuning.law == "lqr":
+    if tuning.best.law.name == "lqr":
         (position_key, position), (velocity_key, velocity) = list(tracking_values(tuning).items())[:2]
         lines.append(
             f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g} (errors weighted like the full effort limit)"

@@ -6,7 +6,7 @@ import pytest
 from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import default_poses
+from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup, signal_amplitude
 from linkplan.studies.frequency.feasible import default_amplitudes
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
@@ -44,6 +44,6 @@ def test_test_signals_are_of_the_size_of_what_moves(carts):
 
 def test_poses_of_a_slide_without_stops_lie_within_the_mechanisms_size(carts):
     for cart in carts:
-        poses, _ = default_poses(cart, None, cart.effort_limit)
+        poses = loop_poses(cart, None, cart.effort_limit).positions
         assert np.ptp(poses) <= cart.extent_m
         assert np.ptp(poses) > 0

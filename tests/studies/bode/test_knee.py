@@ -12,9 +12,10 @@ from linkplan.models.catalogue import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study, default_poses
+from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.bode.bode_report import bode_record
+from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
@@ -97,7 +98,7 @@ def test_a_computing_delay_of_two_periods_and_a_half_is_measured_as_predicted():
 @pytest.mark.slow
 def test_the_study_names_the_worst_angle_and_says_how_well_the_two_agree():
     mechanism = load_mechanism("optimus-knee")
-    positions = default_poses(mechanism)[0][[1, 5]]
+    positions = loop_poses(mechanism, None, mechanism.effort_limit).positions[[1, 5]]
     study = bode_study(
         mechanism,
         positions,
@@ -159,7 +160,8 @@ def test_gain_and_phase_margins_are_python_controls(payload, kd, delay):
 @pytest.mark.slow
 def test_default_poses_reach_next_to_the_ends_of_the_reach():
     mechanism = load_mechanism("optimus-knee")
-    poses, note = default_poses(mechanism)
+    looked = loop_poses(mechanism, None, mechanism.effort_limit)
+    poses, note = looked.positions, looked.note
     low, high = -90.0, 78.52165904546642  # its own range, and the singular pose
     assert np.degrees(poses[[0, -1], 0]) == pytest.approx(
         [low + 0.01 * (high - low), high - 0.01 * (high - low)], abs=POSE_DEG
@@ -171,7 +173,8 @@ def test_default_poses_reach_next_to_the_ends_of_the_reach():
 def test_default_poses_are_those_that_a_one_sided_actuator_can_hold():
     """The gripper's cable only pulls: beyond where springs and weight balance it would have to push."""
     mechanism = load_mechanism("parallel-gripper")
-    poses, note = default_poses(mechanism)
+    looked = loop_poses(mechanism, None, mechanism.effort_limit)
+    poses, note = looked.positions, looked.note
     still = np.zeros(1)
     for position in poses:
         point = operating_point(mechanism, position)

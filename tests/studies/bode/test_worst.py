@@ -10,7 +10,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import _roots as crossings
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.stability_map import critical_kd
@@ -48,7 +48,7 @@ def test_the_least_gain_margin_over_the_reach_is_the_largest_stable_damping_gain
     assert min(point.margins.gain_margin_db for point in study.points) == pytest.approx(least, abs=1e-3)
     assert "least gain margin 5.23 dB at O = 62.4" in text_of(summary(study))
     worst = operating_point(study.mechanism, study.scans[0].line.at(study.scans[0].positions[k]))
-    assert critical_kd(worst, 200.0, study.timing)[1] == pytest.approx(LARGEST_SAFE_KD, abs=1e-3)
+    assert critical_kd(worst, 200.0, study.law.timing)[1] == pytest.approx(LARGEST_SAFE_KD, abs=1e-3)
 
 
 def test_local_minima_are_found_between_the_places_of_a_scan():
@@ -99,21 +99,20 @@ def test_gains_found_keep_what_is_wanted_over_a_whole_turn_of_a_crank():
     looked = loop_poses(mechanism, None, mechanism.effort_limit)
     assert np.ptp(looked.line.states) == pytest.approx(2 * np.pi)
     points = [operating_point(mechanism, np.array([s])) for s in (-np.pi, 0.0)]
-    timing, settings = sampling(mechanism, 1e-3), Tracking(period_s=1e-3)
+    law = sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit)
     wanted = Wanted(bandwidth_hz=30.0, phase_margin_deg=60.0)
 
     def least(found) -> float:
         bands = []
         for x in np.linspace(looked.line.low, looked.line.high, 181):
-            point = operating_point(mechanism, np.array([x]))
-            gain = law_gain(point, "pd", found.best.settings, mechanism.effort_limit)
-            bands.append(margins(feedback_loop(point, gain, timing), refine=False).bandwidth_hz or np.inf)
+            loop = found.best.law.loop(operating_point(mechanism, np.array([x])))
+            bands.append(margins(loop, refine=False).bandwidth_hz or np.inf)
         return min(bands)
 
-    poses_alone = tune(points, wanted, settings, timing, mechanism.effort_limit)
+    poses_alone = tune(points, wanted, law)
     assert poses_alone.found
     assert least(poses_alone) < 29.0  # at its poses 30 Hz, between them not
-    everywhere = tune(points, wanted, settings, timing, mechanism.effort_limit, line=looked.line)
+    everywhere = tune(points, wanted, law, line=looked.line)
     assert everywhere.found
     assert least(everywhere) >= 30.0
     assert "every angle from -180 to 180 deg" in everywhere.message

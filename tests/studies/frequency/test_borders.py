@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.sampling import sampling
-from linkplan.controllers.trackers.pd import pd_gain
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.frequency.feedback_loops import EXACT, SIMULATED, feedback_loop, operating_point
 from linkplan.studies.frequency.margins import delay_margin, margins
-from linkplan.studies.frequency.quick import quick_margins
+from linkplan.studies.frequency.quick import quick_loops
 from linkplan.studies.frequency.stability_map import (
     critical_kd,
-    effort_map,
     longest_period,
     pd_gains,
     pd_loop,
@@ -89,7 +87,7 @@ def test_a_delay_a_little_below_its_margin_is_stable_in_mujoco_and_a_little_abov
 
 def test_the_longest_period_of_the_documents_gains_is_the_critical_ones(knee):
     points = [at(knee, angle) for angle in NINE_DEG]
-    longest, where = longest_period(points, lambda p, _: pd_gain(effort_map(p), 200.0, 10.0), 0.0, 1e-4)
+    longest, where = longest_period(points, 200.0, 10.0, 0.0, 1e-4)
     least = min(float(point.inertia[0, 0]) for point in points)
     assert longest == pytest.approx(2 * least / 10.0, rel=LONGEST_PERIOD)
     assert where.name == points[-1].name
@@ -121,7 +119,7 @@ def test_quick_margins_are_the_margins(knee):
     point = at(knee, 56.27)
     timing = sampling(knee, 1e-4, 1)
     kp, kd = np.array([200.0, 20.0, 5.0]), np.array([0.5, 0.1, 0.02])
-    quick = quick_margins(point, pd_gains(point, kp, kd), timing)
+    quick = quick_loops(point, pd_gains(point, kp, kd), timing, [0])[0]
     assert quick.radius == pytest.approx(radii(point, kp, kd, timing))
     for k in range(3):
         full = margins(pd_loop(point, kp[k], kd[k], timing), refine=False)

@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.output.document import Axis, Curve, Plane, Plot, Series, Table
+from linkplan.studies.output.document import Axis, Plane, Plot, Series, Table
 from linkplan.studies.output.plan_blocks import radius_figure
 from linkplan.studies.report.reports import bode_report
 from tests.support.reports import blocks
@@ -61,4 +61,4 @@ def test_rows_and_lines_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="1 values for 2 places"):
         Plot(title="p", group="", x_axis=axis, y_axis=axis, x=[0, 1], series=[Series(name="s", y=[1])])
     with pytest.raises(ValueError, match="1 values for 2 places"):
-        Curve(name="c", x=[0, 1], y=[1])
+        Plane(title="p", x_axis=axis, y_axis=axis, curves=[Series(name="c", x=[0, 1], y=[1])])

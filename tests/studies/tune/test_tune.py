@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from linkplan.controllers.sampling import augmented, sampling
+from linkplan.controllers.sampling import augmented
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import damping_ratio, margins, settling_time_s
-from linkplan.studies.tune.draw_tune import tune_figure
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import motor_gains, tune_record, tune_text
+from linkplan.studies.tune.tune_report import motor_gains, tune_figure, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
 
@@ -24,8 +23,8 @@ def tuned(payload, law, bandwidth_hz, phase_margin_deg, period_s, delay=0.0, pea
     mechanism = load_mechanism("optimus-knee", payload=payload)
     points = [operating_point(mechanism, np.radians([angle])) for angle in ANGLES_DEG]
     wanted = Wanted(bandwidth_hz=bandwidth_hz, phase_margin_deg=phase_margin_deg, sensitivity_peak=peak)
-    timing = sampling(mechanism, period_s, delay)
-    return tune(points, wanted, Tracking(period_s=period_s), timing, mechanism.effort_limit, law=law)
+    settings = Tracking(period_s=period_s, delay_periods=delay)
+    return tune(points, wanted, sampled_law(mechanism, law, settings, mechanism.effort_limit))
 
 
 @pytest.mark.slow
@@ -37,10 +36,10 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
     found = tuned(payload, law, bandwidth, phase, period, delay)
     assert found.found
     # A second look, from the gains alone.
-    mechanism, settings = found.mechanism, found.best.settings
+    mechanism, settings = found.mechanism, found.best.law.settings
     for point in found.points:
         gain = law_gain(point, law, settings, mechanism.effort_limit)
-        bounds = margins(feedback_loop(point, gain, found.timing))
+        bounds = margins(feedback_loop(point, gain, found.best.law.timing))
         assert bounds.stable
         assert (bounds.bandwidth_hz or np.inf) >= bandwidth  # none: it reaches the Nyquist frequency
         assert bounds.phase_margin_deg >= phase
@@ -67,14 +66,14 @@ def test_what_cannot_be_is_refused_in_a_sentence_with_its_reason():
 def test_gains_of_an_inertia_grow_with_the_square_and_the_first_power_of_the_bandwidth():
     mechanism = load_mechanism(inertia_alone(0.05, 3.0))
     point = operating_point(mechanism, np.zeros(1))
-    timing = sampling(mechanism, 1e-4)
+    law = sampled_law(mechanism, "pd", Tracking(period_s=1e-4), mechanism.effort_limit)
     kp, kd = [], []
     for bandwidth in (5.0, 10.0):
         wanted = Wanted(bandwidth_hz=bandwidth, phase_margin_deg=60.0)
-        found = tune([point], wanted, Tracking(period_s=1e-4), timing, mechanism.effort_limit)
+        found = tune([point], wanted, law)
         assert found.found
-        kp.append(found.best.settings.kp)
-        kd.append(found.best.settings.kd)
+        kp.append(found.best.law.settings.kp)
+        kd.append(found.best.law.settings.kd)
     assert kp[1] / kp[0] == pytest.approx(4.0, rel=GAINS_SCALED)
     assert kd[1] / kd[0] == pytest.approx(2.0, rel=GAINS_SCALED)
 
@@ -84,11 +83,11 @@ def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
     mechanism = load_mechanism(oscillator.mjcf)
     point = operating_point(mechanism, np.array([oscillator.position]))
     wanted = Wanted(bandwidth_hz=10.0, phase_margin_deg=40.0)
-    found = tune([point], wanted, Tracking(period_s=1e-3), sampling(mechanism, 1e-3), mechanism.effort_limit)
+    found = tune([point], wanted, sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit))
     motor = motor_gains(found)
-    assert motor["kp"] == pytest.approx(found.best.settings.kp / 25)
+    assert motor["kp"] == pytest.approx(found.best.law.settings.kp / 25)
     # The effort of the actuator at a joint's error e is kp e / gear, at the motor's own motion gear e: kp / gear^2.
-    gain = law_gain(point, "pd", found.best.settings, mechanism.effort_limit)
+    gain = law_gain(point, "pd", found.best.law.settings, mechanism.effort_limit)
     assert gain[0, 0] / 5.0 == pytest.approx(motor["kp"])
     assert "N/m" in tune_text(found)
     assert tune_record(found)["gains"]["motor_side"]["gear"] == 5.0
@@ -131,12 +130,12 @@ FOUR_BAR = """<mujoco><compiler angle="degree" autolimits="true"/><option timest
 def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seconds(phase_margin_deg):
     mechanism = load_mechanism(FOUR_BAR)
     points = [operating_point(mechanism, np.radians([angle])) for angle in (-110.49, 0.0, 45.1, 110.49)]
-    wanted, timing = Wanted(bandwidth_hz=30.0, phase_margin_deg=phase_margin_deg), sampling(mechanism, 1e-3, 1)
-    found = tune(points, wanted, Tracking(period_s=1e-3, delay_periods=1), timing, mechanism.effort_limit)
+    wanted, settings = Wanted(bandwidth_hz=30.0, phase_margin_deg=phase_margin_deg), Tracking(period_s=1e-3, delay_periods=1)
+    found = tune(points, wanted, sampled_law(mechanism, "pd", settings, mechanism.effort_limit))
     assert found.found is (phase_margin_deg < 50.0)
     for point, judged in zip(found.points, found.best.loops, strict=True):
-        gain = law_gain(point, "pd", found.best.settings, mechanism.effort_limit)
-        loop = feedback_loop(point, gain, found.timing)
+        gain = law_gain(point, "pd", found.best.law.settings, mechanism.effort_limit)
+        loop = feedback_loop(point, gain, found.best.law.timing)
         # The state after the time in which an error is to settle, from the loop's own steps.
         steps = round(wanted.longest_settling_s / 1e-3)
         after = np.linalg.matrix_power(loop.matrix, steps)[0, 0]
@@ -149,11 +148,11 @@ def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seco
 
 def test_the_message_states_the_level_of_the_bandwidth_and_the_stiffness():
     mechanism = load_mechanism(inertia_alone(0.05, 3.0))
-    point, timing = operating_point(mechanism, np.zeros(1)), sampling(mechanism, 1e-4)
+    law = sampled_law(mechanism, "pd", Tracking(period_s=1e-4), mechanism.effort_limit)
     wanted = Wanted(bandwidth_hz=5.0, phase_margin_deg=60.0)
-    found = tune([point], wanted, Tracking(period_s=1e-4), timing, mechanism.effort_limit)
+    found = tune([operating_point(mechanism, np.zeros(1))], wanted, law)
     assert "bandwidth (-3 dB)" in found.message
-    assert f"stiffness at rest {found.best.settings.kp:.4g} N.m/rad" in found.message
+    assert f"stiffness at rest {found.best.law.settings.kp:.4g} N.m/rad" in found.message
     assert "-3 dB [Hz]" in " ".join(tune_text(found).split()) or "-3 dB" in tune_text(found)
 
 
