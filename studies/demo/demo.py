@@ -156,7 +156,8 @@ def _checks(place: Path, said: dict, say: Say) -> Sections:
     for name in ("optimus-knee", "optimus-knee-source"):
         say(f"check {name}")
         whole = check_whole(load_mechanism(name), None)
-        (folder := place / "check" / name).mkdir(parents=True)
+        folder = place / "check" / name
+        folder.mkdir(parents=True)
         said["check"][name] = inspection_record(whole.found)
         write_json(folder / "check.json", said["check"][name])
         inspection_figure(whole.found, folder / "mechanism.png")
@@ -172,7 +173,8 @@ def _plans(place: Path, said: dict, say: Say) -> dict[str, Plan]:
     for name in PLANNED:
         say(f"plan {name}")
         plan = plan_motion(load_problem(name)).require()
-        (folder := place / "plans" / name).mkdir(parents=True)
+        folder = place / "plans" / name
+        folder.mkdir(parents=True)
         save_plan(plan, folder)
         plans[name], said["plans"][name] = plan, record(plan)
     return plans
@@ -190,7 +192,8 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
     for name in COMPARED:
         plan = plans[name]
         comparison = compare(plan, default_mismatch(plan), lambda text, name=name: say(f"compare {name}: {text}"))
-        (folder := place / "compare" / name).mkdir(parents=True)
+        folder = place / "compare" / name
+        folder.mkdir(parents=True)
         said["compare"][name] = comparison_record(comparison)
         write_json(folder / "compare.json", said["compare"][name])
         comparison_figure(comparison, folder / "compare.png")
@@ -213,7 +216,8 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
             lambda text, label=label: say(f"bode {label}: {text}"),
             setup=Setup(),
         )
-        (folder := place / "bode" / label).mkdir(parents=True)
+        folder = place / "bode" / label
+        folder.mkdir(parents=True)
         said["bode"].append(bode_record(study))
         write_json(folder / "bode.json", said["bode"][-1])
         save_bode(study, folder)
