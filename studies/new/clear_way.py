@@ -66,7 +66,7 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     (tau, maps), limit = demanded(mechanism, poses, still, still), problem.limits.effort
     free, hold = least_effort(tau, maps), effort_within(tau, maps, limit)
     missing, lacking = (np.abs(tau - np.einsum("ksu,ku->ks", maps, effort)).max() for effort in (free, hold))
-    if missing >= 1e-9 * np.abs(limit).max():
+    if missing >= 1e-9 * np.abs(tau).max():
         return None
     names = [actuator.name for actuator in mechanism.actuators]
     if lacking > 1e-6 * np.abs(tau).max():
