@@ -22,8 +22,7 @@ def joints_to_drive(mechanism: Mechanism) -> list[str]:
     """
     model = mechanism.model
     rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home)), []
-    named = {model.joint(k).name: int(model.jnt_bodyid[k]) for k in range(model.njnt)}
-    depth = {name: _depth(model.body_parentid, body) for name, body in named.items()}
+    depth = {joint_label(model, k): _depth(model.body_parentid, int(model.jnt_bodyid[k])) for k in range(model.njnt)}
     joints = [k for k, joint in enumerate(mechanism.joints) if joint.name in depth and joint.chart is None]
     for k in sorted(joints, key=lambda k: depth[mechanism.joints[k].name]):
         values = np.linalg.svd(rates[[*chosen, k]], compute_uv=False)
@@ -36,7 +35,7 @@ def motors_hint(mechanism: Mechanism) -> str:
     """Return a phrase on how a mechanism without actuators gets motors."""
     names = json.dumps(joints_to_drive(mechanism), ensure_ascii=False)
     if names == "[]":
-        return "none of its joints is a hinge or slide with a name, on which mechanism.drive puts a motor"
+        return "none of its joints is a hinge or slide, on which mechanism.drive puts a motor"
     return f"mechanism.drive = {names} puts motors on joints that fix its pose, within their effort limits"
 
 

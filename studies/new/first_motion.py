@@ -29,6 +29,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.studies.check.drives import motors_hint
+from linkplan.studies.check.summary import grouped
 from linkplan.studies.new.changes import (
     changed_mechanism,
     left_out,
@@ -301,7 +302,7 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
     if (floats := floating_sentence(mechanism.model)) is not None:
         raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
     if mechanism.n_u == 0:
-        unusable = "".join(f"; {item.text}" for item in audit(mechanism.model))
+        unusable = "".join(f"; {text}" for text in grouped(mechanism, (item.text for item in audit(mechanism.model))))
         raise ProblemError(
             f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
             f" or add for example {line} to its model, with the effort that the drive has{unusable}"
