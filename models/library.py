@@ -30,11 +30,12 @@ from linkplan.models.selection import Selection, select
 from linkplan.models.urdf_loops import complete
 
 _READ_IN_MUJOCO = ("compiler", "option", "size")
-_READ = ("link", "joint", "material", "mujoco", "transmission", "loop_joint")
+_READ = ("link", "joint", "material", "mujoco", "transmission", "ros2_control", "loop_joint")
 # Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
 MAX_MODEL_BYTES = 32_000_000
 _COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
 _SDF = re.compile(rb"<sdf[\s>]")
+_XACRO, _COMMENT = re.compile(rb"<xacro:\w"), re.compile(rb"<!--.*?-->", re.DOTALL)
 # MuJoCo's refusal of a file whose root element is <mujocoinclude>.
 _PART_OF_A_MODEL = "model type: 'mujocoinclude'"
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
@@ -73,7 +74,9 @@ def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
             " limits.speed_deg_s and limits.speed_m_s keep them"
         )
     soft = [str(joint.get("name")) for joint in root.iter("joint") if joint.find("safety_controller") is not None]
-    others = [child.tag for child in root if child.tag not in _READ] + ["safety_controller"] * bool(soft)
+    joints = [child for child in root.findall("gazebo") if {one.tag for one in child} == {"joint"}]
+    others = [child.tag for child in root if child.tag not in _READ and child not in joints]
+    others += ["safety_controller"] * bool(soft)
     inside = [child.tag for block in root.findall("mujoco") for child in block if child.tag not in _READ_IN_MUJOCO]
     if others:
         notes.append(f"MuJoCo's converter leaves out the URDF's elements {listed(list(dict.fromkeys(others)), 6)}")
@@ -156,14 +159,14 @@ mujoco.set_mju_user_warning(_keep)
 
 
 def refuse_oversized(content: bytes, what: str) -> None:
-    """Refuse an MJCF text that is too long, contains zero bytes, has a count or size above the limits, or is SDF.
+    """Refuse an MJCF text that is too long, contains zero bytes, has a count or size above the limits, or is SDF or xacro.
 
     Args:
         content: the text.
         what: name of the text in messages.
 
     Raises:
-        ModelError: if a limit is exceeded, or with the converter of SDF.
+        ModelError: if a limit is exceeded, or with the converter of SDF or xacro.
     """
     if len(content) > MAX_MODEL_BYTES:
         raise ModelError(f"{what} has {len(content)} bytes; at most {MAX_MODEL_BYTES} are read")
@@ -173,6 +176,10 @@ def refuse_oversized(content: bytes, what: str) -> None:
         raise ModelError(
             f"{what} is SDF, and models are MJCF or URDF: sdf2mjcf (pip install sdformat-mjcf) converts it; then close its"
             " loops by <connect> elements"
+        )
+    if _XACRO.search(_COMMENT.sub(b"", content)):
+        raise ModelError(
+            f"{what} is xacro, which makes a URDF: xacro (pip install xacro, or ROS) expands it: xacro FILE -o robot.urdf"
         )
     for name, value in _COUNT.findall(content):
         # Numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
