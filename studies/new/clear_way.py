@@ -1,4 +1,4 @@
-"""What shuts the straight way from a motion's start to its goal, in words."""
+"""What shuts the straight way from a motion's start to its goal, and why no motion was found there, in words."""
 
 import numpy as np
 
@@ -10,7 +10,9 @@ from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.studies.new.hanging import hanging_columns
 
 
 def obstacle_on_way(problem: Problem) -> str | None:
@@ -48,6 +50,23 @@ def obstacle_on_way(problem: Problem) -> str | None:
         return sentence
     met = new_meetings(meetings(mechanism, shares, poses, position_at))
     return f"{geom_names(met[0])} collide" if met else None
+
+
+def why_not(answer: Plan, within_s: float | None) -> str:
+    """Return why an answer is no motion: its message, or what the last one fails if time [s] was up; and what hangs."""
+    mechanism, said = answer.problem.mechanism, answer.message
+    if within_s is not None:
+        failures = () if answer.certificate is None else answer.certificate.failures
+        last = f"; of the last one, {failures[0]}" if failures else ""
+        said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
+    hanging = [mechanism.independent_joints[k] for k in hanging_columns(mechanism)]
+    locks = ", ".join(
+        f"{joint.name} = {round(joint.shown(float(x)), 6) + 0.0:g}"
+        for joint, x in zip(mechanism.joints, mechanism.home, strict=True)
+        if joint in hanging and joint.chart is None
+    )
+    loose = f"; nothing drives these joints, which swing as the others move: mechanism.lock = {{ {locks} }} holds them"
+    return f"{said}{loose}" if locks else said
 
 
 def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:

@@ -63,7 +63,7 @@ def spins(mechanism: Mechanism) -> dict[str, float]:
     spins = [*np.flatnonzero(~mechanism.steered).tolist(), *swings]
     joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
     return {
-        joint.name: float(f"{joint.shown(mechanism.home[index]):.9g}")
+        joint.name: round(joint.shown(float(mechanism.home[index])), 9) + 0.0
         for index, joint in joints.items()
         if joint.chart is None and joint.kind == "hinge"
     }
