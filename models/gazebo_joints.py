@@ -31,11 +31,16 @@ CLOSING = ("revolute", "continuous", "ball", "fixed")
 def gazebo_joints(root: ET.Element) -> list[GazeboJoint]:
     """Return the joints in the `<gazebo>` elements of a URDF's <robot>, also between links that detachable joints hold.
 
+    Those that only add a sensor or friction to a joint of the tree are left out.
+
     Raises:
         ModelError: for a pose or an axis that is not six or three numbers.
     """
     links, found = {link.get("name", "") for link in root.iter("link")}, []
+    tree = {joint.get("name", "") for joint in root.findall("joint")}
     for joint in root.iterfind("gazebo/joint"):
+        if joint.get("name") in tree or joint.find("parent") is None or joint.find("child") is None:
+            continue
         pose, axis = _numbers(joint, "pose", "0 0 0 0 0 0"), _numbers(joint, "axis/xyz", "0 0 1")
         in_root = _text(joint, "axis/use_parent_model_frame") in ("1", "true")
         found.append(

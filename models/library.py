@@ -24,6 +24,7 @@ from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.deletion import leave_out_missing_files
 from linkplan.models.errors import ModelError, listed, nearest, one_line, shown
+from linkplan.models.gazebo_joints import gazebo_joints
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
 from linkplan.models.selection import Selection, select
@@ -74,7 +75,8 @@ def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
             " limits.speed_deg_s and limits.speed_m_s keep them"
         )
     soft = [str(joint.get("name")) for joint in root.iter("joint") if joint.find("safety_controller") is not None]
-    joints = [child for child in root.findall("gazebo") if {one.tag for one in child} == {"joint"}]
+    added = {joint.name for joint in gazebo_joints(root)}
+    joints = [one for one in root.findall("gazebo") if len(one) and all(joint.get("name") in added for joint in one)]
     others = [child.tag for child in root if child.tag not in _READ and child not in joints]
     others += ["safety_controller"] * bool(soft)
     inside = [child.tag for block in root.findall("mujoco") for child in block if child.tag not in _READ_IN_MUJOCO]
@@ -105,8 +107,10 @@ def urdf_root(source: str | Path) -> ET.Element | None:
     return root if root.tag == "robot" else None
 
 
-def mesh_hint(error: Exception) -> str:
-    """Return a hint on the folder of a URDF's meshes if MuJoCo did not find their package, else an empty text."""
+def compile_hint(error: Exception) -> str:
+    """Return a hint on where a URDF names the folder of its meshes, or balances an inertia, if MuJoCo asks for it."""
+    if "balanceinertia" in str(error):
+        return ': <compiler balanceinertia="true"/>, in a URDF within <mujoco> in its <robot>'
     if "'package:" not in str(error):
         return ""
     return (
@@ -317,7 +321,7 @@ def _compiled(
             raise ModelError(f"model '{source}' has names that are not UTF-8 text") from error
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             what = "MJCF text" if is_text(str(source)) else source
-            raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
+            raise ModelError(f"model '{what}' does not compile: {one_line(error)}{compile_hint(error)}") from error
     messages += [str(one.message) for one in caught]
     refuse_unusable(name, model)
     if any("nan" in text.lower() for text in messages) or not np.all(np.isfinite(model.opt.gravity)):

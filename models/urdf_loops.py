@@ -186,7 +186,7 @@ def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
     """Give links without a mass that joints move the smallest one, and return a note on them."""
     masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iter("link")}
     moving = {
-        joint.find("child").get("link", "") for joint in root.iter("joint") if joint.get("type") not in (None, "fixed")
+        joint.find("child").get("link", "") for joint in root.findall("joint") if joint.get("type") not in (None, "fixed")
     }
     light = [name for name in moving if (mass := masses.get(name)) is None or float(mass.get("value", "0")) < LEAST_MASS_KG]
     if not light:

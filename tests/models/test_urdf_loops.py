@@ -5,6 +5,7 @@ import pytest
 
 import linkplan
 from linkplan.models.errors import LinkplanError
+from linkplan.models.library import conversion_notes
 from linkplan.studies.cli.main import main
 
 
@@ -200,6 +201,14 @@ def test_sdf_is_refused_with_its_converter(tmp_path):
             linkplan.load_mechanism(source)
 
 
+def test_an_inertia_that_no_body_has_is_refused_with_the_remedy_of_a_urdf(tmp_path):
+    flat = FOUR_BAR.replace('izz="0.005"', 'izz="0.05"', 1)
+    with pytest.raises(LinkplanError, match='<compiler balanceinertia="true"/>, in a URDF within <mujoco> in its <robot>'):
+        linkplan.load_mechanism(written(tmp_path, robot(flat, LOOP_JOINT)))
+    remedy = '<mujoco><compiler balanceinertia="true"/></mujoco>'
+    assert_four_bar(linkplan.load_mechanism(written(tmp_path, robot(remedy, flat, LOOP_JOINT, TRANSMISSION))))
+
+
 def test_xacro_is_refused_with_what_expands_it(tmp_path):
     text = robot(FOUR_BAR, '<xacro:include filename="arm.xacro"/>', LOOP_JOINT, TRANSMISSION)
     for name in ("robot.urdf", "robot.urdf.xacro"):
@@ -283,6 +292,15 @@ def test_a_ball_of_gazebo_ties_points_and_a_detachable_joint_holds_links_where_t
     np.testing.assert_allclose(held.home, 0.0, atol=1e-9)  # Gazebo fixes links as they stand
     elsewhere = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, plugin.format("box"), TRANSMISSION)))
     assert elsewhere.dof == 3
+
+
+@pytest.mark.parametrize("ends", ["", "<parent>base</parent><child>rocker</child>"])
+def test_what_gazebo_adds_to_a_joint_of_the_tree_closes_no_loop(tmp_path, ends):
+    sensor = f'<gazebo><joint name="C" type="revolute">{ends}<sensor name="force" type="force_torque"/></joint></gazebo>'
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, sensor, LOOP_JOINT, TRANSMISSION)))
+    assert_four_bar(mechanism)
+    assert not any("in <gazebo>" in note or "without mass" in note for note in mechanism.notes)
+    assert any("leaves out the URDF's elements gazebo" in note for note in conversion_notes(tmp_path / "robot.urdf"))
 
 
 def test_a_joint_of_gazebo_that_closes_no_loop_is_named(tmp_path):
