@@ -2,9 +2,7 @@
 
 Its text is checked before MuJoCo allocates what it asks for, and the compiled model's names and numbers afterwards: MuJoCo's
 compiler warns of NaN but accepts infinite masses, negative armatures and ranges with low above high. MuJoCo has one handler
-of warnings for the whole process; its warnings are kept here for each thread. Elements of a URDF that MuJoCo's converter
-ignores become notes. It converts joints, masses, shapes, ranges, damping, dry friction, effort limits and couplings
-(`mimic`), and reads compiler, option and size in the <mujoco> element (MuJoCo, "URDF extensions").
+of warnings for the whole process; its warnings are kept here for each thread.
 """
 
 import contextlib
@@ -21,17 +19,15 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
+from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.deletion import leave_out_missing_files
-from linkplan.models.errors import ModelError, listed, nearest, one_line, shown
-from linkplan.models.gazebo_joints import gazebo_joints
+from linkplan.models.errors import ModelError, nearest, one_line, shown
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
 from linkplan.models.selection import Selection, select
 from linkplan.models.urdf_loops import complete
 
-_READ_IN_MUJOCO = ("compiler", "option", "size")
-_READ = ("link", "joint", "material", "mujoco", "transmission", "ros2_control", "loop_joint")
 # Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
 MAX_MODEL_BYTES = 32_000_000
 _COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
@@ -57,46 +53,6 @@ _OWNERS = {
 }  # fmt: skip
 
 
-def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
-    """Return notes on the elements of a URDF (a path or text) that its conversion ignores, and on drives if it has none."""
-    root = urdf_root(source)
-    if root is None:
-        return []
-    notes = []
-    speeds = [
-        f"{joint.get('name')} {limit.get('velocity')}"
-        for joint in root.iter("joint")
-        for limit in joint.findall("limit")
-        if limit.get("velocity", "0").strip(" 0.")
-    ]
-    if speeds:
-        notes.append(
-            f"MuJoCo's converter leaves out the URDF's speed limits (joint {listed(speeds, 6)}, rad/s or m/s):"
-            " limits.speed_deg_s and limits.speed_m_s keep them"
-        )
-    soft = [str(joint.get("name")) for joint in root.iter("joint") if joint.find("safety_controller") is not None]
-    added = {joint.name for joint in gazebo_joints(root)}
-    joints = [one for one in root.findall("gazebo") if len(one) and all(joint.get("name") in added for joint in one)]
-    others = [child.tag for child in root if child.tag not in _READ and child not in joints]
-    others += ["safety_controller"] * bool(soft)
-    inside = [child.tag for block in root.findall("mujoco") for child in block if child.tag not in _READ_IN_MUJOCO]
-    if others:
-        notes.append(f"MuJoCo's converter leaves out the URDF's elements {listed(list(dict.fromkeys(others)), 6)}")
-    if inside:
-        notes.append(
-            f"MuJoCo ignores {listed(list(dict.fromkeys(inside)), 6)} in the URDF's <mujoco> element, where it only reads"
-            f" {', '.join(_READ_IN_MUJOCO)}"
-        )
-    if driven:
-        return notes
-    notes.append(
-        "the URDF names no actuators: name their joints (mechanism.drive), or add <transmission> elements, a YAML"
-        " file beside it, or an MJCF file that attaches it,"
-        ' with <asset><model name="NAME" file="FILE.urdf"/></asset> and <frame><attach model="NAME" prefix="P_"/></frame>'
-    )
-    return notes
-
-
 def urdf_root(source: str | Path) -> ET.Element | None:
     """Return the <robot> element of a URDF (a path or text); None for another model."""
     root = _root(str(source))
@@ -105,18 +61,6 @@ def urdf_root(source: str | Path) -> ET.Element | None:
     for element in root.iter():  # names of a default namespace, as in Drake's URDFs, are {namespace}name; MuJoCo ignores it
         element.tag = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else element.tag
     return root if root.tag == "robot" else None
-
-
-def compile_hint(error: Exception) -> str:
-    """Return a hint on where a URDF names the folder of its meshes, or balances an inertia, if MuJoCo asks for it."""
-    if "balanceinertia" in str(error):
-        return ': <compiler balanceinertia="true"/>, in a URDF within <mujoco> in its <robot>'
-    if "'package:" not in str(error):
-        return ""
-    return (
-        "; name the folder of the package's meshes in the URDF's <robot>:"
-        ' <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco>'
-    )
 
 
 def _root(source: str) -> ET.Element | None:
@@ -341,11 +285,27 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
         notes = complete(spec, source, root)
     else:
         notes = () if is_text(str(source)) or str(source) in MODELS else leave_out_missing_files(spec, Path(source))
+        notes += _angle_note(spec)
     _name_all(spec.bodies, "body")
-    if not selection:
-        return name, spec, notes
-    _name_all(spec.joints, "joint")
-    return name, spec, (*notes, *select(spec, spec.compile(), selection))
+    if selection:
+        _name_all(spec.joints, "joint")
+        notes += select(spec, spec.compile(), selection)
+    if root is not None:
+        notes += tuple(conversion_notes(root, driven=len(spec.actuators) > 0))
+    return name, spec, notes
+
+
+def _angle_note(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Return a note on ranges that are read in degrees and that radians would explain, if no hinge has a larger one."""
+    hinges = (
+        [joint.range for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE] if spec.compiler.degree else []
+    )
+    largest = float(np.abs(hinges).max(initial=0.0))
+    if not 0 < largest <= np.radians(360):
+        return ()
+    return (
+        f'the largest range of a hinge ends at {largest:.3g} deg: a file that means radians has <compiler angle="radian"/>',
+    )
 
 
 def _name_all(elements: Sequence, kind: str) -> None:

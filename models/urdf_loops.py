@@ -17,9 +17,9 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import is_text
+from linkplan.models.conversion import CLOSING, GazeboJoint, gazebo_joints
 from linkplan.models.errors import ModelError, choose
 from linkplan.models.extras import load_extra
-from linkplan.models.gazebo_joints import CLOSING, GazeboJoint, gazebo_joints
 from linkplan.models.kinematics import data_at, in_body, rotation_of_rpy
 from linkplan.models.reading import read_file
 

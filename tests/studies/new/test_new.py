@@ -163,7 +163,7 @@ def tried_of(model: str, monkeypatch) -> list[dict]:
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
     found = first_motion({"model": model}, print)
     assert not found.planned
-    assert found.why == "failed: as told"
+    assert found.why.startswith("failed: as told")
     assert moves_of(found.tables["motion"])
     return [problem.motion for problem in tried]
 
