@@ -8,6 +8,8 @@ null space springs and gravity balance:
 """
 
 import functools
+import json
+import re
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
@@ -18,6 +20,8 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import Joint
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")  # of TOML
 
 
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
@@ -128,12 +132,18 @@ def rests_on_stops(mechanism: Mechanism, named: Mapping[int, float], unnamed: tu
 def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
     """Return the sentence on joints that weight and springs press onto their stops [rad or m], with the remedy."""
     names = ", ".join(f"{joint.name} ({joint.said(x, 4)} {joint.unit})" for joint, x in stops)
-    locks = ", ".join(f"{joint.name} = {joint.shown(x) + 0.0:.6g}" for joint, x in stops)
     return (
         f"{when} weight and springs press {names} onto {'its stop' if len(stops) == 1 else 'their stops'}, against which"
-        f" no actuator holds: a stop's force is not planned for; mechanism.lock = {{ {locks} }} holds them there,"
+        f" no actuator holds: a stop's force is not planned for; {lock_words(stops)} holds them there,"
         " as linkplan.new does by itself"
     )
+
+
+def lock_words(places: Sequence[tuple[Joint, float]]) -> str:
+    """Return the key that locks joints at places [rad or m], as a problem file has it."""
+    names = [joint.name if _BARE_KEY.fullmatch(joint.name) else json.dumps(joint.name) for joint, _ in places]
+    values = [f"{name} = {round(joint.shown(x), 6) + 0.0:.6g}" for name, (joint, x) in zip(names, places, strict=True)]
+    return f"mechanism.lock = {{ {', '.join(values)} }}"
 
 
 def _stiffness(mechanism: Mechanism) -> np.ndarray:

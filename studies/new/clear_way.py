@@ -8,6 +8,7 @@ from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, demanded, 
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
+from linkplan.models.poses.equilibrium import lock_words
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
@@ -59,14 +60,13 @@ def why_not(answer: Plan, within_s: float | None) -> str:
         failures = () if answer.certificate is None else answer.certificate.failures
         last = f"; of the last one, {failures[0]}" if failures else ""
         said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
-    hanging = [mechanism.independent_joints[k] for k in hanging_columns(mechanism)]
-    locks = ", ".join(
-        f"{joint.name} = {round(joint.shown(float(x)), 6) + 0.0:g}"
-        for joint, x in zip(mechanism.joints, mechanism.home, strict=True)
-        if joint in hanging and joint.chart is None
-    )
-    loose = f"; nothing drives these joints, which swing as the others move: mechanism.lock = {{ {locks} }} holds them"
-    return f"{said}{loose}" if locks else said
+    hanging = [
+        (mechanism.independent_joints[k], float(mechanism.home[mechanism.independent[k]]))
+        for k in hanging_columns(mechanism)
+    ]
+    locked = [(joint, x) for joint, x in hanging if joint.chart is None]
+    loose = f"; nothing drives these joints, which swing as the others move: {lock_words(locked)} holds them"
+    return f"{said}{loose}" if locked else said
 
 
 def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
