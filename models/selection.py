@@ -232,7 +232,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         *(leave_the_ground(spec) if hangs else ()),
     ]
     notes += _exclude(spec, asked.exclude_contacts)
-    notes += add_motors(spec, asked.drive)
+    still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
+    notes += add_motors(spec, [name for name in asked.drive if name not in still])
     for key in list(spec.keys):
         spec.delete(key)
     small = spec.compile()

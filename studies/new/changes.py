@@ -141,7 +141,8 @@ def _locked(
     find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
 ) -> Change | None:
     """Return the locks of joints [deg or m] that `find` finds beside those that a table has; None without any."""
-    locks = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
+    found = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
+    locks = {name: round(place, 9) + 0.0 for name, place in found.items()}  # homes are assembled to 1e-15
     if not locks:
         return None
     given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())

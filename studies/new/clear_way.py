@@ -9,6 +9,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.equilibrium import lock_words
+from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
@@ -39,7 +40,8 @@ def obstacle_on_way(problem: Problem) -> str | None:
     ranges = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
     outside = np.any((poses < ranges[:, 0] - RANGE_ROUNDING) | (poses > ranges[:, 1] + RANGE_ROUNDING), axis=0)
     if outside.any():
-        return f"joint {mechanism.joints[int(np.argmax(outside))].name} is outside its range"
+        joint = mechanism.joints[int(np.argmax(outside))]
+        return f"joint {joint.name} is outside its range {_range_words(joint)}"
     turned = np.any(beyond_balls(mechanism, poses) > RANGE_ROUNDING, axis=0)
     if turned.any():
         return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
@@ -51,6 +53,19 @@ def obstacle_on_way(problem: Problem) -> str | None:
         return sentence
     met = new_meetings(meetings(mechanism, shares, poses, position_at))
     return f"{geom_names(met[0])} collide" if met else None
+
+
+def why_stuck(mechanism: Mechanism) -> str:
+    """Return why a mechanism's driven joints cannot leave home: a joint that stands outside its range there, if one does."""
+    for joint, x in zip(mechanism.joints, mechanism.home.tolist(), strict=True):
+        if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
+            said = f"{joint.said(x)} {joint.unit} at home, outside its range {_range_words(joint)}"
+            return f"joint {joint.name} stands at {said}; mechanism.home_deg and home_m name another pose"
+    return "the joints cannot leave home"
+
+
+def _range_words(joint: Joint) -> str:
+    return f"[{joint.said(joint.lower)}, {joint.said(joint.upper)}] {joint.unit}"
 
 
 def why_not(answer: Plan, within_s: float | None) -> str:

@@ -41,7 +41,7 @@ from linkplan.studies.new.changes import (
     raised_notes,
     with_exclusions,
 )
-from linkplan.studies.new.clear_way import obstacle_on_way, tendons_kept, why_not
+from linkplan.studies.new.clear_way import obstacle_on_way, tendons_kept, why_not, why_stuck
 from linkplan.studies.new.hanging import (
     at_gravity_equilibrium,
     at_rest,
@@ -275,7 +275,7 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
         tables = _tables(mechanism, start, goal)
         problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
         if np.array_equal(start, goal):
-            return "the joints cannot leave home"
+            return why_stuck(mechanism)
         if (obstacle := obstacle_on_way(problem)) is not None:
             return obstacle
         duration, slow = moderate_duration(problem)

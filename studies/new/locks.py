@@ -35,7 +35,7 @@ def fixed_by_range(mechanism: Mechanism) -> dict[str, float]:
     joints = [mechanism.joints[index] for index in mechanism.independent[columns].tolist()]
     spans = np.array([joint.upper - joint.lower for joint in joints]) / unit_steps(joints, mechanism.extent_m)
     fixed = [joint for joint, span in zip(joints, spans, strict=True) if joint.chart is None and span < 1e-3]
-    return {joint.name: round(joint.shown(0.5 * (joint.lower + joint.upper)), 9) + 0.0 for joint in fixed}
+    return {joint.name: joint.shown(0.5 * (joint.lower + joint.upper)) for joint in fixed}
 
 
 def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
@@ -76,7 +76,7 @@ def spins(mechanism: Mechanism) -> dict[str, float]:
     spins = [*np.flatnonzero(~mechanism.steered).tolist(), *swings]
     joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
     return {
-        joint.name: round(joint.shown(float(mechanism.home[index])), 9) + 0.0
+        joint.name: joint.shown(float(mechanism.home[index]))
         for index, joint in joints.items()
         if joint.chart is None and joint.kind == "hinge"
     }

@@ -348,6 +348,14 @@ def test_a_base_that_falls_along_a_rail_floats_and_is_fixed():
     assert [joint.name for joint in fixed.joints] == ["hip"]
 
 
+def test_a_joint_that_is_driven_and_locked_gets_no_motor():
+    undriven = ON_A_RAIL[: ON_A_RAIL.index("<actuator>")] + "</mujoco>"
+    leg = load_mechanism(undriven, selection=Selection(drive=["rail", "hip"], lock={"rail": 0.1}))
+    assert [actuator.name for actuator in leg.actuators] == ["hip"]
+    with pytest.raises(LinkplanError, match=r"unknown joint 'rails' \(did you mean 'rail'\?\)"):
+        load_mechanism(undriven, selection=Selection(drive=["rails"]))
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [
