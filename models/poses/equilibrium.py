@@ -8,20 +8,17 @@ null space springs and gravity balance:
 """
 
 import functools
-import json
-import re
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.initial_assembly import home_text
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import Joint
-
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")  # of TOML
 
 
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
@@ -141,9 +138,7 @@ def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
 
 def lock_words(places: Sequence[tuple[Joint, float]]) -> str:
     """Return the key that locks joints at places [rad or m], as a problem file has it."""
-    names = [joint.name if _BARE_KEY.fullmatch(joint.name) else json.dumps(joint.name) for joint, _ in places]
-    values = [f"{name} = {round(joint.shown(x), 6) + 0.0:.6g}" for name, (joint, x) in zip(names, places, strict=True)]
-    return f"mechanism.lock = {{ {', '.join(values)} }}"
+    return f"mechanism.{home_text({'lock': {joint.name: round(joint.shown(x), 6) + 0.0 for joint, x in places}})}"
 
 
 def _stiffness(mechanism: Mechanism) -> np.ndarray:
