@@ -132,11 +132,15 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     notes += _close_loops(spec, root, named, cut.closures)
     _retype(spec, dict(zip(named.joint_name, named.joint_type, strict=True)))
     transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
+    kinds = ("revolute", "continuous", "prismatic")  # a fixed joint, or one that follows another, has no motor
+    moving = {j.get("name") for j in root.findall("joint") if j.get("type") in kinds and j.find("mimic") is None}
     commanded = [j for j in root.iterfind(".//ros2_control/joint") if j.find("command_interface") is not None]
     sources = {
         _BESIDE: named.name_mot,
         "transmissions of the URDF": list(transmitted),
-        "ros2_control of the URDF": list(dict.fromkeys(joint.get("name", "") for joint in commanded)),
+        "ros2_control of the URDF": list(
+            dict.fromkeys(joint.get("name", "") for joint in commanded if joint.get("name") in moving)
+        ),
         _CUT: cut.independent,
     }
     where, motors = next(((where, motors) for where, motors in sources.items() if motors), ("", []))

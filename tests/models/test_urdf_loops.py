@@ -251,7 +251,8 @@ TURNED = FOUR_BAR.replace('<origin xyz="0.2 0 0"/>', '<origin xyz="0.2 0 0" rpy=
 GAZEBO = """<gazebo><joint name="B" type="{kind}"><parent>coupler</parent><child>rocker</child><pose>{pose}</pose>
 <axis><xyz>{axis}</xyz>{frame}</axis></joint></gazebo>"""
 ROS2 = """<ros2_control name="hardware" type="system"><joint name="motor"><command_interface name="effort"/></joint>
-<joint name="A"><state_interface name="position"/></joint></ros2_control>"""
+<joint name="A"><state_interface name="position"/></joint>
+<joint name="end_A_frame"><command_interface name="effort"/></joint></ros2_control>"""
 
 
 @pytest.mark.parametrize(
@@ -264,7 +265,7 @@ ROS2 = """<ros2_control name="hardware" type="system"><joint name="motor"><comma
 )
 def test_a_hinge_of_gazebo_is_closed_and_joints_that_ros2_control_commands_are_driven(tmp_path, pose, axis, frame):
     """Its pose is in the child, and its axis in that pose or in the root link."""
-    text = robot(TURNED, GAZEBO.format(kind="revolute", pose=pose, axis=axis, frame=frame), ROS2)
+    text = robot(TURNED, FRAMES, GAZEBO.format(kind="revolute", pose=pose, axis=axis, frame=frame), ROS2)
     mechanism = linkplan.load_mechanism(written(tmp_path, text))
     assert (mechanism.dof, mechanism.n_u) == (1, 1)
     ends = [mechanism.model.site(f"coupler-rocker {end}") for end in (1, 2)]
