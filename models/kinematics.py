@@ -51,6 +51,14 @@ def in_body(data: mujoco.MjData, body: int, place: np.ndarray) -> np.ndarray:
     return data.xmat[body].reshape(3, 3).T @ (place - data.xpos[body])
 
 
+def rotation_of_rpy(rpy: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) of roll, pitch and yaw [rad], about fixed axes."""
+    quaternion, turn = np.zeros(4), np.zeros(9)
+    mujoco.mju_euler2Quat(quaternion, rpy, "XYZ")
+    mujoco.mju_quat2Mat(turn, quaternion)
+    return turn.reshape(3, 3)
+
+
 def fix_in_parent(part: "mujoco._specs.MjsBody", model: mujoco.MjModel, data: mujoco.MjData, body: int) -> None:
     """Set the pose in its parent of a specification's body, which is `body` of the model, to that of `data`."""
     parent = int(model.body_parentid[body])

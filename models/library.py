@@ -2,9 +2,7 @@
 
 Its text is checked before MuJoCo allocates what it asks for, and the compiled model's names and numbers afterwards: MuJoCo's
 compiler warns of NaN but accepts infinite masses, negative armatures and ranges with low above high. MuJoCo has one handler
-of warnings for the whole process; its warnings are kept here for each thread. Elements of a URDF that MuJoCo's converter
-ignores become notes. It converts joints, masses, shapes, ranges, damping, dry friction, effort limits and couplings
-(`mimic`), and reads compiler, option and size in the <mujoco> element (MuJoCo, "URDF extensions").
+of warnings for the whole process; its warnings are kept here for each thread.
 """
 
 import contextlib
@@ -21,20 +19,20 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
+from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.deletion import leave_out_missing_files
-from linkplan.models.errors import ModelError, listed, nearest, one_line, shown
+from linkplan.models.errors import ModelError, nearest, one_line, shown
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
 from linkplan.models.selection import Selection, select
 from linkplan.models.urdf_loops import complete
 
-_READ_IN_MUJOCO = ("compiler", "option", "size")
-_READ = ("link", "joint", "material", "mujoco", "transmission", "loop_joint")
 # Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
 MAX_MODEL_BYTES = 32_000_000
 _COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
 _SDF = re.compile(rb"<sdf[\s>]")
+_XACRO, _COMMENT = re.compile(rb"<xacro:\w"), re.compile(rb"<!--.*?-->", re.DOTALL)
 # MuJoCo's refusal of a file whose root element is <mujocoinclude>.
 _PART_OF_A_MODEL = "model type: 'mujocoinclude'"
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
@@ -55,43 +53,6 @@ _OWNERS = {
 }  # fmt: skip
 
 
-def conversion_notes(source: str | Path, *, driven: bool = False) -> list[str]:
-    """Return notes on the elements of a URDF (a path or text) that its conversion ignores, and on drives if it has none."""
-    root = urdf_root(source)
-    if root is None:
-        return []
-    notes = []
-    speeds = [
-        f"{joint.get('name')} {limit.get('velocity')}"
-        for joint in root.iter("joint")
-        for limit in joint.findall("limit")
-        if limit.get("velocity", "0").strip(" 0.")
-    ]
-    if speeds:
-        notes.append(
-            f"MuJoCo's converter leaves out the URDF's speed limits (joint {listed(speeds, 6)}, rad/s or m/s):"
-            " limits.speed_deg_s and limits.speed_m_s keep them"
-        )
-    soft = [str(joint.get("name")) for joint in root.iter("joint") if joint.find("safety_controller") is not None]
-    others = [child.tag for child in root if child.tag not in _READ] + ["safety_controller"] * bool(soft)
-    inside = [child.tag for block in root.findall("mujoco") for child in block if child.tag not in _READ_IN_MUJOCO]
-    if others:
-        notes.append(f"MuJoCo's converter leaves out the URDF's elements {listed(list(dict.fromkeys(others)), 6)}")
-    if inside:
-        notes.append(
-            f"MuJoCo ignores {listed(list(dict.fromkeys(inside)), 6)} in the URDF's <mujoco> element, where it only reads"
-            f" {', '.join(_READ_IN_MUJOCO)}"
-        )
-    if driven:
-        return notes
-    notes.append(
-        "the URDF names no actuators: name their joints (mechanism.drive), or add <transmission> elements, a YAML"
-        " file beside it, or an MJCF file that attaches it,"
-        ' with <asset><model name="NAME" file="FILE.urdf"/></asset> and <frame><attach model="NAME" prefix="P_"/></frame>'
-    )
-    return notes
-
-
 def urdf_root(source: str | Path) -> ET.Element | None:
     """Return the <robot> element of a URDF (a path or text); None for another model."""
     root = _root(str(source))
@@ -100,16 +61,6 @@ def urdf_root(source: str | Path) -> ET.Element | None:
     for element in root.iter():  # names of a default namespace, as in Drake's URDFs, are {namespace}name; MuJoCo ignores it
         element.tag = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else element.tag
     return root if root.tag == "robot" else None
-
-
-def mesh_hint(error: Exception) -> str:
-    """Return a hint on the folder of a URDF's meshes if MuJoCo did not find their package, else an empty text."""
-    if "'package:" not in str(error):
-        return ""
-    return (
-        "; name the folder of the package's meshes in the URDF's <robot>:"
-        ' <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco>'
-    )
 
 
 def _root(source: str) -> ET.Element | None:
@@ -156,14 +107,14 @@ mujoco.set_mju_user_warning(_keep)
 
 
 def refuse_oversized(content: bytes, what: str) -> None:
-    """Refuse an MJCF text that is too long, contains zero bytes, has a count or size above the limits, or is SDF.
+    """Refuse an MJCF text that is too long, contains zero bytes, has a count or size above the limits, or is SDF or xacro.
 
     Args:
         content: the text.
         what: name of the text in messages.
 
     Raises:
-        ModelError: if a limit is exceeded, or with the converter of SDF.
+        ModelError: if a limit is exceeded, or with the converter of SDF or xacro.
     """
     if len(content) > MAX_MODEL_BYTES:
         raise ModelError(f"{what} has {len(content)} bytes; at most {MAX_MODEL_BYTES} are read")
@@ -173,6 +124,10 @@ def refuse_oversized(content: bytes, what: str) -> None:
         raise ModelError(
             f"{what} is SDF, and models are MJCF or URDF: sdf2mjcf (pip install sdformat-mjcf) converts it; then close its"
             " loops by <connect> elements"
+        )
+    if _XACRO.search(_COMMENT.sub(b"", content)):
+        raise ModelError(
+            f"{what} is xacro, which makes a URDF: xacro (pip install xacro, or ROS) expands it: xacro FILE -o robot.urdf"
         )
     for name, value in _COUNT.findall(content):
         # Numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
@@ -310,7 +265,7 @@ def _compiled(
             raise ModelError(f"model '{source}' has names that are not UTF-8 text") from error
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
             what = "MJCF text" if is_text(str(source)) else source
-            raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
+            raise ModelError(f"model '{what}' does not compile: {one_line(error)}{compile_hint(error)}") from error
     messages += [str(one.message) for one in caught]
     refuse_unusable(name, model)
     if any("nan" in text.lower() for text in messages) or not np.all(np.isfinite(model.opt.gravity)):
@@ -330,11 +285,27 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
         notes = complete(spec, source, root)
     else:
         notes = () if is_text(str(source)) or str(source) in MODELS else leave_out_missing_files(spec, Path(source))
+        notes += _angle_note(spec)
     _name_all(spec.bodies, "body")
-    if not selection:
-        return name, spec, notes
-    _name_all(spec.joints, "joint")
-    return name, spec, (*notes, *select(spec, spec.compile(), selection))
+    if selection:
+        _name_all(spec.joints, "joint")
+        notes += select(spec, spec.compile(), selection)
+    if root is not None:
+        notes += tuple(conversion_notes(root, driven=len(spec.actuators) > 0))
+    return name, spec, notes
+
+
+def _angle_note(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Return a note on ranges that are read in degrees and that radians would explain, if no hinge has a larger one."""
+    hinges = (
+        [joint.range for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE] if spec.compiler.degree else []
+    )
+    largest = float(np.abs(hinges).max(initial=0.0))
+    if not 0 < largest <= np.radians(360):
+        return ()
+    return (
+        f'the largest range of a hinge ends at {largest:.3g} deg: a file that means radians has <compiler angle="radian"/>',
+    )
 
 
 def _name_all(elements: Sequence, kind: str) -> None:

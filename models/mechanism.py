@@ -43,7 +43,7 @@ from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import LockedError, ModelError, UnassembledError
 from linkplan.models.kinematics import extent_m, set_softness
-from linkplan.models.library import NOTHING_SELECTED, compile_model, conversion_notes
+from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, refuse_singular_inertia, with_numbers
@@ -327,7 +327,7 @@ def load_mechanism(
     notes += lost_freedoms(joints, dynamics, poses, mobility, tolerance)
     idle, faults = idle_drives(joints, actuators, dynamics, poses, mobility, extent)
     notes = [*left_out, *(shift.sentence for shift in moved), *notes, *idle, *friction_notes(model, transition, extent)]
-    notes += [*conversion_notes(source, driven=model.nu > 0), *_reference_notes(loop, reference, rank)]
+    notes += _reference_notes(loop, reference, rank)
     asked = {
         "payload": None if payload is None else payload.table(),
         **home_of([joints[i] for i in held], list(held.values())),

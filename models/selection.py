@@ -63,17 +63,18 @@ def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
 def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     """Return the joints of bodies on the world that translate in a plane or in space, or fall along a rail.
 
-    A base that actuators drive does not float, nor does one that loops tie to the world or to what else stands on it.
+    A base that actuators drive does not float, nor does one that loops tie to the world or to what stands on it. Of bases
+    that float tied to one another, as the plates of a chassis, the heaviest is taken: it carries the others.
     """
     driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nactuator) if int(model.actuator_trntype[a]) == 0}
-    found = []
-    for body in bodies:
+    moving = set()
+    for body in np.flatnonzero(model.body_parentid == 0).tolist():
         joints = joints_of(model, body)
         kinds = [int(model.jnt_type[j]) for j in joints]
         moves = FREE in kinds or kinds.count(SLIDE) >= _PLANAR_SLIDES or any(_falls(model, j) for j in joints)
-        if int(model.body_parentid[body]) == 0 and moves and not driven & set(joints) and not _is_tied(model, body):
-            found += list(joints)
-    return found
+        moving |= {body} if moves and not driven & set(joints) else set()
+    floating = {max(trees, key=lambda base: model.body_subtreemass[base]) for trees in _tied_trees(model) if trees <= moving}
+    return [j for body in bodies if body in floating for j in joints_of(model, body)]
 
 
 def _falls(model: mujoco.MjModel, joint: int) -> bool:
@@ -90,10 +91,14 @@ def _falls(model: mujoco.MjModel, joint: int) -> bool:
     return not held and bool(abs(weight @ axis) > max(friction, 0.01 * np.linalg.norm(weight)))
 
 
-def _is_tied(model: mujoco.MjModel, base: int) -> bool:
-    """Return True if a loop connects what stands on a base with the world or with another tree of bodies."""
-    pairs = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
-    return any(len(pair) > 1 and sum(int(model.body_rootid[body]) == base for body in pair) == 1 for pair in pairs)
+def _tied_trees(model: mujoco.MjModel) -> list[set[int]]:
+    """Return the bodies on the world, and the world itself, in groups that loops tie together."""
+    groups = [{body} for body in np.flatnonzero(model.body_parentid == 0).tolist()]
+    for index in np.flatnonzero(model.eq_active0).tolist():
+        ends = {int(model.body_rootid[body]) for body in tied_bodies(model, index)}
+        tied = [group for group in groups if group & ends]
+        groups = [group for group in groups if not group & ends] + ([set().union(*tied)] if tied else [])
+    return groups
 
 
 def floating_joints(model: mujoco.MjModel) -> set[int]:
@@ -227,7 +232,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         *(leave_the_ground(spec) if hangs else ()),
     ]
     notes += _exclude(spec, asked.exclude_contacts)
-    notes += add_motors(spec, asked.drive)
+    still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
+    notes += add_motors(spec, [name for name in asked.drive if name not in still])
     for key in list(spec.keys):
         spec.delete(key)
     if model.nkey:

@@ -1,8 +1,9 @@
 """What a URDF says beside its tree: loops, drives and joint types in elements or in a YAML file, which MuJoCo leaves out.
 
-Read are `<loop_joint>` elements (Drake's), frames named closing_NAME_1 and closing_NAME_2 (onshape-to-robot's),
-`<transmission>` elements, and the YAML files of example-parallel-robots and of the SolidWorks exporter sw2robot. Frames that
-only mark a closure stay bodies of their own. Meshes whose files are missing are left out.
+Read are `<loop_joint>` elements (Drake's), joints in `<gazebo>` elements, frames named closing_NAME_1 and closing_NAME_2
+(onshape-to-robot's), `<transmission>` and `<ros2_control>` elements, and the YAML files of example-parallel-robots and of
+the SolidWorks exporter sw2robot. Frames that only mark a closure stay bodies of their own. Meshes whose files are missing
+are left out.
 """
 
 import re
@@ -16,9 +17,10 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import is_text
+from linkplan.models.conversion import CLOSING, GazeboJoint, gazebo_joints
 from linkplan.models.errors import ModelError, choose
 from linkplan.models.extras import load_extra
-from linkplan.models.kinematics import data_at, in_body
+from linkplan.models.kinematics import data_at, in_body, rotation_of_rpy
 from linkplan.models.reading import read_file
 
 _MOST_YAML_BYTES = 1_000_000
@@ -130,7 +132,17 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     notes += _close_loops(spec, root, named, cut.closures)
     _retype(spec, dict(zip(named.joint_name, named.joint_type, strict=True)))
     transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
-    sources = {_BESIDE: named.name_mot, "transmissions of the URDF": list(transmitted), _CUT: cut.independent}
+    kinds = ("revolute", "continuous", "prismatic")  # a fixed joint, or one that follows another, has no motor
+    moving = {j.get("name") for j in root.findall("joint") if j.get("type") in kinds and j.find("mimic") is None}
+    commanded = [j for j in root.iterfind(".//ros2_control/joint") if j.find("command_interface") is not None]
+    sources = {
+        _BESIDE: named.name_mot,
+        "transmissions of the URDF": list(transmitted),
+        "ros2_control of the URDF": list(
+            dict.fromkeys(joint.get("name", "") for joint in commanded if joint.get("name") in moving)
+        ),
+        _CUT: cut.independent,
+    }
     where, motors = next(((where, motors) for where, motors in sources.items() if motors), ("", []))
     add_motors(spec, motors, where)
     if motors:
@@ -143,22 +155,29 @@ def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: S
     frames = [(first, f"closing_{found[1]}_2") for first in _links(root) if (found := _CLOSING.fullmatch(first))]
     loops = list(root.iter("loop_joint"))
     kinds = ["3d"] * len(frames) + (named.type or ["6d"] * len(named.closed_loop))
-    pairs = [*frames, *named.closed_loop]
-    spec.compiler.fusestatic = spec.compiler.fusestatic and not pairs and not hinges
+    pairs, added = [*frames, *named.closed_loop], gazebo_joints(root)
+    spec.compiler.fusestatic = spec.compiler.fusestatic and not any((pairs, hinges, added))
     for pair, kind in zip(pairs, kinds, strict=True):
         ends = [(_link_of(root, name), np.zeros(3)) for name in pair]
         _close(spec, "-".join(pair), ends, _WELD if kind.lower() == "6d" else _CONNECT)
     for loop in loops:
         _close_loop_joint(spec, loop)
-    data, names = (data_at(spec.compile()), [body.name for body in spec.bodies]) if hinges else (None, [])
+    data, names = (data_at(spec.compile()), [body.name for body in spec.bodies]) if [*hinges, *added] else (None, [])
     for hinge in hinges:
         _close_hinge(spec, hinge, data, names)
+    closed = [joint for joint in added if _close_gazebo_joint(spec, joint, data, names)]
     sources = {
         "the URDF": ["-".join(pair) for pair in frames] + [str(loop.get("name")) for loop in loops],
+        "the URDF's <gazebo>": [joint.name for joint in closed],
         _BESIDE: ["-".join(pair) for pair in named.closed_loop],
         _CUT: [f"{hinge.link_a}-{hinge.link_b}" for hinge in hinges],
     }
-    return [f"closures from {where}: {', '.join(names)}" for where, names in sources.items() if names]
+    notes = [f"closures from {where}: {', '.join(names)}" for where, names in sources.items() if names]
+    open_ = [f"{joint.name} (type {joint.kind}, {' to '.join(joint.links)})" for joint in added if joint not in closed]
+    said = (
+        f"joints in <gazebo> close no loop here: {', '.join(open_)}; {', '.join(CLOSING)} joints between links that move do"
+    )
+    return [*notes, said] if open_ else notes
 
 
 def _link_of(root: ET.Element, name: str) -> str:
@@ -171,7 +190,7 @@ def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
     """Give links without a mass that joints move the smallest one, and return a note on them."""
     masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iter("link")}
     moving = {
-        joint.find("child").get("link", "") for joint in root.iter("joint") if joint.get("type") not in (None, "fixed")
+        joint.find("child").get("link", "") for joint in root.findall("joint") if joint.get("type") not in (None, "fixed")
     }
     light = [name for name in moving if (mass := masses.get(name)) is None or float(mass.get("value", "0")) < LEAST_MASS_KG]
     if not light:
@@ -227,7 +246,7 @@ def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
         if end is None:
             raise ModelError(f"loop_joint '{name}' has no <{tag}>")
         ends.append((end.get("link", ""), np.array(end.get("xyz", "0 0 0").split(), dtype=float)))
-        turns.append(_rotation(np.array(end.get("rpy", "0 0 0").split(), dtype=float)))
+        turns.append(rotation_of_rpy(np.array(end.get("rpy", "0 0 0").split(), dtype=float)))
     kind = loop.get("type", "continuous")
     if kind == "fixed":
         _close(spec, name, ends, _WELD)
@@ -250,12 +269,25 @@ def _close_hinge(spec: mujoco.MjSpec, hinge: CutHinge, data: mujoco.MjData, name
         _close(spec, label, list(zip(links, ends, strict=True)), _CONNECT)
 
 
-def _rotation(rpy: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) of roll, pitch and yaw [rad], about fixed axes."""
-    quaternion, turn = np.zeros(4), np.zeros(9)
-    mujoco.mju_euler2Quat(quaternion, rpy, "XYZ")
-    mujoco.mju_quat2Mat(turn, quaternion)
-    return turn.reshape(3, 3)
+def _close_gazebo_joint(spec: mujoco.MjSpec, joint: GazeboJoint, data: mujoco.MjData, names: Sequence[str]) -> bool:
+    """Close a loop as a joint of Gazebo's does at zero positions: by a hinge, a ball or a weld; return False for no loop."""
+    if joint.kind not in CLOSING or not set(joint.links) <= set(names):
+        return False
+    ends = [names.index(link) for link in joint.links]
+    if len(set(data.model.body_weldid[ends])) == 1:  # a link that is tied to the ground, on which it stands
+        return False
+    turn = data.xmat[ends[1]].reshape(3, 3)
+    point = data.xpos[ends[1]] + turn @ joint.place
+    if joint.kind == "fixed":
+        weld, body, (first, second) = _WELD, mujoco.mjtObj.mjOBJ_BODY, joint.links
+        spec.add_equality(name=joint.name, type=weld, objtype=body, name1=first, name2=second).data[10] = 1.0
+    elif joint.kind == "ball":
+        places = [in_body(data, body, point) for body in ends]
+        _close(spec, joint.name, list(zip(joint.links, places, strict=True)), _CONNECT)
+    else:
+        axis = joint.axis if joint.in_root else turn @ joint.axis
+        _close_hinge(spec, CutHinge(*joint.links, tuple(point), tuple(axis)), data, names)
+    return True
 
 
 def _joint(spec: mujoco.MjSpec, name: str, where: str = "") -> "mujoco._specs.MjsJoint":

@@ -147,7 +147,7 @@ def home_of(joints: Sequence[Joint], pose: Sequence[float] | np.ndarray) -> dict
 
 
 def home_text(tables: dict[str, dict[str, float]]) -> str:
-    """Return home_deg and home_m as lines of a problem file's [mechanism] table."""
+    """Return home_deg and home_m, or other tables by joint, as lines of a problem file's [mechanism] table."""
     rows = []
     for key, table in tables.items():
         values = ", ".join(f"{_key(joint)} = {x:.10g}" for joint, x in table.items())

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.initial_assembly import home_text
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
@@ -128,12 +129,16 @@ def rests_on_stops(mechanism: Mechanism, named: Mapping[int, float], unnamed: tu
 def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
     """Return the sentence on joints that weight and springs press onto their stops [rad or m], with the remedy."""
     names = ", ".join(f"{joint.name} ({joint.said(x, 4)} {joint.unit})" for joint, x in stops)
-    locks = ", ".join(f"{joint.name} = {joint.shown(x) + 0.0:.6g}" for joint, x in stops)
     return (
         f"{when} weight and springs press {names} onto {'its stop' if len(stops) == 1 else 'their stops'}, against which"
-        f" no actuator holds: a stop's force is not planned for; mechanism.lock = {{ {locks} }} holds them there,"
+        f" no actuator holds: a stop's force is not planned for; {lock_words(stops)} holds them there,"
         " as linkplan.new does by itself"
     )
+
+
+def lock_words(places: Sequence[tuple[Joint, float]]) -> str:
+    """Return the key that locks joints at places [rad or m], as a problem file has it."""
+    return f"mechanism.{home_text({'lock': {joint.name: round(joint.shown(x), 6) + 0.0 for joint, x in places}})}"
 
 
 def _stiffness(mechanism: Mechanism) -> np.ndarray:

@@ -258,7 +258,7 @@ def _ctrl_failures(samples: Samples) -> list[str]:
         return failures
     excess = control_excess(samples.problem.mechanism, samples.q, samples.v, samples.u)
     for j in np.flatnonzero(excess.max(axis=0) > RANGE_SLACK):
-        if actuators[j].limits_control:
+        if actuators[j].limits_control or not actuators[j].is_servo:  # of a motor, limits.effort may exceed the ctrlrange
             continue
         k = int(np.argmax(excess[:, j]))
         failures.append(

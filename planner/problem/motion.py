@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
+from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
 from linkplan.planner.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
@@ -289,9 +289,12 @@ def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> d
     }
     s = spring_equilibrium(mechanism, named, unnamed)
     if s is None:
-        names = ", ".join(joints[int(mechanism.independent[c])].name for c in unnamed)
+        free = [(joints[index], float(mechanism.home[index])) for index in mechanism.independent[list(unnamed)].tolist()]
+        held = [(joint, x) for joint, x in free if joint.chart is None]
+        remedy = f"; {lock_words(held)} holds them" if held else ""
         raise ProblemError(
-            f"{where} names no value for {names}, and no equilibrium of springs and weight was found near home"
+            f"{where} names no value for {', '.join(joint.name for joint, _ in free)}, and no equilibrium of springs and"
+            f" weight was found near home{remedy}"
         )
     if stops := rests_on_stops(mechanism, named, unnamed):
         resting = [(mechanism.independent_joints[column], x) for column, x in stops.items()]

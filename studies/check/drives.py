@@ -8,6 +8,7 @@ from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
+from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
@@ -16,27 +17,27 @@ from linkplan.models.tree.passive import is_gas_spring
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
-    """Return the names of joints on which motors would fix the pose, as many as there are degrees of freedom.
+    """Return the names of joints on which motors would fix the pose, as many as there are freedoms but spins of rods.
 
     The joints nearest to the ground whose positions fix the pose come first: drives are usually there.
     """
     model = mechanism.model
-    rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home)), []
-    named = {model.joint(k).name: int(model.jnt_bodyid[k]) for k in range(model.njnt)}
-    depth = {name: _depth(model.body_parentid, body) for name, body in named.items()}
+    moved = mechanism.steered | ~in_loops(mechanism)
+    rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, moved], []
+    depth = {joint_label(model, k): _depth(model.body_parentid, int(model.jnt_bodyid[k])) for k in range(model.njnt)}
     joints = [k for k, joint in enumerate(mechanism.joints) if joint.name in depth and joint.chart is None]
     for k in sorted(joints, key=lambda k: depth[mechanism.joints[k].name]):
         values = np.linalg.svd(rates[[*chosen, k]], compute_uv=False)
         if values[-1] > 1e-3 * values[0]:
             chosen.append(k)
-    return [mechanism.joints[k].name for k in chosen[: mechanism.dof]]
+    return [mechanism.joints[k].name for k in chosen[: rates.shape[1]]]
 
 
 def motors_hint(mechanism: Mechanism) -> str:
     """Return a phrase on how a mechanism without actuators gets motors."""
     names = json.dumps(joints_to_drive(mechanism), ensure_ascii=False)
     if names == "[]":
-        return "none of its joints is a hinge or slide with a name, on which mechanism.drive puts a motor"
+        return "none of its joints is a hinge or slide, on which mechanism.drive puts a motor"
     return f"mechanism.drive = {names} puts motors on joints that fix its pose, within their effort limits"
 
 

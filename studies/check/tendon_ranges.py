@@ -27,7 +27,10 @@ def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[lis
     for item, (tendon, here) in enumerate(zip(mechanism.tendons, at_home, strict=True)):
         said = f"[{tendon.low:g}, {tendon.high:g}] {tendon.unit}".rstrip()
         if not tendon.low <= here <= tendon.high:
-            problems.append(f"tendon {tendon.name} has the length {here:.4g} at home, outside its range {said}")
+            problems.append(
+                f"tendon {tendon.name} has the length {here:.4g} at home, outside its range {said}: mechanism.home_deg names"
+                " another pose, which linkplan.new looks for by itself"
+            )
             continue
         for can in reaches:
             index = int(mechanism.independent[can.coordinate])

@@ -1,8 +1,8 @@
 """What a first motion changes of a model that has none as it is, each with a sentence for the user.
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
-are locked there, since a stop's force is not planned for, and so are joints that a tendon's narrow range couples, or that
-nothing drives and dry friction holds. Of a rod
+are locked there, since a stop's force is not planned for, and so are joints that a tendon's narrow range couples, that their
+own ranges fix, or that nothing drives and dry friction holds. Of a rod
 that spins while all else rests, a hinge is locked: nothing drives the spin, and its equations are too small beside the
 others for the solver. Of a rod between ball joints, a universal joint takes the place of one. Dry friction of a robot's leg
 sets in over a wider range of speeds: joints that hardly move would have a mesh as fine as the default range asks for. Links
@@ -32,7 +32,15 @@ from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.models.urdf_loops import FILTERS
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
 from linkplan.studies.check.softness import STIFF_KEY
-from linkplan.studies.new.locks import HOLD_MULTIPLE, coupled_with_play, held_by_friction, pressed, rods_on_balls, spins
+from linkplan.studies.new.locks import (
+    HOLD_MULTIPLE,
+    coupled_with_play,
+    fixed_by_range,
+    held_by_friction,
+    pressed,
+    rods_on_balls,
+    spins,
+)
 from linkplan.studies.new.pace import is_large
 
 # Keys of the [mechanism] table that a change sets, and the sentence on it.
@@ -133,7 +141,8 @@ def _locked(
     find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
 ) -> Change | None:
     """Return the locks of joints [deg or m] that `find` finds beside those that a table has; None without any."""
-    locks = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
+    found = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
+    locks = {name: round(place, 9) + 0.0 for name, place in found.items()}  # homes are assembled to 1e-15
     if not locks:
         return None
     given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
@@ -314,6 +323,7 @@ def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 # In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
 _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
     _filters_left_out,
+    functools.partial(_locked, fixed_by_range, "ranges let these joints move nowhere: they are locked there ({locks})"),
     functools.partial(
         _locked,
         pressed,

@@ -1,4 +1,4 @@
-"""What shuts the straight way from a motion's start to its goal, in words."""
+"""What shuts the straight way from a motion's start to its goal, and why no motion was found there, in words."""
 
 import numpy as np
 
@@ -8,9 +8,13 @@ from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, demanded, 
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
+from linkplan.models.poses.equilibrium import lock_words
+from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.studies.new.hanging import hanging_columns
 
 
 def obstacle_on_way(problem: Problem) -> str | None:
@@ -36,7 +40,8 @@ def obstacle_on_way(problem: Problem) -> str | None:
     ranges = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
     outside = np.any((poses < ranges[:, 0] - RANGE_ROUNDING) | (poses > ranges[:, 1] + RANGE_ROUNDING), axis=0)
     if outside.any():
-        return f"joint {mechanism.joints[int(np.argmax(outside))].name} is outside its range"
+        joint = mechanism.joints[int(np.argmax(outside))]
+        return f"joint {joint.name} is outside its range {_range_words(joint)}"
     turned = np.any(beyond_balls(mechanism, poses) > RANGE_ROUNDING, axis=0)
     if turned.any():
         return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
@@ -48,6 +53,35 @@ def obstacle_on_way(problem: Problem) -> str | None:
         return sentence
     met = new_meetings(meetings(mechanism, shares, poses, position_at))
     return f"{geom_names(met[0])} collide" if met else None
+
+
+def why_stuck(mechanism: Mechanism) -> str:
+    """Return why a mechanism's driven joints cannot leave home: a joint that stands outside its range there, if one does."""
+    for joint, x in zip(mechanism.joints, mechanism.home.tolist(), strict=True):
+        if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
+            said = f"{joint.said(x)} {joint.unit} at home, outside its range {_range_words(joint)}"
+            return f"joint {joint.name} stands at {said}; mechanism.home_deg and home_m name another pose"
+    return "the joints cannot leave home"
+
+
+def _range_words(joint: Joint) -> str:
+    return f"[{joint.said(joint.lower)}, {joint.said(joint.upper)}] {joint.unit}"
+
+
+def why_not(answer: Plan, within_s: float | None) -> str:
+    """Return why an answer is no motion: its message, or what the last one fails if time [s] was up; and what hangs."""
+    mechanism, said = answer.problem.mechanism, answer.message
+    if within_s is not None:
+        failures = () if answer.certificate is None else answer.certificate.failures
+        last = f"; of the last one, {failures[0]}" if failures else ""
+        said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
+    hanging = [
+        (mechanism.independent_joints[k], float(mechanism.home[mechanism.independent[k]]))
+        for k in hanging_columns(mechanism)
+    ]
+    locked = [(joint, x) for joint, x in hanging if joint.chart is None]
+    loose = f"; nothing drives these joints, which swing as the others move: {lock_words(locked)} holds them"
+    return f"{said}{loose}" if locked else said
 
 
 def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
@@ -66,7 +100,7 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     (tau, maps), limit = demanded(mechanism, poses, still, still), problem.limits.effort
     free, hold = least_effort(tau, maps), effort_within(tau, maps, limit)
     missing, lacking = (np.abs(tau - np.einsum("ksu,ku->ks", maps, effort)).max() for effort in (free, hold))
-    if missing >= 1e-9 * np.abs(limit).max():
+    if missing >= 1e-9 * np.abs(tau).max():
         return None
     names = [actuator.name for actuator in mechanism.actuators]
     if lacking > 1e-6 * np.abs(tau).max():

@@ -28,7 +28,9 @@ from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
+from linkplan.planner.solvers.solve import OF_TIME
 from linkplan.studies.check.drives import motors_hint
+from linkplan.studies.check.summary import grouped
 from linkplan.studies.new.changes import (
     changed_mechanism,
     left_out,
@@ -39,7 +41,7 @@ from linkplan.studies.new.changes import (
     raised_notes,
     with_exclusions,
 )
-from linkplan.studies.new.clear_way import obstacle_on_way, tendons_kept
+from linkplan.studies.new.clear_way import obstacle_on_way, tendons_kept, why_not, why_stuck
 from linkplan.studies.new.hanging import (
     at_gravity_equilibrium,
     at_rest,
@@ -140,9 +142,8 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             except LinkplanError as error:
                 found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
-            why = "" if answer.passed else answer.message
-            if why and left - deadline.left_s > 0.95 * limit:  # planning stops a little before its limit
-                why = f"no motion was found within {_TIME_BUDGET_S:g} s of work; planning it without that bound may find one"
+            late = OF_TIME in answer.message or left - deadline.left_s > 0.95 * limit  # planning stops a little before it
+            why = "" if answer.passed else why_not(answer, _TIME_BUDGET_S if late else None)
             said = changes if moving is mechanism else (*changes, _OTHER_HOME)
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)
             if found.planned:
@@ -274,7 +275,7 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
         tables = _tables(mechanism, start, goal)
         problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
         if np.array_equal(start, goal):
-            return "the joints cannot leave home"
+            return why_stuck(mechanism)
         if (obstacle := obstacle_on_way(problem)) is not None:
             return obstacle
         duration, slow = moderate_duration(problem)
@@ -301,7 +302,7 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
     if (floats := floating_sentence(mechanism.model)) is not None:
         raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
     if mechanism.n_u == 0:
-        unusable = "".join(f"; {item.text}" for item in audit(mechanism.model))
+        unusable = "".join(f"; {text}" for text in grouped(mechanism, (item.text for item in audit(mechanism.model))))
         raise ProblemError(
             f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
             f" or add for example {line} to its model, with the effort that the drive has{unusable}"

@@ -11,6 +11,7 @@ from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.reach import reach
 from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.tree.joints import unit_steps
 from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.new.hanging import hanging_columns
@@ -23,6 +24,18 @@ def pressed(mechanism: Mechanism) -> dict[str, float]:
     """Return the positions [deg or m] of the hinges and slides that rest on their stops, by name."""
     resting = [*pressed_joints(mechanism), *sprung_stops(mechanism)]
     return {joint.name: joint.shown(x) + 0.0 for joint, x in resting if joint.chart is None}
+
+
+def fixed_by_range(mechanism: Mechanism) -> dict[str, float]:
+    """Return the middles [deg or m] of ranges that let no joint move, by name: in this way authors fix a joint.
+
+    Such a range spans a thousandth of a radian or of the mechanism's size at most. Joints of loops are left as they are.
+    """
+    columns = np.flatnonzero(~in_loops(mechanism))
+    joints = [mechanism.joints[index] for index in mechanism.independent[columns].tolist()]
+    spans = np.array([joint.upper - joint.lower for joint in joints]) / unit_steps(joints, mechanism.extent_m)
+    fixed = [joint for joint, span in zip(joints, spans, strict=True) if joint.chart is None and span < 1e-3]
+    return {joint.name: joint.shown(0.5 * (joint.lower + joint.upper)) for joint in fixed}
 
 
 def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
@@ -63,7 +76,7 @@ def spins(mechanism: Mechanism) -> dict[str, float]:
     spins = [*np.flatnonzero(~mechanism.steered).tolist(), *swings]
     joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
     return {
-        joint.name: float(f"{joint.shown(mechanism.home[index]):.9g}")
+        joint.name: joint.shown(float(mechanism.home[index]))
         for index, joint in joints.items()
         if joint.chart is None and joint.kind == "hinge"
     }

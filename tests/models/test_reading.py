@@ -48,3 +48,23 @@ def test_points_in_values_are_no_depth(text):
 def test_an_old_model_s_stack_of_some_megabytes_is_read():
     old = '<mujoco><size nstack="300000"/><worldbody><body><joint name="arm"/><geom size="0.1"/></body></worldbody></mujoco>'
     assert load_mechanism(old).dof == 1
+
+
+RANGED = """<mujoco>{compiler}<worldbody><body><joint name="arm" axis="0 1 0" range="-{most} 0.5"/>
+<geom size=".1" pos=".3 0 0"/>
+</body></worldbody><actuator><motor joint="arm"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("compiler", "most", "said"),
+    [
+        ("", "3.14", True),
+        ('<compiler angle="degree"/>', "6.28", True),
+        ("", "30", False),
+        ('<compiler angle="radian"/>', "3.14", False),
+        ("", "0.5", True),
+    ],
+)
+def test_ranges_that_radians_would_explain_are_noted_where_they_are_read_in_degrees(compiler, most, said):
+    notes = load_mechanism(RANGED.format(compiler=compiler, most=most)).notes
+    assert any(f"ends at {float(most):g} deg: a file that means radians has" in note for note in notes) == said

@@ -348,6 +348,14 @@ def test_a_base_that_falls_along_a_rail_floats_and_is_fixed():
     assert [joint.name for joint in fixed.joints] == ["hip"]
 
 
+def test_a_joint_that_is_driven_and_locked_gets_no_motor():
+    undriven = ON_A_RAIL[: ON_A_RAIL.index("<actuator>")] + "</mujoco>"
+    leg = load_mechanism(undriven, selection=Selection(drive=["rail", "hip"], lock={"rail": 0.1}))
+    assert [actuator.name for actuator in leg.actuators] == ["hip"]
+    with pytest.raises(LinkplanError, match=r"unknown joint 'rails' \(did you mean 'rail'\?\)"):
+        load_mechanism(undriven, selection=Selection(drive=["rails"]))
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -388,3 +396,24 @@ def test_a_locked_link_on_a_body_that_the_compiler_fuses_stays_where_it_stood():
         places.append(np.append(data.body("lower").xpos, data.body("lower").xmat))
     assert places[1] == pytest.approx(places[0], abs=1e-12)
     assert places[2] == pytest.approx(places[0], abs=1e-12)
+
+
+# A chassis of two plates, both free in the file, with a leg on the upper one.
+PLATES = """<mujoco><worldbody>
+<body name="lower"><freejoint name="low"/><geom size=".1" mass="1"/></body>
+<body name="upper" pos="0 0 .1"><freejoint name="high"/><geom size=".1" mass="2"/>
+<body name="leg"><joint name="hip" axis="0 1 0"/><geom size=".05" pos="0 0 -.2" mass="1"/></body></body></worldbody>
+<equality><weld body1="lower" body2="upper"/></equality>
+<actuator><motor joint="hip" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+def test_of_bases_that_float_tied_to_one_another_the_heaviest_is_fixed_and_holds_the_others():
+    fixed = load_mechanism(PLATES, selection=Selection(fix_base=True))
+    assert floating_joints(load_mechanism(PLATES).model) == {1}
+    assert fixed.notes[0] == "locked: high at home"
+    assert [joint.name for joint in fixed.independent_joints] == ["hip"]
+
+
+def test_bases_that_float_tied_to_what_stands_on_the_world_do_not_float():
+    tied = replaced(PLATES, "<equality>", '<equality><connect body1="lower" anchor="0 0 0"/>')
+    assert floating_joints(mujoco.MjModel.from_xml_string(tied)) == set()

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from linkplan.models.library import conversion_notes
+from linkplan.models.conversion import conversion_notes
+from linkplan.models.library import urdf_root
 from linkplan.models.mechanism import load_mechanism
 
 LINK = (
@@ -42,13 +43,15 @@ def test_what_the_converter_leaves_out_is_a_note(text, said):
 
 
 def test_what_a_urdf_does_not_say_is_not_told_of():
-    (only,) = conversion_notes(urdf(inside='<compiler fusestatic="true"/>'))
+    root = urdf_root(urdf(inside='<compiler fusestatic="true"/>'))
+    assert root is not None
+    (only,) = conversion_notes(root)
     assert "no actuators" in only
 
 
 def test_a_model_in_mjcf_is_no_urdf():
-    assert conversion_notes("<mujoco><actuator/></mujoco>") == []
-    assert conversion_notes("optimus-knee") == []
+    assert urdf_root("<mujoco><actuator/></mujoco>") is None
+    assert urdf_root("optimus-knee") is None
 
 
 def test_a_mesh_of_a_package_that_is_not_found_is_left_out_and_said(tmp_path):

@@ -200,6 +200,24 @@ def test_sdf_is_refused_with_its_converter(tmp_path):
             linkplan.load_mechanism(source)
 
 
+def test_an_inertia_that_no_body_has_is_refused_with_the_remedy_of_a_urdf(tmp_path):
+    flat = FOUR_BAR.replace('izz="0.005"', 'izz="0.05"', 1)
+    with pytest.raises(LinkplanError, match='<compiler balanceinertia="true"/>, in a URDF within <mujoco> in its <robot>'):
+        linkplan.load_mechanism(written(tmp_path, robot(flat, LOOP_JOINT)))
+    remedy = '<mujoco><compiler balanceinertia="true"/></mujoco>'
+    assert_four_bar(linkplan.load_mechanism(written(tmp_path, robot(remedy, flat, LOOP_JOINT, TRANSMISSION))))
+
+
+def test_xacro_is_refused_with_what_expands_it(tmp_path):
+    text = robot(FOUR_BAR, '<xacro:include filename="arm.xacro"/>', LOOP_JOINT, TRANSMISSION)
+    for name in ("robot.urdf", "robot.urdf.xacro"):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        with pytest.raises(LinkplanError, match=r"is xacro, which makes a URDF: .* xacro FILE -o robot.urdf"):
+            linkplan.load_mechanism(tmp_path / name)
+    expanded = text.replace("<xacro:", "<!-- <xacro:").replace('.xacro"/>', '.xacro"/> -->')
+    assert_four_bar(linkplan.load_mechanism(written(tmp_path, expanded)))
+
+
 def test_a_urdf_without_motors_gets_those_that_the_problem_names(tmp_path, capsys):
     """Exporters write every joint with an effort limit, passive ones too."""
     frames = FRAMES.replace("end_A", "closing_pin_1").replace("end_B", "closing_pin_2")
@@ -226,3 +244,72 @@ def test_a_default_namespace_hides_no_element(tmp_path):
     mechanism = linkplan.load_mechanism(written(tmp_path, text))
     assert_four_bar(mechanism)
     assert "closures from the URDF: B" in mechanism.notes
+
+
+# The rocker's frame turned by a quarter turn about y, and about x: its own z is the root's x, and its x the root's -z.
+TURNED = FOUR_BAR.replace('<origin xyz="0.2 0 0"/>', '<origin xyz="0.2 0 0" rpy="0 1.5707963267948966 0"/>')
+GAZEBO = """<gazebo><joint name="B" type="{kind}"><parent>coupler</parent><child>rocker</child><pose>{pose}</pose>
+<axis><xyz>{axis}</xyz>{frame}</axis></joint></gazebo>"""
+ROS2 = """<ros2_control name="hardware" type="system"><joint name="motor"><command_interface name="effort"/></joint>
+<joint name="A"><state_interface name="position"/></joint>
+<joint name="end_A_frame"><command_interface name="effort"/></joint></ros2_control>"""
+
+
+@pytest.mark.parametrize(
+    ("pose", "axis", "frame"),
+    [
+        ("-0.15 0 0 0 0 0", "0 2 0", ""),
+        ("-0.15 0 0 1.5707963267948966 0 0", "0 0 -1", ""),
+        ("-0.15 0 0 1.5707963267948966 0 0", "0 1 0", "<use_parent_model_frame>1</use_parent_model_frame>"),
+    ],
+)
+def test_a_hinge_of_gazebo_is_closed_and_joints_that_ros2_control_commands_are_driven(tmp_path, pose, axis, frame):
+    """Its pose is in the child, and its axis in that pose or in the root link."""
+    text = robot(TURNED, FRAMES, GAZEBO.format(kind="revolute", pose=pose, axis=axis, frame=frame), ROS2)
+    mechanism = linkplan.load_mechanism(written(tmp_path, text))
+    assert (mechanism.dof, mechanism.n_u) == (1, 1)
+    ends = [mechanism.model.site(f"coupler-rocker {end}") for end in (1, 2)]
+    np.testing.assert_allclose([one.pos for one in ends], [[0.2, 0, 0.05], [-0.15, 0, 0]], atol=1e-12)
+    along = [
+        mechanism.model.site(f"coupler-rocker axis {end}").pos - end_.pos for end, end_ in zip((1, 2), ends, strict=True)
+    ]
+    np.testing.assert_allclose(np.abs(along), [[0, 0.05, 0], [0, 0.05, 0]], atol=1e-12)
+    assert "closures from the URDF's <gazebo>: B" in mechanism.notes
+    assert "motors from ros2_control of the URDF: motor" in mechanism.notes
+    assert not any("elements gazebo" in note or "ros2_control," in note for note in mechanism.notes)
+
+
+def test_a_ball_of_gazebo_ties_points_and_a_detachable_joint_holds_links_where_they_are(tmp_path):
+    ball = GAZEBO.format(kind="ball", pose="0 0 0.15 0 0 0", axis="0 1 0", frame="")
+    assert_four_bar(linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, ball, TRANSMISSION))))
+    tip = link("tip", 0.1) + joint("tip_hinge", "rocker", "tip", "0 0 0.15")  # its axes are not the coupler's
+    turned = tip.replace('<origin xyz="0 0 0.15"/>', '<origin xyz="0 0 0.15" rpy="0 1 0"/>')
+    plugin = """<gazebo><plugin filename="gz" name="gz::sim::systems::DetachableJoint"><parent_link>coupler</parent_link>
+    <child_model>four-bar</child_model><child_link>{}</child_link></plugin></gazebo>"""
+    held = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, turned, plugin.format("tip"), TRANSMISSION)))
+    assert held.dof == 1
+    assert held.gap_m(held.home) < 1e-12
+    np.testing.assert_allclose(held.home, 0.0, atol=1e-9)  # Gazebo fixes links as they stand
+    elsewhere = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, plugin.format("box"), TRANSMISSION)))
+    assert elsewhere.dof == 3
+
+
+@pytest.mark.parametrize("ends", ["", "<parent>base</parent><child>rocker</child>"])
+def test_what_gazebo_adds_to_a_joint_of_the_tree_closes_no_loop(tmp_path, ends):
+    sensor = f'<gazebo><joint name="C" type="revolute">{ends}<sensor name="force" type="force_torque"/></joint></gazebo>'
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, sensor, LOOP_JOINT, TRANSMISSION)))
+    assert_four_bar(mechanism)
+    assert not any("in <gazebo>" in note or "without mass" in note for note in mechanism.notes)
+    assert any("leaves out the URDF's elements gazebo" in note for note in mechanism.notes)
+
+
+def test_a_joint_of_gazebo_that_closes_no_loop_is_named(tmp_path):
+    rail = GAZEBO.format(kind="prismatic", pose="0 0 0 0 0 0", axis="0 1 0", frame="")
+    ground = '<gazebo><joint name="stand" type="fixed"><parent>world</parent><child>base</child></joint></gazebo>'
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, rail, ground, TRANSMISSION)))
+    assert mechanism.dof == 3
+    said = "joints in <gazebo> close no loop here: B (type prismatic, coupler to rocker), stand (type fixed, world to base)"
+    assert any(note.startswith(said) for note in mechanism.notes)
+    wrong = GAZEBO.format(kind="ball", pose="0 0 up", axis="0 1 0", frame="")
+    with pytest.raises(LinkplanError, match="joint 'B' in <gazebo> has pose = '0 0 up'; it takes 6 numbers"):
+        linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, wrong)))

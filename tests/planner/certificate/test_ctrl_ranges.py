@@ -14,15 +14,15 @@ FLYWHEEL = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldb
 TORQUE = 2.0
 
 
-def failures(most: float) -> list[str]:
+def failures(most: float, model: str = FLYWHEEL, efforts: tuple[float, ...] = (TORQUE,), limits: str = "") -> list[str]:
     """Return what the certificate says of ctrl along q = t^2, for which the ctrl 2 / (1 + q) is needed."""
     motion = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 57.29577951308232 }\nduration_s = 1.0\n'
-    problem = body_problem(FLYWHEEL.format(most=most), motion)
+    problem = body_problem(model.format(most=most), motion + limits)
     trajectory = Trajectory(
         breaks_s=np.array([0.0, 1.0]),
         position=np.array([0.0, 0.0, 1.0]).reshape(3, 1, 1),
         velocity=np.array([0.0, 2.0]).reshape(2, 1, 1),
-        effort=np.full((1, 1, 1), TORQUE),
+        effort=np.reshape(efforts, (1, 1, -1)),
         start_pose=np.zeros(1),
         periodic=False,
     )
@@ -37,3 +37,8 @@ def test_a_ctrl_beyond_its_range_at_the_start_alone_is_said_with_its_excess():
 @pytest.mark.parametrize("most", [2.0, 2.5])
 def test_a_ctrl_within_its_range_is_not_named(most):
     assert failures(most) == []
+
+
+def test_a_motor_beside_a_servo_gives_what_limits_effort_allows():
+    beside = FLYWHEEL.replace("</actuator>", '<motor name="p" joint="J" ctrlrange="-1 1"/></actuator>')
+    assert failures(2.5, beside, (0.0, TORQUE), "[limits]\neffort = { p = [-3.0, 3.0] }\n") == []

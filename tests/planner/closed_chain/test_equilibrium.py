@@ -1,5 +1,6 @@
 """Starts and goals that leave freedoms on springs unnamed: these rest where springs and weight balance."""
 
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import slopes_at_rest, spring_equilibrium, sprung_freedoms
+from linkplan.models.selection import Selection
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar import G
@@ -69,6 +71,16 @@ def test_from_rest_to_rest_a_plan_needs_no_effort_beyond_the_arm_s_at_its_ends(a
     assert ends[:, 1] == pytest.approx(
         [-MASS * G * np.sin(np.radians(a)) / STIFFNESS for a in (-30.0, 20.0)], abs=SAME_FIGURE
     )
+
+
+def test_freedoms_on_springs_that_have_no_rest_are_named_with_the_key_that_locks_them(arm, monkeypatch):
+    arm.write_text(SPRUNG.replace('name="spring"', 'name="a spring"'), encoding="utf-8")
+    monkeypatch.setattr("linkplan.planner.problem.motion.spring_equilibrium", lambda *_: None)
+    with pytest.raises(ProblemError, match="names no value for a spring, and no equilibrium") as refused:
+        Problem.from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))
+    key = str(refused.value).split("near home; mechanism.")[1].removesuffix(" holds them")
+    locked = load_mechanism(arm, selection=Selection(**tomllib.loads(key)))
+    assert [joint.name for joint in locked.joints] == ["arm"]
 
 
 def test_without_a_spring_the_value_is_asked_for(tmp_path):

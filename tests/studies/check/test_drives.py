@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.check.drives import feeble_drives, pushed_one_way
+from linkplan.studies.check.drives import feeble_drives, joints_to_drive, pushed_one_way
 from linkplan.studies.check.inspection import inspect
+from tests.support.linkages import ROD
+from tests.support.mechanisms import replaced
 
 TWO = """<mujoco><option gravity="0 0 0"/><worldbody>
 <body><joint name="a" axis="0 1 0"/><geom size="0.1"/></body>
@@ -68,3 +70,13 @@ def test_dry_friction_damps_a_joint_that_nothing_drives(friction, said):
     spine = TWO.format(b=friction).replace('<motor name="on_b" joint="b" ctrlrange="0 2"/>', "")
     problems = inspect(load_mechanism(spine), []).problems
     assert f"joint b moves freely: no actuator drives it{said}" in problems
+
+
+def test_no_motor_is_offered_for_the_spin_of_a_rod_but_one_for_a_wheel():
+    ball = '<joint name="ball" type="ball" damping=".01" armature="1e-4" frictionloss=".002"/>'
+    hinges = "".join(f'<joint name="{axis}" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    wheel = '<body><joint name="wheel" axis="0 1 0"/><inertial mass=".1" pos="0 0 0" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    text = ROD[: ROD.index("<actuator>")] + "</mujoco>"
+    rod = load_mechanism(replaced(replaced(text, ball, hinges), "</worldbody>", f"{wheel}</worldbody>"))
+    assert (rod.dof, len(rod.passive_dofs)) == (3, 2)  # the rod spins, and so does the wheel
+    assert joints_to_drive(rod) == ["drive", "wheel"]

@@ -350,17 +350,6 @@ def test_of_two_cables_one_pulls_and_the_other_need_not_push(tmp_path, ask, most
     assert limits.get("effort", {}).get("flexor") == (None if raised is None else [0.0, raised])
 
 
-def test_an_actuator_is_offered_with_a_name_for_a_joint_that_has_none(tmp_path, ask):
-    nameless = ARM.format(effort=30.0).replace('name="arm" ', "")
-    nameless = nameless[: nameless.index("<actuator>")] + "</mujoco>"
-    (tmp_path / "arm.xml").write_text(nameless, encoding="utf-8")
-    code, _, err = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
-    assert code == 2
-    assert (
-        'add for example name="joint0" to its first joint, which has no name, and <actuator><motor name="act_joint0"' in err
-    )
-
-
 WAIST = """<mujoco><compiler autolimits="true"/><default><joint axis="0 1 0" range="-90 90"/></default><worldbody>
 <body pos="-1 0 0"><joint name="left"/><inertial pos="0 0 0" mass="0.1" diaginertia="0.01 0.01 0.01"/></body>
 <body><joint name="roll"/><inertial pos="0 0 0.3" mass="1" diaginertia="0.1 0.1 0.1"/>

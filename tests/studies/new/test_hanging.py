@@ -1,5 +1,7 @@
 """`new` of mechanisms with fewer actuators than freedoms: they are begun where the rest of them hangs at rest."""
 
+import tomllib
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,23 +10,27 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.new.first_motion import first_motion
+from linkplan.studies.new.first_motion import FirstMotion, first_motion
 from linkplan.studies.new.hanging import at_gravity_equilibrium, hanging_columns, hanging_pose, is_equilibrium
 from tests.support.drawn_by_others import arm, ring
 
 
 def tried_of(text: str, monkeypatch, tmp_path) -> list[Problem]:
     """Return the problems that are tried of a mechanism none of whose motions is ever found."""
+    return not_found(text, "as told", monkeypatch, tmp_path)[1]
+
+
+def not_found(text: str, why: str, monkeypatch, tmp_path) -> tuple[FirstMotion, list[Problem]]:
+    """Return the first motion of a mechanism none of whose motions is ever found, and the problems that are tried."""
     tried = []
 
     def nothing(problem: Problem, *_) -> Plan:
         tried.append(problem)
-        return Plan(problem=problem, status="failed", message="failed: as told")
+        return Plan(problem=problem, status="failed", message=f"failed: {why}")
 
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
     (tmp_path / "model.xml").write_text(text, encoding="utf-8")
-    first_motion({"model": str(tmp_path / "model.xml")}, lambda _: None)
-    return tried
+    return first_motion({"model": str(tmp_path / "model.xml")}, lambda _: None), tried
 
 
 def held(mechanism: Mechanism, s: np.ndarray) -> bool:
@@ -102,3 +108,19 @@ def test_a_closure_that_takes_no_freedom_does_not_hinder_hanging():
     assert len(mechanism.dependent) == 0
     pose = hanging_pose(mechanism, mechanism.home + 0.1, {})
     assert pose == pytest.approx([np.pi / 2, np.pi], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("why", "said"),
+    [("as told", "failed: as told"), ("the solver ran out of its 1 s (solver.max_time_s)", "no motion was found")],
+)
+def test_where_no_motion_is_found_the_joints_that_hang_are_named_with_their_locks(why, said, monkeypatch, tmp_path):
+    found, tried = not_found(arm(3, 1), why, monkeypatch, tmp_path)
+    assert tried
+    assert found.why.startswith(said)
+    names = [found.mechanism.independent_joints[k].name for k in hanging_columns(found.mechanism)]
+    assert len(names) == 2
+    given = tomllib.loads(found.why.split("mechanism.")[1].split(" holds them")[0])
+    assert list(given["lock"]) == names
+    driven, _ = not_found(arm(3, 3), why, monkeypatch, tmp_path)
+    assert "lock" not in driven.why

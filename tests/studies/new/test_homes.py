@@ -75,3 +75,19 @@ def test_a_cart_that_nothing_drives_ends_where_its_momentum_takes_it(tmp_path, a
     hip, rail = np.radians(motion["goal_deg"]["hip"]), motion["goal_m"]["rail"]
     assert abs(hip) > 0.1
     assert rail == pytest.approx(0.15 * np.sin(hip) / 2, rel=1e-5)
+
+
+# A wrist that its author has fixed by its range, at which it is not drawn.
+FIXED = """<mujoco><compiler autolimits="true"/><worldbody><body><joint name="arm" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>
+<body pos=".3 0 0"><joint name="wrist" axis="0 1 0" range="{range_deg}"/>
+<geom type="capsule" fromto="0 0 0 .1 0 0" size=".02"/></body></body></worldbody>
+<actuator><motor joint="arm" ctrlrange="-40 40"/><motor joint="wrist" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("range_deg", "lock"), [("-8.6288 -8.6286", {"wrist": -8.6287}), ("-8.7 -8.6", {})])
+def test_a_joint_that_its_range_fixes_is_locked_there(range_deg, lock):
+    mechanism, notes = changed_mechanism({"model": FIXED.format(range_deg=range_deg)})
+    assert mechanism.selection.lock == lock
+    assert mechanism.dof == 2 - len(lock)
+    assert any("ranges let these joints move nowhere" in note for note in notes) == bool(lock)
