@@ -9,10 +9,9 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selected_model import whole_model_text
-from linkplan.models.selection import Selection, floating_joints, floating_sentence
+from linkplan.models.selection import Selection
 from linkplan.studies.cli.main import main
 from tests.support.linkages import ROD
-from tests.support.mechanisms import replaced
 
 # A floating body with an arm and two legs. A leg is a driven thigh, and a driven crank whose rod moves the shank. The arm is
 # one body with three joints, in a frame.
@@ -333,52 +332,6 @@ def test_a_universal_joint_has_no_range_where_a_default_limits_all_joints():
         assert not rod.model.joint("ball_2").limited
 
 
-# A leg on a vertical rail, which stands by contact alone.
-ON_A_RAIL = """<mujoco><compiler autolimits="true"/><option/><worldbody><site name="roof" pos="0 0 2"/>
-<body name="trunk"><joint name="rail" type="slide" axis="0 0 1"/><geom size=".1" mass="2"/><site name="hook"/>
-<body name="thigh"><joint name="hip" axis="0 1 0"/><geom size=".05" pos="0 0 -.2" mass="1"/></body></body></worldbody>
-<actuator><motor joint="hip" ctrlrange="-9 9"/></actuator></mujoco>"""
-
-
-def test_a_base_that_falls_along_a_rail_floats_and_is_fixed():
-    mechanism = load_mechanism(ON_A_RAIL)
-    assert floating_joints(mechanism.model) == {0}
-    assert "nothing drives its 1 degree of freedom" in str(floating_sentence(mechanism.model))
-    fixed = load_mechanism(ON_A_RAIL, selection=Selection(fix_base=True))
-    assert [joint.name for joint in fixed.joints] == ["hip"]
-
-
-def test_a_joint_that_is_driven_and_locked_gets_no_motor():
-    undriven = ON_A_RAIL[: ON_A_RAIL.index("<actuator>")] + "</mujoco>"
-    leg = load_mechanism(undriven, selection=Selection(drive=["rail", "hip"], lock={"rail": 0.1}))
-    assert [actuator.name for actuator in leg.actuators] == ["hip"]
-    with pytest.raises(LinkplanError, match=r"unknown joint 'rails' \(did you mean 'rail'\?\)"):
-        load_mechanism(undriven, selection=Selection(drive=["rails"]))
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('axis="0 0 1"', 'axis="1 0 0"'),
-        ('axis="0 0 1"', 'axis="0 0 1" range="-1 1"'),
-        ('axis="0 0 1"', 'axis="0 0 1" stiffness="50"'),
-        ('axis="0 0 1"', 'axis="0 0 1" frictionloss="40"'),
-        ('<body name="trunk">', '<body name="trunk" gravcomp="1">'),
-        ("<option/>", '<option gravity="0 0 0"/>'),
-        ("<actuator>", '<equality><joint joint1="rail"/></equality><actuator>'),
-        ("<actuator>", '<actuator><motor joint="rail"/>'),
-        ("<actuator>", '<actuator><motor site="hook" gear="0 0 1 0 0 0"/>'),
-        (
-            "<actuator>",
-            '<tendon><spatial name="rope"><site site="roof"/><site site="hook"/></spatial></tendon>'
-            '<actuator><motor tendon="rope"/>',
-        ),
-    ],
-)
-def test_a_base_that_something_holds_on_its_rail_does_not_float(old, new):
-    assert floating_joints(mujoco.MjModel.from_xml_string(replaced(ON_A_RAIL, old, new))) == set()
-
-
 def test_a_locked_link_on_a_body_that_the_compiler_fuses_stays_where_it_stood():
     """`fusestatic`, the rule for URDF, merges the bracket into the world; the upper link is then the world's own child."""
     arm = """<mujoco><compiler fusestatic="true"/><worldbody>
@@ -396,24 +349,3 @@ def test_a_locked_link_on_a_body_that_the_compiler_fuses_stays_where_it_stood():
         places.append(np.append(data.body("lower").xpos, data.body("lower").xmat))
     assert places[1] == pytest.approx(places[0], abs=1e-12)
     assert places[2] == pytest.approx(places[0], abs=1e-12)
-
-
-# A chassis of two plates, both free in the file, with a leg on the upper one.
-PLATES = """<mujoco><worldbody>
-<body name="lower"><freejoint name="low"/><geom size=".1" mass="1"/></body>
-<body name="upper" pos="0 0 .1"><freejoint name="high"/><geom size=".1" mass="2"/>
-<body name="leg"><joint name="hip" axis="0 1 0"/><geom size=".05" pos="0 0 -.2" mass="1"/></body></body></worldbody>
-<equality><weld body1="lower" body2="upper"/></equality>
-<actuator><motor joint="hip" ctrlrange="-9 9"/></actuator></mujoco>"""
-
-
-def test_of_bases_that_float_tied_to_one_another_the_heaviest_is_fixed_and_holds_the_others():
-    fixed = load_mechanism(PLATES, selection=Selection(fix_base=True))
-    assert floating_joints(load_mechanism(PLATES).model) == {1}
-    assert fixed.notes[0] == "locked: high at home"
-    assert [joint.name for joint in fixed.independent_joints] == ["hip"]
-
-
-def test_bases_that_float_tied_to_what_stands_on_the_world_do_not_float():
-    tied = replaced(PLATES, "<equality>", '<equality><connect body1="lower" anchor="0 0 0"/>')
-    assert floating_joints(mujoco.MjModel.from_xml_string(tied)) == set()
