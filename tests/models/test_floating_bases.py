@@ -3,6 +3,7 @@
 import mujoco
 import pytest
 
+from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selection import Selection, floating_joints, floating_sentence
 from tests.support.mechanisms import replaced

@@ -7,7 +7,6 @@ import pytest
 import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.models.library import compile_model
-from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selected_model import whole_model_text
 from linkplan.models.selection import Selection
 from linkplan.studies.cli.main import main
