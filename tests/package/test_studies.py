@@ -206,7 +206,7 @@ def test_gains_that_were_found_are_a_problems_tracking(problem):
         (lambda: linkplan.check(5), "a mechanism, a Problem, or the name or path of either, got 5"),
         (lambda: linkplan.check("optimus-nee"), "did you mean 'optimus-knee'"),
         (lambda: linkplan.check("no/such.toml"), "no/such.toml"),
-        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose asked for is beyond reach"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose O = 120 deg is beyond reach"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"A": 1}]), "a pose names independent joints (O); A follows"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"Q": 1}]), "joints are O, A, C"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "poses[0].at_deg of joint O is a number, got nan"),
