@@ -79,7 +79,7 @@ REFUSALS = [
     (["bode", "knee-reach", "--set", "limits.effort.act_O=[-2, 2]", "--at-deg", "O=50"], ["cannot be held", "act_O", "N.m"]),
     (["tune", "optimus-knee"], ["--bandwidth-hz"]),
     (["tune", "optimus-knee", "--bandwidth-hz", "-5"], ["positive number of hertz"]),
-    (["tune", "optimus-knee", "--bandwidth-hz", "6000"], ["Nyquist"]),
+    (["tune", "optimus-knee", "--bandwidth-hz", "5000"], ["5000 Hz is not below the Nyquist frequency, 5000 Hz"]),
     (["tune", "optimus-knee", "--bandwidth-hz", "10", "--phase-margin-deg", "200"], ["0 to 180"]),
     (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1,0"], ["'1,0'", "write 1.5"]),
     (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1e-300"], ["from 1e-09", "1e-300"]),
