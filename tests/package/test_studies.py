@@ -97,6 +97,7 @@ def test_tracking_settings_stand_in_for_the_problems(plan):
 def test_a_mismatch_is_named(plan):
     result = linkplan.track(plan, "lqr", mass_factor=1.2, delay_periods=1)
     assert "payload +20 %, 1 control period of delay" in str(result)
+    assert "delay 1 period\n" in str(result)
     assert not linkplan.compare(plan, ["lqr"], mass_factor=1, delay_periods=0).mismatched
 
 
