@@ -114,8 +114,8 @@ def test_a_bandwidth_beyond_nyquist_is_refused():
 def test_positions_of_a_slide_are_no_angles():
     mechanism = load_mechanism(mass_on_a_spring().mjcf)
     points = [operating_point(mechanism, np.array([position])) for position in (0.0, 0.1)]
-    wanted, timing = Wanted(bandwidth_hz=10.0, phase_margin_deg=60.0), sampling(mechanism, 2e-3, 0)
-    found = tune(points, wanted, Tracking(period_s=2e-3), timing, mechanism.effort_limit)
+    law = sampled_law(mechanism, "pd", Tracking(period_s=2e-3), mechanism.effort_limit)
+    found = tune(points, Wanted(bandwidth_hz=10.0, phase_margin_deg=60.0), law)
     assert "10 Hz and 60 deg at all 2 poses, sampled" in found.message
 
 
