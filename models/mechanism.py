@@ -56,7 +56,7 @@ from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.tendons import TendonRange, limited_tendons
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Mechanism:
     """A mechanism assembled at its home pose.
 

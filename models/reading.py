@@ -91,7 +91,8 @@ def parse_toml(text: str, what: str) -> dict:
     except RecursionError as error:
         raise ProblemError(f"{what} is nested too deeply") from error
     except ValueError as error:  # from tomllib, or from int for a number with thousands of digits
-        raise ProblemError(f"{what} is not TOML: {one_line(error)}") from error
+        why = one_line(error).replace("Cannot overwrite a value", "a key is given twice")
+        raise ProblemError(f"{what} is not TOML: {why}") from error
     if too_deep(tables):
         raise ProblemError(f"{what} is nested more than {_MAX_DEPTH} levels deep")
     return tables

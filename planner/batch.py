@@ -61,6 +61,7 @@ def _problems(batch: BatchFile, cases: Sequence[CaseSection]) -> Iterator[tuple[
             chosen = mechanism is not None and "independent" in mechanism.source and "independent" not in (wanted or {})
             same = mechanism is not None and wanted == asked and not chosen
             problem = Problem.from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
+            problem.start_pose()  # refuses a goal beyond reach before any case is planned
         except ProblemError as error:
             raise ProblemError(f"case '{case.name}': {error}") from error
         asked, mechanism = wanted, problem.mechanism

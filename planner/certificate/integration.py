@@ -213,7 +213,10 @@ def _integrated_with_restarts(
 
 
 def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray, unit: np.ndarray) -> float:
-    """Return the largest growth of an error in units, linearised at intervals' first poses (n, n_q)."""
+    """Return the largest growth of an error in units, linearised at intervals' first poses (n, n_q).
+
+    Growth beyond that of a restart is not followed.
+    """
     n_s, eye, largest = mechanism.dof, np.eye(2 * mechanism.dof), 1.0
     carried = eye
     given = poses, trajectory.velocity[0], trajectory.effort[0], np.diff(trajectory.breaks_s)
@@ -225,6 +228,8 @@ def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarr
         half = width / (2 * n) * slope * unit / unit[:, None]
         carried = np.linalg.matrix_power(np.linalg.solve(eye - half, eye + half), n) @ carried
         largest = max(largest, float(np.abs(carried).max()))
+        if largest > RESTART_GROWTH:  # over minutes the product overflows
+            break
     return largest
 
 

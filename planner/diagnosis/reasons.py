@@ -140,7 +140,7 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     effort = least_effort(tau, maps)
     missed = tau - np.einsum("ksu,ku->ks", maps, effort)
     held = least_effort(sampled(mechanism.dynamics.inverse_dynamics, q, 0 * v, 0 * a)[:, :, 0], maps)
-    bound = np.where(effort > 0, limit[:, 1], limit[:, 0])
+    bound = np.where(effort > 0, np.maximum(limit[:, 1], 0.0), np.minimum(limit[:, 0], 0.0))
     widest = np.abs(limit).max(axis=1)  # the scale if an actuator gives nothing in the needed direction
     factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
     inertial = np.abs(effort - held) / widest

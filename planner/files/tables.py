@@ -136,7 +136,7 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
         legal: its description, in a sentence.
 
     Raises:
-        ProblemError: with the commands that take a saved plan.
+        ProblemError: if the path is one of these.
     """
     path = Path(source)
     try:
@@ -148,7 +148,7 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
         return
     if is_plan or in_plan:
         is_what = "a saved plan" if is_plan else f"a file of the saved plan '{path.parent}'"
-        raise ProblemError(f"{what} '{source}' is {is_what}, which track, compare, render, view and export take; {legal}")
+        raise ProblemError(f"{what} '{source}' is {is_what}; {legal}")
 
 
 def path_beside(path: str, folder: Path | None) -> Path:

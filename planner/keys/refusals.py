@@ -95,8 +95,15 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
             why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else suggestion(key, legal)
             return f"unknown key '{path}'{why}; keys are {', '.join(legal)}"
         if key not in legal:
-            return f"unknown table or key '{key}'{suggestion(key, legal)}; legal are {', '.join(legal)}"
+            homes = [f"[{field.name}]" for field in msgspec.structs.fields(bare) if key in _keys(field.type)]
+            why = f": it is a key of {' or '.join(homes)}" if homes else suggestion(key, legal)
+            return f"unknown table or key '{key}'{why}; legal are {', '.join(legal)}"
     return None
+
+
+def _keys(kind: Any) -> tuple[str, ...]:
+    """Return the keys of a section's type; () for other types."""
+    return getattr(without_metadata(kind)[0], "__struct_fields__", ())
 
 
 def words(kind: Any) -> str:

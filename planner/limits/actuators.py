@@ -166,7 +166,7 @@ class MotorLimit(PathLimit):
     """The line of one actuator's motor; `column` is the coordinate that it drives directly, if any."""
 
     key: ClassVar[str] = "motor"
-    words: ClassVar[str] = "the torque-speed line of {}"
+    words: ClassVar[str] = "the torque-speed line of {} (effort / stall + speed / no-load)"
     jumps_with_effort: ClassVar[bool] = True
     item: int
     column: int | None = None

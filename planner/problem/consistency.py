@@ -53,6 +53,13 @@ def start_pose(
     return close_at(mechanism, first)
 
 
+def check_asked_pose(mechanism: Mechanism, asked: Mapping[str, float]) -> None:
+    """Refuse a pose, positions [rad or m] of independent joints by name, beyond a joint's range or the mechanism's reach."""
+    s = np.array([asked.get(joint.name, np.nan) for joint in mechanism.independent_joints])
+    rounding = np.array([-RANGE_ROUNDING, RANGE_ROUNDING])
+    _check_reach(mechanism, np.array([(joint.lower, joint.upper) for joint in mechanism.joints]) + rounding, "the pose", s)
+
+
 def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: np.ndarray) -> None:
     """Refuse positions (n_s,) outside the ranges (n_q, 2) of joints or outside the reach of a single degree of freedom."""
     can = reach(mechanism) if mechanism.dof == 1 and not np.isnan(s[0]) and not is_open(mechanism, s) else None

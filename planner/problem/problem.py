@@ -354,8 +354,8 @@ class Problem:
         for extra in self.extras:
             uses(extra, self.mechanism)  # refuses what does not fit the mechanism
         lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh)
-        consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         consistency.check_motion(self.motion, self.objective, self.reference)
+        consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:
             limits = replace(self.limits, closure_force=np.full(len(self.mechanism.closure_names), np.inf))
             object.__setattr__(self, "limits", limits)

@@ -10,6 +10,7 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.problem.consistency import check_asked_pose
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.bode.bode import REACH_SHARES, inner_reach
 from linkplan.studies.bode.scan import Line, coordinate_line, motion_line, reduced_limits
@@ -45,7 +46,7 @@ def loop_poses(
         asked: positions [rad or m] by joint for each pose, home for other joints; empty for the default poses.
 
     Raises:
-        ProblemError: for a dependent joint.
+        ProblemError: for a dependent joint, or a pose beyond reach.
         LinkplanError: for a mechanism without one actuator per degree of freedom.
     """
     require_actuated(mechanism)
@@ -58,6 +59,7 @@ def loop_poses(
         if wrong:
             plural = "s" * (len(names) > 1)
             raise ProblemError(f"a pose names the independent joint{plural} {', '.join(names)}; {wrong[0]} follows")
+        check_asked_pose(mechanism, pose)
     return LoopPoses(positions=np.array([[{**home, **pose}[name] for name in names] for pose in asked]))
 
 

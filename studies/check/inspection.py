@@ -18,6 +18,7 @@ from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.reduction.reduced import linearised
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.dynamics import site_names
+from linkplan.planner.problem.consistency import check_asked_pose
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
     feeble_drives,
@@ -107,6 +108,7 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
                 f"a pose names independent joints ({names}); {mechanism.joints[index].name} follows from them"
             )
         s[list(mechanism.independent).index(index)] = value
+    check_asked_pose(mechanism, asked)
     try:
         pose = close_at(mechanism, s)
     except AssemblyError as error:

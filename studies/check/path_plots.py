@@ -50,11 +50,13 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
 
     The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each of them also has a
-    figure loop-N.png if there are few.
+    figure loop-N.png if there are few. Spins of rods about their own axis are left out.
     """
     from linkplan.studies.output.figure import figure_of, one_screen
 
-    reaches, mechanism = found.reaches[:MAX_FIGURES], found.mechanism
+    mechanism = found.mechanism
+    steered = [can for can in found.reaches if mechanism.steered[can.coordinate]]
+    reaches = (steered or found.reaches)[:MAX_FIGURES]
     rows: list[list] = []
     for can in reaches:
         swept = measure(mechanism, thinned(can.poses, most_poses(mechanism)), "reach", coordinate=can.coordinate)

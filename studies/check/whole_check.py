@@ -10,7 +10,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import Tables
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.check.check_report import path_blocks
+from linkplan.studies.check.check_report import path_blocks, weight_sentences
 from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import (
@@ -38,8 +38,13 @@ class WholeCheck:
 
     @cached_property
     def paths(self) -> tuple[KinematicLoopPath, ...]:
-        """The loop report along the motion, or along each sweep; a summary needs none."""
+        """The loop report along the motion, or along each sweep; a summary of many coordinates needs none."""
         return reach_paths(self.along)
+
+    @property
+    def brief(self) -> bool:
+        """Tell if there are so many coordinates that each is reported in brief."""
+        return len(self.along) > 6
 
     @property
     def name(self) -> str:
@@ -62,7 +67,7 @@ class WholeCheck:
 
     def blocks(self) -> list[Block]:
         """Return the findings as a document, with brief tables for more than six coordinates."""
-        brief = len(self.paths) > 6
+        brief = self.brief
         paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
         left_out = (
             f"of {len(self.paths)} coordinates each has its own quantities above, at rest, where they change along its"
@@ -71,8 +76,9 @@ class WholeCheck:
         return [*inspection_blocks(self.found), *paths, *([Text(text=left_out)] if brief else [])]
 
     def summary(self) -> list[Block]:
-        """Return the findings in less than thirty lines."""
-        return summary_blocks(self.found)
+        """Return the findings in less than thirty lines; first the notes on actuators too weak for weight and springs."""
+        weak = [] if self.brief else [text for path in self.paths for text in weight_sentences(path)]
+        return summary_blocks(replace(self.found, notes=(*weak, *self.found.notes)))
 
     def text(self) -> str:
         """Return the findings as text."""

@@ -196,7 +196,7 @@ def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
     """Refuse a source that is neither a built-in name nor a file, and a saved plan."""
     if source in names:
         return
-    refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
+    refuse_saved_plan(source, "model", "give the file of its problem, an MJCF file, or a built-in name (linkplan list)")
     if source in PROBLEMS or not os.path.exists(Path(source)):
         raise ModelError(
             f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name ({', '.join(names)})"

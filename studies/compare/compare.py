@@ -303,13 +303,28 @@ def _gap_share(plan: Plan, rollout: Rollout) -> float:
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return the sentences on trackers left out and, of the nominal runs, on lost motions, contacts and the largest gap."""
+    """Return the sentences on trackers left out, on default gains, and on the nominal runs."""
     runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
     slow = servo_note(comparison.plan.problem.mechanism)
     soft = [f"{found[0][0]}, {found[0][1]}"] if found else []
-    return [*comparison.left_out, *lost_notes(comparison), *pushed[:1], *([] if slow is None else [slow]), *soft]
+    servos = [] if slow is None else [slow]
+    return [*comparison.left_out, *default_gains(comparison), *lost_notes(comparison), *pushed[:1], *servos, *soft]
+
+
+def default_gains(comparison: Comparison) -> list[str]:
+    """Return the sentence on PD gains that the problem does not give, if PD runs with them."""
+    tracking = comparison.plan.problem.tracking
+    given, run = (
+        comparison.plan.problem.to_dict().get("tracking", {}),
+        [n for n in ("pd", "pd+ff") if n in comparison.nominal],
+    )
+    unset = [f"{key} = {getattr(tracking, key):g}" for key in ("kp", "kd") if key not in given]
+    if not run or not unset:
+        return []
+    ran = f"{' and '.join(run)} ran with {' and '.join(unset)}"
+    return [f"{ran}, defaults whatever the mechanism: `linkplan tune` finds gains for [tracking]"]
 
 
 def lost_notes(comparison: Comparison) -> list[str]:

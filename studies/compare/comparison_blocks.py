@@ -100,7 +100,7 @@ def _conditions_text(conditions: Mapping) -> str:
     delay = conditions["delay_periods"]
     return (
         f"MuJoCo {conditions['mujoco']}, {conditions.get('integrator', '')}, step {conditions['timestep_s']:g} s,"
-        f" control period {conditions['control_period_s']:g} s, delay {delay} period{'' if delay == 1 else 's'}"
+        f" control period {conditions['control_period_s']:g} s, delay {delay:g} period{'' if delay == 1 else 's'}"
     )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.controllers.rollout import Rollout
-from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn, path_of
 from linkplan.planner.plan import Plan
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def experiment(
     plan: Plan,
-    trackers: Sequence[TrackerLike] = TRACKERS,
+    trackers: Sequence[TrackerLike] = LINEAR,
     *,
     samples: int = 200,
     imperfections: Mapping | None = None,

@@ -23,6 +23,7 @@ def new(
     fix_base: bool = False,
     lock: Mapping[str, float] | None = None,
     keyframe: str | None = None,
+    drive: Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> NewProblem:
     """Return a first motion that a mechanism can make, as a problem with a plan; write its problem file if a path is given.
@@ -34,6 +35,7 @@ def new(
         fix_base: whether what lies between the world and the kept bodies is locked.
         lock: positions of joints that do not move, in degrees on hinges and in metres on slides.
         keyframe: the model's keyframe that gives the home pose.
+        drive: names of joints that get a motor, within their effort limits, where the model has no actuators.
         progress: called with lines on the progress.
 
     Raises:
@@ -53,7 +55,7 @@ def new(
         raise ProblemError(f"'{name}' is already a problem; new takes the model of a mechanism")
     if target is not None:
         check_new(target)
-    asked = {"keep": keep, "fix_base": fix_base, "lock": lock, "keyframe": keyframe}
+    asked = {"keep": keep, "fix_base": fix_base, "lock": lock, "keyframe": keyframe, "drive": drive}
     selected = {key: plain(value) for key, value in asked.items() if value}
     found = first_motion({"model": name} | selected, listener(progress))
     tables = file_tables(found, name, target)

@@ -71,7 +71,9 @@ def motion_of_plan(plan: Plan, outputs: OutputMap) -> OutputMotion:
     plan.require_motion("compare with")
     mechanism = plan.problem.mechanism
     if compiled_bytes(mechanism.model) != compiled_bytes(outputs.mechanism.model):
-        raise ProblemError(f"the plan '{plan.problem.name}' is of another model, payload included, than the table")
+        raise ProblemError(
+            f"the plan '{plan.problem.name}' is of another model, payload included, than the table; give its problem file"
+        )
     samples = samples_of(plan)
     index = [mechanism.joint_index(joint.name) for joint in outputs.joints]
     return OutputMotion(

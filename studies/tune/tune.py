@@ -57,7 +57,7 @@ def tune(
         line: the line that the points sample; None if the user gave the poses.
 
     Raises:
-        LinkplanError: for a bandwidth above the Nyquist frequency, an unknown law, or LQR with several degrees of freedom.
+        LinkplanError: for a bandwidth from the Nyquist frequency on, an unknown law, or LQR with several degrees of freedom.
     """
     mechanism, timing = points[0].mechanism, law.timing
     if law.name not in LINEAR:
@@ -65,7 +65,7 @@ def tune(
     refuse_weights_of_several(mechanism, law.name)
     if wanted.bandwidth_hz >= timing.nyquist_hz:
         raise LinkplanError(
-            f"a bandwidth of {wanted.bandwidth_hz:g} Hz is above the Nyquist frequency, {timing.nyquist_hz:g} Hz at a"
+            f"a bandwidth of {wanted.bandwidth_hz:g} Hz is not below the Nyquist frequency, {timing.nyquist_hz:g} Hz at a"
             f" control period of {timing.period_s:g} s"
         )
     points = list(points)
@@ -131,7 +131,8 @@ def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGa
     if np.isfinite(wanted.sensitivity_peak):
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"
     mechanism = points[0].mechanism
-    place = "angle" if len(mechanism.channels) == 1 else "pose"
+    kinds = [mechanism.independent_joints[channel].kind for channel in mechanism.channels]
+    place = "angle" if kinds == ["hinge"] else "pose"
     everywhere = f"all {len(points)} {place}s" if len(points) > 1 else f"the {place}"
     if line is not None:
         place = "instant of the path" if line.unit == "s" else place

@@ -1,9 +1,12 @@
 """`linkplan.experiment`: the same study from Python."""
 
+import inspect
+
 import numpy as np
 import pytest
 
 import linkplan
+from linkplan.studies.cli.command_line import build_parser
 
 
 @pytest.fixture(scope="module")
@@ -14,6 +17,12 @@ def plan():
         knee, start_deg={"O": -49.07}, goal_deg={"O": 56.27}, duration_s=0.16, tracking=tracking
     )
     return linkplan.plan(problem).require()
+
+
+def test_trackers_are_by_default_those_of_the_command():
+    """Python ran all seven, with MPC."""
+    asked = build_parser().parse_args(["experiment", "knee-reach"])
+    assert ",".join(inspect.signature(linkplan.experiment).parameters["trackers"].default) == asked.trackers
 
 
 def test_an_experiment_is_a_table_columns_and_runs_again(plan):

@@ -55,6 +55,22 @@ def test_new_is_a_problem_with_its_file_and_plan(tmp_path):
         linkplan.new("slider-crank", tmp_path / "first.toml")
 
 
+def test_new_puts_motors_on_joints_as_its_refusal_offers():
+    """The refusal named mechanism.drive, which `new` did not take."""
+    arm = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0" actuatorfrcrange="-9 9"/>
+      <geom size="0.05" pos="0.1 0 0"/></body></worldbody></mujoco>"""
+    with pytest.raises(linkplan.LinkplanError, match=r'mechanism\.drive = \["arm"\]'):
+        linkplan.new(arm)
+    assert linkplan.new(arm, drive=["arm"]).planned
+
+
+def test_a_mechanism_in_place_of_a_problem_is_refused_in_one_short_sentence():
+    """The sentence had all numbers of the mechanism in it, 6000 characters."""
+    with pytest.raises(linkplan.LinkplanError, match="what is planned is a Problem") as refused:
+        linkplan.plan(linkplan.load_mechanism("five-bar"))
+    assert len(str(refused.value)) < 200
+
+
 def test_a_batch_is_a_table():
     durations = linkplan.batch({"problem": "knee-reach", "sweep": {"motion.duration_s": [0.16, 0.2, 0.01]}})
     assert not durations.passed

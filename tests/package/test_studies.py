@@ -97,6 +97,7 @@ def test_tracking_settings_stand_in_for_the_problems(plan):
 def test_a_mismatch_is_named(plan):
     result = linkplan.track(plan, "lqr", mass_factor=1.2, delay_periods=1)
     assert "payload +20 %, 1 control period of delay" in str(result)
+    assert "delay 1 period\n" in str(result)
     assert not linkplan.compare(plan, ["lqr"], mass_factor=1, delay_periods=0).mismatched
 
 
@@ -206,7 +207,7 @@ def test_gains_that_were_found_are_a_problems_tracking(problem):
         (lambda: linkplan.check(5), "a mechanism, a Problem, or the name or path of either, got 5"),
         (lambda: linkplan.check("optimus-nee"), "did you mean 'optimus-knee'"),
         (lambda: linkplan.check("no/such.toml"), "no/such.toml"),
-        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose asked for is beyond reach"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose O = 120 deg is beyond reach"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"A": 1}]), "a pose names independent joints (O); A follows"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"Q": 1}]), "joints are O, A, C"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "poses[0].at_deg of joint O is a number, got nan"),

@@ -73,6 +73,14 @@ def test_the_linear_growth_is_that_of_the_transition_matrix(angle, stiffness):
     assert found == pytest.approx(max(1.0, growths(n, stiffness).max()), rel=1e-3)
 
 
+def test_the_growth_of_minutes_at_upright_does_not_overflow():
+    """A plan of 80 s printed numpy's "overflow encountered in matmul"."""
+    n = round(1000 / (RATE * WIDTH_S))  # e^1000 is beyond the largest float
+    motion = standing(np.pi, n)
+    with np.errstate(over="raise", invalid="raise"):
+        assert _linear_growth(rod(), motion, np.full((n, 1), np.pi), np.ones(2)) > RESTART_GROWTH
+
+
 def test_a_stable_motion_with_other_efforts_is_off_by_the_closed_form_and_not_begun_anew():
     """At rest, after a turn, a torque u makes a pendulum swing to u / (m g l) (1 - cos(RATE t))."""
     n, effort = 12, 1e-2

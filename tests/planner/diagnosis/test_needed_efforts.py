@@ -125,9 +125,10 @@ def test_a_path_needs_the_effort_of_its_inertia_as_a_share_of_the_limit_on_its_s
     assert found.inertial_factor == pytest.approx(PEAK_EFFORT / max(-low, high))
 
 
-def test_in_a_direction_in_which_an_actuator_gives_nothing_the_other_limit_is_its_measure():
+@pytest.mark.parametrize("limit", ["[-2, 0]", "[-2, -1]"])
+def test_in_a_direction_in_which_an_actuator_gives_nothing_the_other_limit_is_its_measure(limit):
     pushing = motion_of(with_efforts(0.0, 0.0))
-    found = path_effort(problem("[-2, 0]"), pushing)
+    found = path_effort(problem(limit), pushing)
     assert found.factor == pytest.approx(PEAK_EFFORT / 2)
     first, last = found.sentence.split(" at t = ")
     assert first.endswith(f"{PEAK_EFFORT:.4g} N.m")

@@ -186,7 +186,9 @@ def write(content: bytes) -> Callable[[Path], Path]:
 
 FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
     "malformed TOML": (write(b"[motion\nkind = 1"), ["is not TOML"]),
-    "a key twice": (write(b"[motion]\nkind = 'reach'\nkind = 'track'"), ["is not TOML"]),
+    "a key twice": (write(b"[motion]\nkind = 'reach'\nkind = 'track'"), ["is not TOML", "a key is given twice"]),
+    "a key without its table": (write(b"model = 'optimus-knee'"), ["'model': it is a key of [mechanism]"]),
+    "a key of several tables": (write(b"duration_s = 1"), ["a key of [motion] or [guess] or [tracking]"]),
     "not UTF-8": (write(b"description = '\xff\xfe'"), ["not UTF-8"]),
     "bytes": (write(bytes(range(256))), ["problem.toml"]),
     "an empty file": (write(b""), ["mechanism.model"]),

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach, toggles
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import measure
 from linkplan.studies.check.path_plots import inspection_figure, path_plots
 from tests.support.figures import curves, labels, saved_figures
 from tests.support.gripper import REST, STIFFNESS, WEIGHT
+from tests.support.linkages import RSSR
 from tests.support.mechanism_checks import mechanism_of
 
 # Rounding of a page's numbers, of the largest of their kind.
@@ -44,6 +46,13 @@ def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
         swept = np.degrees(can.poses[:, mechanism.independent[column]])
         M = [np.array(mechanism.dynamics.reduced_inertia(q))[column, column] for q in can.poses]
         assert drawn == pytest.approx(np.interp(position, swept, M), rel=1e-2)
+
+
+def test_a_rod_s_spin_is_not_drawn_over_its_reach():
+    """A delta's figure had the spins of two rods in place of its other motors."""
+    found = inspect(load_mechanism(RSSR), [])
+    assert len(found.reaches) == 2
+    assert {axes.get_xlabel() for axes in inspection_figure(found).axes[1:]} == {"crank [deg]"}
 
 
 def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():

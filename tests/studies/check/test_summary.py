@@ -42,6 +42,19 @@ def test_a_robot_of_many_joints_is_summed_up_in_thirty_lines(ask, tmp_path, floa
     assert len(everything.splitlines()) > 2 * SUMMARY_LINES
 
 
+def test_a_motor_too_weak_for_the_weight_is_the_first_note(ask, tmp_path):
+    """`check` found no problems and said nothing but with --all."""
+    mass, arm_m, strongest = 2.0, 0.5, 8.0  # m g l = 9.81 N.m
+    body = f'<body><joint name="P" axis="0 -1 0"/><geom size="0.01" mass="{mass}" pos="0 0 -{arm_m}"/></body>'
+    motor = f'<motor name="m" joint="P" ctrlrange="-{strongest} {strongest}"/>'
+    (tmp_path / "arm.xml").write_text(
+        f"<mujoco><worldbody>{body}</worldbody><actuator>{motor}</actuator></mujoco>", encoding="utf-8"
+    )
+    _, out, _ = ask("check", str(tmp_path / "arm.xml"))
+    first = next(line for line in out.splitlines() if line.startswith("note: "))
+    assert "holding weight and springs asks m for 9.81 N.m at P = 90 deg, beyond its limit of -8 to 8 N.m" in first
+
+
 def test_a_base_that_floats_is_one_problem_with_its_remedy(ask, ask_json, tmp_path):
     (tmp_path / "robot.xml").write_text(centipede(2, 2, floating=True), encoding="utf-8")
     code, found = ask_json("check", str(tmp_path / "robot.xml"))

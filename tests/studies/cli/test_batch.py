@@ -99,6 +99,7 @@ def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
         (f'problem = "knee-reach"\n[[case]]\nname = "{"é" * 60}"', ["case.name", "got 'ééé"]),
         ('problem = "knee-reach"\n[[case]]\nsets = []', ["'case.sets'", "did you mean 'set'"]),
         ('problem = "knee-reach"\n[[case]]\nset = ["motion.kind=walk"]', ["case 'case-1'", "motion.kind", "walk"]),
+        ('problem = "knee-reach"\n[sweep]\nmotion.goal_deg.O = [45, 85]', ["case '2'", "O = 85 deg is beyond reach"]),
         ('problem = "knee-raech"\n[[case]]\nset = []', ["knee-raech", "did you mean 'knee-reach'"]),
         ("problem = ", ["not TOML"]),
     ],

@@ -26,16 +26,18 @@ TYPED = [
     (["plan", "my", "leg.toml"], ["unrecognized arguments: leg.toml"]),
     (["plan"], ["required: PROBLEM"]),
     # a plan's folder where a problem or a model belongs, and the reverse
-    (["plan", "planned"], ["problem 'planned' is a saved plan, which track, compare, render, view and export take"]),
+    (["plan", "planned"], ["problem 'planned' is a saved plan; a problem is a TOML file"]),
     (["plan", "planned/plan.json"], ["a file of the saved plan 'planned'", "TOML"]),
     (["plan", "planned/trajectory.csv"], ["a file of the saved plan 'planned'"]),
     (["check", "planned"], ["model 'planned' is a saved plan", "MJCF"]),
-    (["bode", "planned"], ["model 'planned' is a saved plan"]),
+    (["bode", "planned"], ["model 'planned' is a saved plan; give the file of its problem"]),
     (["batch", "planned"], ["batch 'planned' is a saved plan", "[sweep]"]),
     (["batch", "."], ["batch '.' is a folder; a batch is a TOML file"]),
     (["track", "planned/plan.json"], ["a file of the saved plan 'planned'", "name its folder"]),
     (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, which plan takes"]),
     (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, which batch takes"]),
+    # a motion without what it needs
+    (["plan", "leg.toml", "--set", "motion.kind=track"], ["motion.kind 'track' needs a [reference]"]),
     # units
     (["plan", "leg.toml", "--set", "motion.goal_rad.O=1"], ["did you mean 'goal_deg'?"]),
     (["plan", "leg.toml", "--set", "motion.duration_ms=160"], ["did you mean 'duration_s'?"]),

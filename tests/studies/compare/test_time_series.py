@@ -99,6 +99,16 @@ def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
     assert comparison_notes(compared("optimus-knee")) == []
 
 
+def test_gains_that_a_problem_does_not_give_are_said():
+    """A reader of a problem without [tracking] saw PD 15 deg behind and not why."""
+    comparison = compared("optimus-knee")
+    for given, said in (({}, "kp = 200 and kd = 1"), ({"kd": 5.0}, "kp = 200")):
+        problem = comparison.plan.problem.replace(tracking=given)
+        (note,) = comparison_notes(replace(comparison, plan=replace(comparison.plan, problem=problem)))
+        assert note.startswith(f"pd ran with {said}, defaults")
+        assert "linkplan tune" in note
+
+
 GEARS = """<mujoco model="gears"><default><geom contype="0" conaffinity="0"/></default><worldbody>
   <body name="arm"><joint name="O" axis="0 -1 0"/><geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0"/></body>
   <body name="flap" pos="0.5 0 0"><joint name="B" axis="0 -1 0"/><geom type="sphere" size="0.05" pos="0.2 0 0"/></body>

@@ -111,6 +111,14 @@ def test_a_bandwidth_beyond_nyquist_is_refused():
         tuned(None, "pd", 600.0, 60.0, 1e-3)
 
 
+def test_positions_of_a_slide_are_no_angles():
+    mechanism = load_mechanism(mass_on_a_spring().mjcf)
+    points = [operating_point(mechanism, np.array([position])) for position in (0.0, 0.1)]
+    law = sampled_law(mechanism, "pd", Tracking(period_s=2e-3), mechanism.effort_limit)
+    found = tune(points, Wanted(bandwidth_hz=10.0, phase_margin_deg=60.0), law)
+    assert "10 Hz and 60 deg at all 2 poses, sampled" in found.message
+
+
 # A four-bar whose inertia changes fifteenfold: 30 Hz and 50 deg with a delay are met only by a loop that creeps for seconds.
 FOUR_BAR = """<mujoco><compiler angle="degree" autolimits="true"/><option timestep="0.0002"/><worldbody>
 <body name="crank" pos="0 0 1" euler="0 -67.25 0"><joint name="J1" axis="0 1 0" damping="0.01" armature="0.0008"
