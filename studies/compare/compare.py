@@ -315,11 +315,9 @@ def comparison_notes(comparison: Comparison) -> list[str]:
 
 def default_gains(comparison: Comparison) -> list[str]:
     """Return the sentence on PD gains that the problem does not give, if PD runs with them."""
-    tracking = comparison.plan.problem.tracking
-    given, run = (
-        comparison.plan.problem.to_dict().get("tracking", {}),
-        [n for n in ("pd", "pd+ff") if n in comparison.nominal],
-    )
+    problem = comparison.plan.problem
+    tracking, given = problem.tracking, problem.to_dict().get("tracking", {})
+    run = [name for name in ("pd", "pd+ff") if name in comparison.nominal]
     unset = [f"{key} = {getattr(tracking, key):g}" for key in ("kp", "kd") if key not in given]
     if not run or not unset:
         return []
