@@ -41,8 +41,8 @@ class Rollout(RenamedFields):
 
     Positions are in rad, those of slides in m. `commanded` is the tracker's output and `applied` the mean effort of the
     period, both (n, n_u) [N.m or N]. `gap_m` (n,) is the largest distance between points or slides that a closure ties;
-    `gap_rad` (n,) is the largest gap of tied angles, empty if there are none. `finite` is False if the simulation diverged;
-    the log ends there. `asked_s` (n,) [s] is the measured computing time of the tracker.
+    `gap_rad` (n,) is the largest gap of tied angles, empty if there are none. `failure` is the reason why the log ends
+    early, None if it does not. `asked_s` (n,) [s] is the measured computing time of the tracker.
     """
 
     renamed: ClassVar = {
@@ -62,11 +62,16 @@ class Rollout(RenamedFields):
     applied: np.ndarray
     gap_m: np.ndarray
     contacts: int
-    finite: bool
+    failure: str | None
     effort_limit: np.ndarray
     conditions: dict
     asked_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     gap_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def finite(self) -> bool:
+        """True if the run has not ended early."""
+        return self.failure is None
 
     @property
     def error_rad(self) -> np.ndarray:

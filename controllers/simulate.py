@@ -133,7 +133,7 @@ def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, referen
         gap_m=gap_m,
         gap_rad=gap_rad,
         contacts=int(ensemble.contacts[0]),
-        finite=ensemble.failure[0] is None,
+        failure=ensemble.failure[0],
         asked_s=ensemble.asked_s[kept],
         effort_limit=np.array(loop.effort_limit),
         conditions={

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 def run_track(arguments: argparse.Namespace) -> int:
     """Run one tracker; 1 if the plan has no motion or the loop is unstable."""
-    from linkplan.studies.compare.compare import Comparison, comparison_record, track
+    from linkplan.studies.compare.compare import Comparison, track
+    from linkplan.studies.compare.comparison_notes import comparison_record
     from linkplan.studies.compare.user_tracker import tracker_named
 
     if arguments.sample is not None:
@@ -38,7 +39,8 @@ def run_track(arguments: argparse.Namespace) -> int:
 
 def _run_sample(arguments: argparse.Namespace) -> int:
     """Run one sample of an experiment again; 1 if it fails or is unstable."""
-    from linkplan.studies.compare.compare import Comparison, comparison_record
+    from linkplan.studies.compare.compare import Comparison
+    from linkplan.studies.compare.comparison_notes import comparison_record
     from linkplan.studies.experiment.block import replay
     from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
     from linkplan.studies.output.document import Text
@@ -87,8 +89,9 @@ def _plan_and_mismatch(arguments: argparse.Namespace, say: Progress) -> tuple[Pl
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Run all trackers; 1 if the plan has no motion or no tracker is stable on the nominal model."""
-    from linkplan.studies.compare.compare import compare, comparison_record
+    from linkplan.studies.compare.compare import compare
     from linkplan.studies.compare.comparison_blocks import document_blocks
+    from linkplan.studies.compare.comparison_notes import comparison_record
     from linkplan.studies.compare.document import DOCUMENT_KP, document_record, is_the_documents, mended_runs
     from linkplan.studies.compare.user_tracker import trackers_named
 

@@ -1,11 +1,10 @@
 """The study behind `linkplan compare` and `track`: trackers on one plan, with the modelled and a changed mechanism."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from linkplan.controllers.integrator import shares_in_a_step
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
@@ -18,14 +17,11 @@ from linkplan.controllers.trackers.mpc import mpc
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.controllers.trackers.pd import pd, scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, with_feedforward
-from linkplan.models.errors import GainError, ProblemError, choose, listed
+from linkplan.models.errors import GainError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.contacts import exclusion
-from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking, number
-from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time
 from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
@@ -34,8 +30,6 @@ from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
 _MIN_CONTROL_PERIODS = 10
 # Most control instants, whose log takes a gigabyte, and most simulator steps, which take an hour.
 _MAX_INSTANTS, _MAX_STEPS = 2e6, 1e8
-# Below this travel [deg or m], a motion stands still, and an error has no travel to be compared with.
-_STANDS_STILL = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -62,6 +56,12 @@ class Comparison:
     stem: str = "nominal"  # of the first group's file names
     run_time: dict[str, RunTime] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+
+    @property
+    def cases(self) -> list[tuple[str, dict[str, Rollout]]]:
+        """The runs as modelled, and those with the mismatch, if there is one, each with its title."""
+        mismatched = [] if self.mismatch is None else [(self.mismatch.name, self.mismatched)]
+        return [(self.title, self.nominal), *mismatched]
 
 
 def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: float = 1) -> Mismatch:
@@ -272,116 +272,3 @@ def gap_units(plan: Plan) -> tuple[bool, bool]:
     """Return (True if some closure gap is a length, True if some is an angle); (True, False) without closures."""
     units = {closure.unit for closure in plan.problem.mechanism.closures}
     return units != {"rad"}, "rad" in units
-
-
-def gap_note(plan: Plan, rollout: Rollout) -> str | None:
-    """Return the sentence on a run's closure gap and its effect on the joints, or None if the gap is small."""
-    mechanism = plan.problem.mechanism
-    if not (rollout.finite and gap_sentence(mechanism, *rollout.largest_gaps)):
-        return None
-    return gap_sentence(mechanism, *rollout.largest_gaps, softness_error(mechanism, rollout.pose_rad))
-
-
-def contact_note(plan: Plan, rollout: Rollout) -> str | None:
-    """Return the sentence on contacts in a run that its plan omits, or None if there were none."""
-    met = plan.certificate.contacts if plan.certificate is not None else ()
-    if not (rollout.contacts and met):
-        return None
-    pairs = listed([geom_names(meeting).removeprefix("geoms ") for meeting in met], 3)
-    exclusions = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in met[:3]))
-    return (
-        f"contacts of {pairs} push in MuJoCo, at up to {rollout.contacts} points together; plans have no contact"
-        f" forces, and these forces open the kinematic loops; {exclusions} in the model's <contact> lets links pass side by"
-        " side"
-    )
-
-
-def _gap_share(plan: Plan, rollout: Rollout) -> float:
-    """Return a run's largest gap: a length divided by the mechanism's extent, or an angle [rad]."""
-    gap_m, gap_rad = rollout.largest_gaps
-    return max(gap_m / plan.problem.mechanism.extent_m, gap_rad)
-
-
-def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return the sentences on trackers left out, on default gains, and on the nominal runs."""
-    runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
-    pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
-    found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
-    slow = servo_note(comparison.plan.problem.mechanism)
-    soft = [f"{found[0][0]}, {found[0][1]}"] if found else []
-    servos = [] if slow is None else [slow]
-    return [*comparison.left_out, *default_gains(comparison), *lost_notes(comparison), *pushed[:1], *servos, *soft]
-
-
-def default_gains(comparison: Comparison) -> list[str]:
-    """Return the sentence on PD gains that the problem does not give, if PD runs with them."""
-    problem = comparison.plan.problem
-    tracking, given = problem.tracking, problem.to_dict().get("tracking", {})
-    run = [name for name in ("pd", "pd+ff") if name in comparison.nominal]
-    unset = [f"{key} = {getattr(tracking, key):g}" for key in ("kp", "kd") if key not in given]
-    if not run or not unset:
-        return []
-    ran = f"{' and '.join(run)} ran with {' and '.join(unset)}"
-    return [f"{ran}, defaults whatever the mechanism: `linkplan tune` finds gains for [tracking]"]
-
-
-def lost_notes(comparison: Comparison) -> list[str]:
-    """Return a sentence for each unit in which stable nominal runs have errors larger than the motion's whole travel."""
-    mechanism, notes = comparison.plan.problem.mechanism, []
-    errors = {name: error_figures(mechanism, run.error_rad) for name, run in comparison.nominal.items() if run.stable}
-    reference = next(iter(comparison.nominal.values())).reference_rad
-    travels = error_figures(mechanism, reference - reference[0])
-    for unit in steered_by_unit(mechanism):
-        largest, travel = f"max_error_{unit}", travels[f"max_error_{unit}"]
-        lost = {name: found[largest] for name, found in errors.items() if found[largest] > travel > _STANDS_STILL}
-        if lost:
-            said = ", ".join(f"{name} by {error:.3g} {unit}" for name, error in lost.items())
-            notes.append(
-                f"the motion, which travels {travel:.3g} {unit}, is not followed: {said} at the most; stable says only that"
-                " a run stays finite, without a limit cycle between the effort limits"
-            )
-    return notes
-
-
-def servo_note(mechanism: Mechanism) -> str | None:
-    """Return the sentence on servos whose damping leaves less than half of an effort's acceleration in a step, or None."""
-    shares = shares_in_a_step(mechanism)
-    column = int(np.argmin(shares))
-    if shares[column] > 0.5:
-        return None
-    return (
-        "servos slow feedback down in simulation: the model's integrator counts their damping in a step's inertia, which"
-        f" leaves {100 * shares[column]:.2g} % of a feedback's acceleration at {mechanism.independent_joints[column].name};"
-        ' the planned efforts are unaffected; with integrator="Euler" in the model\'s <option> feedback acts in full'
-    )
-
-
-def comparison_record(comparison: Comparison) -> dict:
-    """Return the JSON record of `linkplan compare`."""
-    plan = comparison.plan
-    trajectory = plan.trajectory
-
-    def side(runs: dict[str, Rollout]) -> dict:
-        return {
-            "loop": next(iter(runs.values())).conditions,
-            "trackers": {name: rollout_record(plan, rollout) for name, rollout in runs.items()},
-        }
-
-    record = {
-        "case": comparison.title,
-        "plan": {
-            "name": plan.problem.name,
-            "status": plan.status,
-            "message": plan.message,
-            "objective": plan.objective,
-            "duration_s": trajectory.duration_s,
-            "certificate_passed": plan.certificate.passed,
-        },
-        "gains": {"kp": plan.problem.tracking.kp, "kd": plan.problem.tracking.kd},
-        **side(comparison.nominal),
-        "notes": comparison_notes(comparison),
-        "run_time": {name: asdict(needs) for name, needs in comparison.run_time.items()},
-    }
-    if comparison.mismatch is not None:
-        record["mismatch"] = {"name": comparison.mismatch.name, **side(comparison.mismatched)}
-    return record

@@ -8,7 +8,8 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record, tracking_reference
+from linkplan.studies.compare.compare import Comparison, gap_units, rollout_record, tracking_reference
+from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
@@ -22,7 +23,7 @@ MAX_PEAK_COLUMNS = 3
 
 def comparison_blocks(comparison: Comparison) -> list[Block]:
     """Return a table of the trackers for each case, and notes."""
-    tables = [table for title, runs in cases_of(comparison) for table in _tables(comparison, title, runs)]
+    tables = [table for title, runs in comparison.cases for table in _tables(comparison, title, runs)]
     return [*tables, *(Text(text=note, tone="note") for note in comparison_notes(comparison))]
 
 
@@ -35,7 +36,7 @@ def comparison_figure(comparison: Comparison, path: Path | None = None, *, every
     """
     from linkplan.studies.output.figure import figure_of, one_screen, side_by_side
 
-    mechanism, cases = comparison.plan.problem.mechanism, cases_of(comparison)
+    mechanism, cases = comparison.plan.problem.mechanism, comparison.cases
     most = max(mechanism.dof, mechanism.n_u) if every_joint else 2
     runs_of_all = [run for _, runs in cases for run in runs.values()]
     chosen = largest(np.max([np.abs(run.error_rad).max(axis=0) for run in runs_of_all], axis=0), most)
@@ -58,14 +59,6 @@ def comparison_figure(comparison: Comparison, path: Path | None = None, *, every
 def largest(sizes: np.ndarray, most: int) -> list[int]:
     """Return the indices of the `most` largest sizes (n,), in ascending order."""
     return sorted(np.argsort(np.nan_to_num(sizes, nan=np.inf), kind="stable")[::-1][:most].tolist())
-
-
-def cases_of(comparison: Comparison) -> list[tuple[str, Mapping[str, Rollout]]]:
-    """Return the runs as modelled and those with the mismatch, if there is one, each with its title."""
-    found: list[tuple[str, Mapping[str, Rollout]]] = [(comparison.title, comparison.nominal)]
-    if comparison.mismatch is not None:
-        found.append((comparison.mismatch.name, comparison.mismatched))
-    return found
 
 
 def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Table]:

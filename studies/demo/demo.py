@@ -22,13 +22,14 @@ from linkplan.studies.check.inspection import inspection_record
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
-from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
+from linkplan.studies.compare.compare import compare, default_mismatch
 from linkplan.studies.compare.comparison_blocks import (
     comparison_blocks,
     comparison_figure,
     document_blocks,
     document_figure,
 )
+from linkplan.studies.compare.comparison_notes import comparison_record
 from linkplan.studies.compare.document import DOCUMENT_KP, document_record, mended_runs, printed_runs
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of

@@ -8,7 +8,6 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.compare.compare import Comparison, tracking_reference
 from linkplan.studies.compare.comparison_blocks import (
-    cases_of,
     comparison_blocks,
     effort_plots,
     gap_plots,
@@ -28,7 +27,7 @@ def comparison_sections(comparison: Comparison) -> list[Section]:
     """Return the sections of trackers' runs on a plan, without those of the plan."""
     blocks = [_animation(comparison), *comparison_blocks(comparison)]
     first = Section(title=f"Tracking: {comparison.plan.problem.name}", blocks=blocks)
-    return [first, *(section for case in cases_of(comparison) for section in _over_time(comparison, *case))]
+    return [first, *(section for case in comparison.cases for section in _over_time(comparison, *case))]
 
 
 def whole_comparison(comparison: Comparison) -> list[Section]:
@@ -40,7 +39,7 @@ def _animation(comparison: Comparison) -> Block:
     """Return the animation of the planned motion over the tracked time, with every run as a ghost."""
     plan = comparison.plan
     mechanism, reference = plan.problem.mechanism, tracking_reference(plan)
-    cases = cases_of(comparison)
+    cases = comparison.cases
     n_runs = sum(len(runs) for _, runs in cases)
     frames = np.unique(np.linspace(0, reference.n - 1, frames_of(mechanism, 1 + n_runs)).astype(int))
     ghosts = {}

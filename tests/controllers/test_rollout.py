@@ -230,7 +230,7 @@ def test_a_good_run_is_called_stable(kind, name):
     assert tracked(kind, name).stable
 
 
-def log_with(applied: np.ndarray, finite: bool = True) -> Rollout:
+def log_with(applied: np.ndarray, failure: str | None = None) -> Rollout:
     n = len(applied)
     zeros = np.zeros((n, 1))
     return Rollout(
@@ -244,7 +244,7 @@ def log_with(applied: np.ndarray, finite: bool = True) -> Rollout:
         applied=applied[:, None],
         gap_m=np.zeros(n),
         contacts=0,
-        finite=finite,
+        failure=failure,
         effort_limit=np.array([[-1.0, 1.0]]),
         conditions={},
     )
@@ -279,7 +279,7 @@ def test_the_largest_gaps_of_a_run_are_those_of_its_worst_instants():
 
 
 def test_a_run_that_blew_up_is_unstable():
-    assert not log_with(np.zeros(100), finite=False).stable
+    assert not log_with(np.zeros(100), failure="the simulation diverged").stable
 
 
 def test_a_simulation_that_blows_up_ends_its_log_and_says_so():
@@ -300,7 +300,7 @@ def test_a_command_that_is_no_number_does_not_pass_for_a_good_run(effort):
     efforts = np.zeros((20, 1))
     efforts[10] = effort
     rollout = hinge_run(efforts, effort_limit=np.array([[-np.inf, np.inf]]))
-    assert not rollout.finite
+    assert rollout.failure == "the tracker gave an effort that is no number"
     assert not rollout.stable
 
 

@@ -13,7 +13,8 @@ from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.compare.compare import compare, servo_note
+from linkplan.studies.compare.compare import compare
+from linkplan.studies.compare.comparison_notes import servo_note
 from linkplan.studies.compare.lqr_weights import scaled
 from tests.support.parallel_ankle import soft_ankle
 

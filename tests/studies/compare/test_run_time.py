@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.studies.compare.compare import compare, comparison_record
+from linkplan.studies.compare.compare import compare
+from linkplan.studies.compare.comparison_notes import comparison_record
 from tests.support.plans import optimal
 
 

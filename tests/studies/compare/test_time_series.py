@@ -18,8 +18,9 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
-from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, track
+from linkplan.studies.compare.compare import Comparison, rollout_record, track
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
+from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.time_series import run_columns, save_time_series
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of
@@ -126,8 +127,15 @@ def test_a_stable_run_that_is_farther_off_than_the_motion_travels_is_said_to_fol
     assert comparison_notes(replace(comparison, nominal={"pd": near})) == []
     (note,) = comparison_notes(replace(comparison, nominal={"pd": lost, "near": near}))
     assert note.startswith(f"the motion, which travels {travel:.3g} deg, is not followed: pd by {1.1 * travel:.3g} deg at")
-    diverged = replace(lost, finite=False)
-    assert comparison_notes(replace(comparison, nominal={"pd": diverged})) == []
+
+
+def test_a_run_that_ends_early_is_said_with_its_instant_and_reason():
+    """Its errors until then may be the smallest of all."""
+    comparison = compared("optimus-knee")
+    run = comparison.nominal["pd"]
+    ended = replace(run, time_s=run.time_s[:31], failure="the tracker gave an effort that is no number")
+    notes = comparison_notes(replace(comparison, nominal={"pd": ended}))
+    assert notes == ["pd, nominal, ended at t = 0.03 s: the tracker gave an effort that is no number"]
 
 
 def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
