@@ -127,7 +127,7 @@ def refuse_oversized(content: bytes, what: str) -> None:
         )
     if _XACRO.search(_COMMENT.sub(b"", content)):
         raise ModelError(
-            f"{what} is xacro, which makes a URDF: xacro (pip install xacro, or ROS) expands it: xacro FILE -o robot.urdf"
+            f"{what} is xacro, which makes a URDF: xacro (pip install xacro, or ROS) expands it: xacro FILE > robot.urdf"
         )
     for name, value in _COUNT.findall(content):
         # Numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.

@@ -212,7 +212,7 @@ def test_xacro_is_refused_with_what_expands_it(tmp_path):
     text = robot(FOUR_BAR, '<xacro:include filename="arm.xacro"/>', LOOP_JOINT, TRANSMISSION)
     for name in ("robot.urdf", "robot.urdf.xacro"):
         (tmp_path / name).write_text(text, encoding="utf-8")
-        with pytest.raises(LinkplanError, match=r"is xacro, which makes a URDF: .* xacro FILE -o robot.urdf"):
+        with pytest.raises(LinkplanError, match=r"is xacro, which makes a URDF: .* xacro FILE > robot.urdf"):
             linkplan.load_mechanism(tmp_path / name)
     expanded = text.replace("<xacro:", "<!-- <xacro:").replace('.xacro"/>', '.xacro"/> -->')
     assert_four_bar(linkplan.load_mechanism(written(tmp_path, expanded)))
