@@ -15,6 +15,7 @@ from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.reporting import Progress, listener
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks
+from linkplan.studies.compare.comparison_notes import comparison_record
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.output.text import html_of, in_brief, text_of
 from linkplan.subjects import listed, plan_to_track, tracking_table
@@ -124,7 +125,7 @@ class TrackingResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types: errors in deg or m, efforts, share at the limits, loop gap."""
-        return plain_record(study.comparison_record(self.comparison))
+        return plain_record(comparison_record(self.comparison))
 
     def save(self, folder: str | Path) -> Path:
         """Write every run's time series into a folder, whole or not at all, with the record and the figure; return its path.
