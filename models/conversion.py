@@ -1,4 +1,4 @@
-"""What MuJoCo's converter makes of a file without a word: parts of a URDF that are ignored.
+"""The parts of a URDF that MuJoCo's converter leaves out without a message, and the joints that are read in its place.
 
 MuJoCo's converter reads a URDF's joints, masses, shapes, ranges, damping, dry friction, effort limits and couplings
 (`mimic`), and compiler, option and size in its <mujoco> element (MuJoCo, "URDF extensions"). Joints that a URDF adds to its
@@ -57,7 +57,7 @@ def conversion_notes(root: ET.Element, *, driven: bool = False) -> list[str]:
 
 
 def compile_hint(error: Exception) -> str:
-    """Return a hint on where a URDF names the folder of its meshes, or balances an inertia, if MuJoCo asks for it."""
+    """Return what to write in a URDF whose meshes or inertia MuJoCo refuses; empty for other errors."""
     if "balanceinertia" in str(error):
         return ': <compiler balanceinertia="true"/>, in a URDF within <mujoco> in its <robot>'
     if "'package:" not in str(error):

@@ -105,6 +105,9 @@ class Mechanism:
         with ca.global_pickle_context():  # CasADi expressions need one
             return _unpickled, (pickle.dumps({field.name: getattr(self, field.name) for field in fields(self)}),)
 
+    def __repr__(self) -> str:
+        return f"Mechanism({self.name!r}, {self.dof} of {self.n_q} coordinates independent)"
+
     @property
     def n_q(self) -> int:
         """The number of internal coordinates; a ball joint has three."""
@@ -184,13 +187,8 @@ class Mechanism:
     @property
     def equations(self) -> Equations:
         """The equations of the closed chain, as functions of arrays and as CasADi functions."""
-        return Equations(
-            dynamics=self.dynamics,
-            joints=self.joints,
-            home=self.home,
-            independent=self.independent,
-            dependent=self.dependent,
-        )
+        free, follow = self.independent, self.dependent
+        return Equations(dynamics=self.dynamics, joints=self.joints, home=self.home, independent=free, dependent=follow)
 
     def _repr_html_(self) -> str:
         return mechanism_html(self.name, self.dof, self.joints, self.independent, self.actuators, self.closure_names)

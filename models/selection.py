@@ -63,8 +63,8 @@ def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
 def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     """Return the joints of bodies on the world that translate in a plane or in space, or fall along a rail.
 
-    A base that actuators drive does not float, nor does one that loops tie to the world or to what stands on it. Of bases
-    that float tied to one another, as the plates of a chassis, the heaviest is taken: it carries the others.
+    A base that actuators drive does not float, nor does one that loops tie to the world or to what stands on it. Of floating
+    bases that loops tie to one another, such as the plates of a chassis, only the heaviest is returned: it holds the others.
     """
     driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nactuator) if int(model.actuator_trntype[a]) == 0}
     moving = set()

@@ -136,7 +136,7 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
         legal: its description, in a sentence.
 
     Raises:
-        ProblemError: if the path is one of these.
+        ProblemError: for the folder of a saved plan, or a file in it.
     """
     path = Path(source)
     try:

@@ -17,7 +17,7 @@ from linkplan.models.tree.passive import is_gas_spring
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
-    """Return the names of joints on which motors would fix the pose, as many as there are freedoms but spins of rods.
+    """Return the names of joints on which motors would fix the pose, one for each freedom that is not the spin of a rod.
 
     The joints nearest to the ground whose positions fix the pose come first: drives are usually there.
     """

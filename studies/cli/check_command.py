@@ -86,7 +86,7 @@ def _begun_elsewhere(error: Exception, arguments: argparse.Namespace) -> list[Fa
 
 
 def _selection_options(arguments: argparse.Namespace) -> list[str]:
-    """Return the options that select a part of the model or set keys, to be given again."""
+    """Return the options of this command that select a part of the model or set keys; the next command repeats them."""
     keep = [] if arguments.keep is None else ["--keep", arguments.keep]
     keep += [] if arguments.drive is None else ["--drive", arguments.drive]
     base = ["--fix-base"] if arguments.fix_base else []

@@ -152,7 +152,7 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     """Return a tracker's gain K (n_u, 2 n_s) when it holds a point.
 
     Raises:
-        LinkplanError: for an unknown law, or an LQR without a stabilising gain.
+        LinkplanError: for an unknown law, or if LQR has no stabilising gain.
     """
     choose("tracker", law, LINEAR, LinkplanError)
     reference = point.constant(settings.period_s)
@@ -325,7 +325,7 @@ class SampledLaw:
         """Return the law's loop about a point.
 
         Raises:
-            LinkplanError: for an unknown law, or an LQR without a stabilising gain.
+            LinkplanError: for an unknown law, or if LQR has no stabilising gain.
         """
         return feedback_loop(point, law_gain(point, self.name, self.settings, self.effort_limit), self.timing, kind)
 

@@ -56,7 +56,7 @@ def obstacle_on_way(problem: Problem) -> str | None:
 
 
 def why_stuck(mechanism: Mechanism) -> str:
-    """Return why a mechanism's driven joints cannot leave home: a joint that stands outside its range there, if one does."""
+    """Return why the driven joints cannot leave home; if a joint is outside its range at home, that joint is named."""
     for joint, x in zip(mechanism.joints, mechanism.home.tolist(), strict=True):
         if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
             said = f"{joint.said(x)} {joint.unit} at home, outside its range {_range_words(joint)}"

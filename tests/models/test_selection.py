@@ -332,7 +332,7 @@ def test_a_universal_joint_has_no_range_where_a_default_limits_all_joints():
 
 
 def test_a_locked_link_on_a_body_that_the_compiler_fuses_stays_where_it_stood():
-    """`fusestatic`, the rule for URDF, merges the bracket into the world; the upper link is then the world's own child."""
+    """`fusestatic`, which is on for URDF, merges the bracket into the world: the upper link becomes a child of the world."""
     arm = """<mujoco><compiler fusestatic="true"/><worldbody>
       <body name="bracket" pos="0.1 0.2 0.3" euler="90 0 0">
         <body name="upper" pos="0 0 0.5" euler="0 20 0"><joint name="shoulder" axis="0 1 0"/>

@@ -36,7 +36,7 @@ TYPED = [
     (["track", "planned/plan.json"], ["a file of the saved plan 'planned'", "name its folder"]),
     (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, which plan takes"]),
     (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, which batch takes"]),
-    # a motion without what it needs
+    # a tracking motion without a reference
     (["plan", "leg.toml", "--set", "motion.kind=track"], ["motion.kind 'track' needs a [reference]"]),
     # units
     (["plan", "leg.toml", "--set", "motion.goal_rad.O=1"], ["did you mean 'goal_deg'?"]),

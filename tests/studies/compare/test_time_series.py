@@ -130,7 +130,7 @@ def test_a_stable_run_that_is_farther_off_than_the_motion_travels_is_said_to_fol
 
 
 def test_a_run_that_ends_early_is_said_with_its_instant_and_reason():
-    """Its errors until then may be the smallest of all."""
+    """Until it ends, its errors may be smaller than those of every other run."""
     comparison = compared("optimus-knee")
     run = comparison.nominal["pd"]
     ended = replace(run, time_s=run.time_s[:31], failure="the tracker gave an effort that is no number")
