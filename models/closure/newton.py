@@ -16,7 +16,8 @@ d(E phi)/dq = E J + (dE/dq) phi. With E J alone the planned velocity would diffe
 position.
 
 The pose nearest to a reference at which a loop is open is offered to users as a home pose. Newton starts from the reference
-and from many poses around it. The best closed poses then move towards the reference along the closure, q' = P (q_ref - q),
+and from many poses around it. The best closed poses are brought within the joints' ranges by bounded least squares (Branch,
+Coleman & Li, SIAM J. Sci. Comput. 21, 1999). Then they move towards the reference along the closure, q' = P (q_ref - q),
 where P projects onto the null space of J.
 """
 
@@ -306,7 +307,8 @@ def nearest_closed_pose(loop: KinematicLoop, reference: np.ndarray) -> np.ndarra
 
     best = sorted(closed, key=measure)[: len(closed) // 4 + 1]
     deadline = Deadline().within(2.0)  # [s]
-    return min((_moved_to_reference(loop, pose, reference, measure, deadline) for pose in best), key=measure)
+    inside = (_brought_within_ranges(loop, pose) for pose in best)
+    return min((_moved_to_reference(loop, pose, reference, measure, deadline) for pose in inside), key=measure)
 
 
 def within_ranges(loop: KinematicLoop, reference: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -346,6 +348,20 @@ def _outside(loop: KinematicLoop, pose: np.ndarray) -> float:
     """Return the largest violation of a joint's range [rad or m]; 0 within rounding."""
     worst = max(max(joint.lower - x, x - joint.upper) for joint, x in zip(loop.joints, pose, strict=True))
     return max(float(worst), 0.0) if worst > POSITION_ROUNDING else 0.0
+
+
+def _brought_within_ranges(loop: KinematicLoop, pose: np.ndarray) -> np.ndarray:
+    """Return a closed pose within the joints' ranges, by bounded least squares from a closed one; that one without any."""
+    if _outside(loop, pose) == 0.0:
+        return pose
+    import scipy
+
+    # The ends of a range are admissible, and a range may have no width at all.
+    low, high = np.array([(x.lower - POSITION_ROUNDING, x.upper + POSITION_ROUNDING) for x in loop.joints]).T
+    phi, jacobian = (lambda q: loop.residual(q)[0]), (lambda q: loop.residual(q)[1])
+    found = scipy.optimize.least_squares(phi, np.clip(pose, low, high), jacobian, bounds=(low, high), x_scale=loop.unit)
+    inside = _closed(loop, found.x)
+    return pose if inside is None or _outside(loop, inside) > 0.0 else inside
 
 
 def _moved_to_reference(

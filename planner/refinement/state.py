@@ -23,6 +23,9 @@ from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED, Solution
 LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
 # The relative change of the objective that counts as none where an enclosure by coefficients keeps the motion off its limit.
 CHANGE_AT_TOUCHED_LIMIT = 1e-7
+# A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
+# halving it for the smoothing.
+REPORTED_CHANGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -117,8 +120,10 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     @property
     def settled(self) -> bool:
-        """True if the objective keeps still from mesh to mesh, or need not."""
-        return self.objective_tolerance is None or self.calm >= self.meshes_to_settle
+        """True if the objective keeps still from mesh to mesh; where no limit binds, if no change is worth a report."""
+        if self.objective_tolerance is None:
+            return self.moved <= REPORTED_CHANGE
+        return self.calm >= self.meshes_to_settle
 
     @property
     def meshes_to_settle(self) -> int:

@@ -20,16 +20,13 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
-from linkplan.planner.refinement.state import Refined
+from linkplan.planner.refinement.state import REPORTED_CHANGE, Refined
 from linkplan.planner.search.ladder import Budget, Search, Steps, followed
 from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, solve_from, with_longer_durations
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved
 
-# A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
-# halving it for the smoothing.
-REPORTED_CHANGE = 1e-4
 # The mesh of a tracking motion is halved up to so many intervals.
 _MAX_INTERVALS = 160
 # An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.

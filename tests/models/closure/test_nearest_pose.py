@@ -1,5 +1,7 @@
 """Loops that stand open, or singular, at the model's own pose: the nearest closed pose, to be pasted."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -82,6 +84,19 @@ def test_the_offer_keeps_the_joints_ranges():
     limited = replaced(LEG, '<joint name="m1" axis="0 1 0"/>', '<joint name="m1" axis="0 1 0" range="-3 0.2"/>')
     assert free["m1"] > np.degrees(0.2)  # the nearest of all is beyond the stop
     assert np.degrees(-3) <= offered(limited).home["home_deg"]["m1"] <= np.degrees(0.2) + 1e-6
+
+
+def test_many_loops_are_brought_within_the_ranges_of_all_their_joints():
+    leg = LEG[LEG.index('<body name="hip1">') : LEG.index("</worldbody>")].replace("k 1", "k1")
+    for joint, limits in (("k1", ".3 2.6"), ("k2", "-2.6 -.3")):
+        leg = replaced(leg, f'"{joint}" axis="0 1 0"', f'"{joint}" axis="0 1 0" range="{limits}"')
+    legs = "".join(re.sub('name="(.+?)"', rf'name="\1_{number}"', leg) for number in range(8))
+    pins = "".join(f'<connect name="foot_{n}" site1="f1_{n}" site2="f2_{n}"/>' for n in range(8))
+    start = LEG[: LEG.index("<body")]
+    home = offered(f"{start}{legs}</worldbody><equality>{pins}</equality></mujoco>").home["home_deg"]
+    for name, value in home.items():
+        low, high = {"k1": (0.3, 2.6), "k2": (-2.6, -0.3)}.get(name[:2], (-np.inf, np.inf))
+        assert np.degrees(low) - 1e-6 <= value <= np.degrees(high) + 1e-6, name
 
 
 # A cylinder of 0.3 m that can only grow, and a crank whose tip is `reach` from the cylinder's pivot as it is drawn.

@@ -185,6 +185,12 @@ def test_digits_of_the_objective_that_nobody_asked_for_are_worth_eight_times_the
     assert next_action(state(at, target=asked, scheme="trapezoid", change=change)) is not None
 
 
+@pytest.mark.parametrize(("objective", "stops"), [(1.00003, True), (1.0003, False), (0.5, False)])
+def test_an_exact_motion_whose_objective_still_moved_gets_another_mesh(objective, stops):
+    before = state(iterate(exact=False))
+    assert (next_action(observed(before, iterate(objective=objective))) is None) == stops
+
+
 def test_the_error_of_the_objective_is_its_largest_change_on_the_meshes_on_which_it_settles():
     target = replace(AIMS, objective_tolerance=1e-6)
     now = state(iterate(), target=target)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
-from linkplan.planner.search.attempts import REPORTED_CHANGE
+from linkplan.planner.refinement.state import REPORTED_CHANGE
 from tests.support.plans import optimal
 
 # What an independent solution on a fine mesh comes to [rad2 s], and how near to it a mesh of 160 intervals is, relative;
