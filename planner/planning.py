@@ -82,9 +82,9 @@ _LONGER = Rung(
 
 RUNGS: tuple[Rung, ...] = (
     Rung(
-        name="the phase plane along limits on power and pin force",
-        tried=starts.is_along_power,
-        climb=starts.along_power,
+        name="the phase plane along its limits",
+        tried=starts.may_be_along_limits,
+        climb=starts.along_limits,
         budget=HURRIED,
     ),
     *_FIRST,

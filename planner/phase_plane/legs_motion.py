@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.phase_plane.power_legs import AT_FORCE, Leg, power_legs
+from linkplan.planner.phase_plane.leg_field import AT_FORCE
+from linkplan.planner.phase_plane.power_legs import Leg, power_legs
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
@@ -26,17 +27,18 @@ _CHECKED_AT = np.linspace(0.0, 1.0, 12)
 
 
 def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
-    """Return the quickest reach that never turns back but where it must, along limits on power; None without one.
+    """Return the quickest reach that never turns back but where it must, along its limits; None without one.
 
-    It is the quickest one: no motion that goes on to its turning place is anywhere faster than both legs allow.
+    It is the quickest one: no motion that goes on to its turning place is anywhere faster than the legs allow.
 
     Args:
-        problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
+        problem: whose efforts are limited; of its other limits, all but those on power, pin force and speed are left out.
         start_pose: closed (n_q,), at the start.
     """
     limits = problem.limits
     rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
-    inside = replace(limits, effort=_inside(limits.effort), power=_inside(limits.power), closure_force=rated)
+    effort, power, speed = (_inside(of) for of in (limits.effort, limits.power, limits.speed))
+    inside = replace(limits, effort=effort, power=power, speed=speed, closure_force=rated)
     found = power_legs(replace(problem, limits=inside), start_pose)
     if found is None:
         return None
@@ -76,7 +78,7 @@ def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list,
     at, found = leg.state(ends[0]), []
     for begin, end in itertools.pairwise(ends):
         held = np.array(arcs[int(np.searchsorted(until[:-1], 0.5 * (begin + end)))][1])
-        longest = 0.01 * (leg.end - leg.begin)  # over a hundredth of a leg an unstable motion can be integrated
+        longest = 0.01 * boundaries[-1]  # over a hundredth of it an unstable motion can be integrated
         t, h = begin, 0.25 * (end - begin)
         while t != end:
             deadline.require_time()

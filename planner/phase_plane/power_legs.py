@@ -1,136 +1,41 @@
-"""Least-time motions of one degree of freedom along limits on power and pin force: the phase plane's legs, over time.
+"""Least-time motions of one degree of freedom along limits on power, pin force and speed: the phase plane's legs, over time.
 
-For one degree of freedom each of these limits bounds the effort at a place and a speed: a power P bounds it by P / w, and a
-pin force is affine in the effort, so that its rating R bounds it by the roots of |F(s, v, u)|^2 = R^2. A leg with all that
-effort, power and pin forces allow from where a motion begins, another back from where it ends, and where they cross the
-switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985).
+A leg with all that effort, power and pin forces allow from where a motion begins, another back from where it ends, and where
+they cross the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds are a ceiling over the
+plane. The way back runs along it wherever the motion can brake as the ceiling falls; the way ahead leaves it where it rises
+faster than the effort accelerates, and meets the way back again.
 
 Along a power limit the effort falls off from a bang at rest that may last a hundred-thousandth of the motion, which
 neither a grid over the way nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is
 held along it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import sampled, sliding_friction
-from linkplan.models.poses.assembly import follow
 from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
+from linkplan.planner.phase_plane.leg_field import AT_POWER, POSES_PER_PART, LegField, field_along
 from linkplan.planner.problem.problem import Problem
 
-# What an actuator is held at: the limit of its effort (1 upper, -1 lower), of its power, or, from this number on, of the
-# force of a closure, at the larger effort that reaches it (positive) or the smaller one (negative).
-AT_POWER, AT_FORCE = 2, 3
-# Efforts, powers and forces may exceed their limits by this share: rounding.
-_LIMIT_TOLERANCE = 1e-6
-# Poses along a part of the way.
-_POSES_PER_PART = 2001
 # The integration's relative tolerance, and its absolute one as a share of the way and of the largest speed: a bang arc from
 # rest may end at a 30,000th of that.
 _INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-10, 1e-14
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class PinForces:
-    """Forces of closures that are limited, along a part of the way: F = still + square v^2 + linear v + by_effort u.
-
-    `curves` gives (4, n_rows) [N, ...] over the coordinate, divided by the closures' ratings; `rows` are those of each.
-    """
-
-    curves: Callable[[Any], np.ndarray]
-    rows: tuple[slice, ...]
-
-    def efforts(self, s: Any, v: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the least and largest efforts (..., n_closures) that each closure bears, and whether it bears any.
-
-        If the closure bears no load, both are the effort of least force.
-        """
-        values, v = self.curves(s), np.asarray(v, dtype=float)[..., None]
-        force = values[..., 0, :] + values[..., 1, :] * v**2 + values[..., 2, :] * v
-        least, most, bears = [], [], []
-        for rows in self.rows:
-            given, by = force[..., rows], values[..., 3, rows]
-            a, b, c = (by * by).sum(axis=-1), (by * given).sum(axis=-1), (given * given).sum(axis=-1) - 1.0
-            a = np.maximum(a, np.finfo(float).tiny)
-            within = b * b - a * c
-            root = np.sqrt(np.maximum(within, 0.0))
-            least.append((-b - root) / a)
-            most.append((-b + root) / a)
-            bears.append(within >= 0)
-        return np.stack(least, axis=-1), np.stack(most, axis=-1), np.stack(bears, axis=-1)
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class LegField:
-    """All that effort, power and pin forces allow along a part of the way.
-
-    M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
-    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1; `pins` is None where no pin force is limited.
-    """
-
-    curves: Callable[[Any], np.ndarray]
-    effort: np.ndarray
-    power: np.ndarray
-    way: float
-    pins: PinForces | None = None
-
-    def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the limits (..., n_u) that hold, the efforts (..., n_u) and the acceleration at places and speeds.
-
-        The efforts are those that push towards the end, or brake.
-        """
-        maps = self.curves(s)[..., 4:]
-        upper = (maps * self.way > 0) == towards
-        held, effort = np.where(upper, 1, -1), np.where(upper, self.effort[:, 1], self.effort[:, 0])
-        spent = effort * maps * np.asarray(v)[..., None]
-        held = np.where(spent > self.power[:, 1], AT_POWER, np.where(spent < self.power[:, 0], -AT_POWER, held))
-        effort, a = self.along(s, v, held)
-        if self.pins is None:
-            return held, effort, a
-        least, most, _ = self.pins.efforts(s, v)
-        beyond = effort > most.min(axis=-1, keepdims=True)
-        short = ~beyond & (effort < least.max(axis=-1, keepdims=True))
-        held = np.where(beyond, AT_FORCE + np.argmin(most, axis=-1)[..., None], held)
-        held = np.where(short, -AT_FORCE - np.argmax(least, axis=-1)[..., None], held)
-        return held, *self.along(s, v, held)
-
-    def along(self, s: Any, v: Any, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
-        values, v = self.curves(s), np.asarray(v, dtype=float)
-        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == AT_POWER
-        upper = np.asarray(held) > 0
-        power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
-        effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
-        if self.pins is not None and np.any(np.abs(held) >= AT_FORCE):
-            least, most, _ = self.pins.efforts(s, v)
-            for k in range(least.shape[-1]):
-                effort = np.where(held == AT_FORCE + k, most[..., k, None], effort)
-                effort = np.where(held == -AT_FORCE - k, least[..., k, None], effort)
-        force = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v + (values[..., 4:] * effort).sum(axis=-1)
-        return effort, force / values[..., 0]
-
-    def keeps(self, s: np.ndarray, v: np.ndarray, *, towards: bool) -> bool:
-        """True (n,) if an effort keeps all limits at a place and speed; without one no motion is that fast there."""
-        if self.pins is None:
-            return True
-        _, effort, _ = self.at(s, v, towards=towards)
-        least, most, bears = self.pins.efforts(s, v)
-        room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
-        low, high = np.maximum(self.effort[:, 0], least.max(axis=-1)[:, None]), self.effort[:, 1]
-        high = np.minimum(high, most.min(axis=-1)[:, None])
-        spent = effort * self.curves(s)[:, 4:] * v[:, None]
-        powers = (spent <= (1 + _LIMIT_TOLERANCE) * self.power[:, 1]) & (spent >= (1 + _LIMIT_TOLERANCE) * self.power[:, 0])
-        return bool(np.all(bears) and np.all((effort >= low - room) & (effort <= high + room)) and np.all(powers))
+# Speeds that differ by at most this share are the same.
+_SAME_SPEED = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Leg:
-    """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion."""
+    """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion.
+
+    `joint` is the limited joint whose speed is held all along, None below the ceiling.
+    """
 
     field: LegField
     state: Callable[[Any], np.ndarray]  # (2,) or (2, n): place and speed
@@ -139,11 +44,16 @@ class Leg:
     begin: float
     end: float
     later: float = 0.0
+    joint: int | None = None
 
     def time_at(self, place: float) -> float:
         """Return when it passes a place [s]."""
         import scipy
 
+        way = self.field.way
+        ahead = [way * (place - self.state(t)[0]) for t in (self.begin, self.end)]
+        if ahead[0] <= 0 or ahead[1] >= 0:  # rounding, at its ends
+            return self.begin if ahead[0] <= 0 else self.end
         return float(scipy.optimize.brentq(lambda t: self.state(t)[0] - place, self.begin, self.end, xtol=1e-15))
 
     def speed_at(self, place: float) -> float:
@@ -152,11 +62,16 @@ class Leg:
 
     def held_at(self, t: float) -> tuple[int, ...]:
         """Return the limit held at an instant of its own time."""
+        if self.joint is not None:
+            return (self.field.at_speed + self.joint,)
         return tuple(int(one) for one in self.field.at(*self.state(t), towards=self.towards)[0])
 
     def is_possible(self) -> bool:
         """True if an effort keeps all limits at every examined instant."""
-        return self.field.keeps(*self.state(self._looks()), towards=self.towards)
+        s, v = self.state(self._looks())
+        if self.joint is None:
+            return self.field.keeps(s, v, self.field.at(s, v, towards=self.towards)[1])
+        return self.field.keeps(s, v, self.field.along(s, v, np.array([self.field.at_speed + self.joint]))[0])
 
     def _looks(self) -> np.ndarray:
         """Return the instants (n,), in its own time, at which it is examined: four in each step of the integration."""
@@ -178,103 +93,88 @@ class Leg:
         return [*found, (self.later + self.end, held[-1])]
 
 
-def knows_pins(problem: Problem) -> bool:
-    """True if legs can keep the limits on pin forces: one degree of freedom, one actuator, no dry friction."""
-    mechanism = problem.mechanism
-    if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
-        return False
-    return not sliding_friction(mechanism, mechanism.home[None]).any()
-
-
 def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.ndarray] | None:
-    """Return the legs of the quickest reach that never turns back but where it must, along limits on power and pin force.
+    """Return the legs of the quickest reach that never turns back but where it must, along its limits.
 
-    And when it passes start, waypoints and goal [s]; None without one, or if no power or force is at its limit.
+    And when it passes start, waypoints and goal [s]; None without one, or if no power, force or speed is at its limit.
 
     Args:
-        problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
+        problem: whose efforts are limited; of its other limits, all but those on power, pin force and speed are left out.
         start_pose: closed (n_q,), at the start.
     """
     legs, boundaries = [], [0.0]
     try:
         for part in parts_of(problem.motion):
-            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1], problem.solver.deadline)
-            if pair is None:
+            field = field_along(problem, part, start_pose)
+            of_part = _Way(field=field, part=part, deadline=problem.solver.deadline).legs()
+            if of_part is None:
                 return None
-            legs += pair
-            ahead, back = pair
+            for leg in of_part:
+                legs.append(replace(leg, later=(legs[-1].later + legs[-1].end if legs else 0.0) - leg.begin))
             for place in part.places[1:-1]:
-                leg = ahead if ahead.field.way * (ahead.state(ahead.end)[0] - place) > 0 else back
-                boundaries.append(leg.later + leg.time_at(place))
-            boundaries.append(back.later + back.end)
+                passing = _leg_at(legs[-len(of_part) :], place)
+                boundaries.append(passing.later + passing.time_at(place))
+            boundaries.append(legs[-1].later + legs[-1].end)
     except AssemblyError:  # the way is not open
         return None
     at_limits = any(np.any(np.abs(held) >= AT_POWER) for leg in legs for _, held in leg.arcs())
     return (legs, np.array(boundaries)) if at_limits else None
 
 
-def _field(problem: Problem, part: Part, start_pose: np.ndarray) -> LegField:
-    """Return the field of accelerations that effort, power and pin forces allow along a part.
-
-    Raises:
-        AssemblyError: where the way is not open.
-    """
-    import scipy
-
-    dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
-    place = np.linspace(start, goal, _POSES_PER_PART)
-    deadline, way_there = problem.solver.deadline, np.linspace(problem.motion.start[0], start, _POSES_PER_PART)
-    there = follow(problem.mechanism, way_there[:, None], start_pose, deadline)[-1]
-    q = follow(problem.mechanism, place[:, None], there, deadline)
-    inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
-    none = np.zeros((_POSES_PER_PART, len(problem.limits.effort)))
-    speeds = {v: np.full((_POSES_PER_PART, 1), v) for v in (0.0, 1.0, -1.0)}
-    accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
-    still, fast, back = (inertia * a[:, 0] for a in accelerations)
-    way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
-    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
-    values = np.column_stack([inertia, still - way * rub, square, linear, maps])
-    along = slice(None, None, int(way))
-    pins = None
-    if knows_pins(problem):
-        still, fast, back = (
-            sampled(dynamics.closure_force, q, v, a, none)[:, :, 0]
-            for v, a in zip(speeds.values(), accelerations, strict=True)
-        )
-        pushed = sampled(dynamics.acceleration, q, speeds[0.0], none + 1.0)[:, :, 0]
-        by_effort = sampled(dynamics.closure_force, q, speeds[0.0], pushed, none + 1.0)[:, :, 0] - still
-        forces = np.stack([still, 0.5 * (fast + back) - still, 0.5 * (fast - back), by_effort], axis=1)
-        pins = _pins(problem, place[along], forces[along])
-    curves = scipy.interpolate.CubicSpline(place[along], values[along])
-    return LegField(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way, pins=pins)
+def _leg_at(legs: list[Leg], place: float) -> Leg:
+    """Return the leg of consecutive ones that passes a place."""
+    way = legs[0].field.way
+    return next((leg for leg in legs if way * (leg.state(leg.end)[0] - place) > 0), legs[-1])
 
 
-def _pins(problem: Problem, place: np.ndarray, forces: np.ndarray) -> PinForces:
-    """Return forces (n, 4, n_rows) [N, ...] of all closures at places (n,) as those of limited ones, by their ratings."""
-    import scipy
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Way:
+    """A part of the way, along which legs are integrated."""
 
-    limited, columns, rows = problem.limits.limited_closures, [], []
-    for c in limited:
-        own = forces[:, :, problem.mechanism.closure_slice(c)] / problem.limits.closure_force[c]
-        begin = sum(one.shape[2] for one in columns)
-        rows.append(slice(begin, begin + own.shape[2]))
-        columns.append(own)
-    return PinForces(curves=scipy.interpolate.CubicSpline(place, np.concatenate(columns, axis=2)), rows=tuple(rows))
+    field: LegField
+    part: Part
+    deadline: Deadline
 
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Places (n,) from start to goal at which ceilings are examined."""
+        return np.linspace(self.part.places[0], self.part.places[-1], POSES_PER_PART)
 
-def _legs(field: LegField, part: Part, later: float, deadline: Deadline) -> list[Leg] | None:
-    """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
-    import scipy
+    @cached_property
+    def span(self) -> float:
+        """The distance from start to goal."""
+        return abs(self.part.places[-1] - self.part.places[0])
 
-    start, goal, way = part.places[0], part.places[-1], field.way
-    values = field.curves(np.linspace(start, goal, _POSES_PER_PART))
-    span, force = abs(goal - start), np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ np.abs(field.effort).max(axis=1)
-    fastest = float(np.sqrt(2 * span * (force / values[:, 0]).max()))
+    @cached_property
+    def beside(self) -> float:
+        """The distance within which places are not distinct."""
+        return 1e-7 * self.span
 
-    def leg(begin: float, v: float, end: float, *, towards: bool) -> Leg:
+    @cached_property
+    def fastest(self) -> float:
+        """The speed that all efforts together would give on the whole way."""
+        values, effort = self.field.curves(self.places), np.abs(self.field.effort).max(axis=1)
+        force = np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ effort
+        return float(np.sqrt(2 * self.span * (force / values[:, 0]).max()))
+
+    def legs(self) -> list[Leg] | None:
+        """Return the legs of the quickest motion from start to goal; None where they do not meet."""
+        back = self._back()
+        found = None if back is None else self._ahead(back)
+        return found if found is not None and all(leg.is_possible() for leg in found) else None
+
+    def _leg(self, begin: float, v: float, end: float, *, towards: bool, joint: int | None = None) -> Leg:
+        """Return the leg from a place and a speed until a place, or until it stalls: ahead in time, or back from there."""
+        import scipy
+
+        field, way = self.field, self.field.way
+        held = None if joint is None else np.array([field.at_speed + joint])
+
         def rates(_t: float, y: np.ndarray) -> list[float]:
-            deadline.require_time()
-            return [y[1], float(field.at(*y, towards=towards)[2])]
+            self.deadline.require_time()
+            s, v = y
+            a = field.at(s, v, towards=towards)[2] if held is None else field.along(s, v, held)[1]
+            return [v, float(a)]
 
         def there(_t: float, y: np.ndarray) -> float:
             return y[0] - end
@@ -284,26 +184,152 @@ def _legs(field: LegField, part: Part, later: float, deadline: Deadline) -> list
 
         there.terminal = stalled.terminal = True
         stalled.direction = -1.0
-        until = 1e6 * span / fastest  # a million times what full effort takes
+        until = 1e6 * self.span / self.fastest  # a million times what full effort takes
         found = scipy.integrate.solve_ivp(
             rates, (0.0, until if towards else -until), [begin, v], method="LSODA", events=(there, stalled),
-            dense_output=True, rtol=_INTEGRATION_RTOL, atol=_INTEGRATION_ATOL * np.array([span, fastest]),
+            dense_output=True, rtol=_INTEGRATION_RTOL, atol=_INTEGRATION_ATOL * np.array([self.span, self.fastest]),
         )  # fmt: skip
         ends = np.sort([0.0, found.t[-1]])
-        return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
+        return Leg(
+            field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1], joint=joint
+        )
 
-    ahead, back = leg(start, part.speeds[0], goal, towards=True), leg(goal, part.speeds[1], start, towards=False)
-    beside = 1e-7 * span  # so near to the ends the legs are not distinct
-    low = max(way * start, way * back.state(back.begin)[0]) + beside
-    high = min(way * goal, way * ahead.state(ahead.end)[0]) - beside
+    def _top(self, place: Any) -> np.ndarray:
+        """Return the largest speeds (...) along the way that limits on speeds leave at places."""
+        ceiling = self.field.ceiling
+        return np.full(np.shape(place), np.inf) if ceiling is None else ceiling.at(place)[0]
 
-    def apart(at: float) -> float:
-        return way * (ahead.speed_at(way * at) - back.speed_at(way * at))
+    def _excess(self, place: Any, *, towards: bool) -> np.ndarray:
+        """Return by how much the acceleration along the ceiling exceeds what all effort towards the end, or back, gives."""
+        ceiling, way = self.field.ceiling, self.field.way
+        assert ceiling is not None  # there is one to ride along
+        top, joint = ceiling.at(place)
+        return way * (ceiling.acceleration(place, top, joint) - self.field.at(place, way * top, towards=towards)[2])
 
-    if not low < high or not apart(low) < 0 < apart(high):
-        return None
-    switch = way * scipy.optimize.brentq(apart, low, high)
-    one = replace(ahead, begin=0.0, end=ahead.time_at(switch), later=later)
-    begin = back.time_at(switch)
-    two = replace(back, begin=begin, end=0.0, later=later + one.end - begin)
-    return [one, two] if one.is_possible() and two.is_possible() else None
+    def _back(self) -> list[Leg] | None:
+        """Return the legs, in order, of the fastest motion that arrives at the goal; None if it does not reach the start.
+
+        From the goal back, it brakes with all effort below the ceiling, and rides along it where it can brake as it falls.
+        """
+        way, start, place, v = self.field.way, self.part.places[0], self.part.places[-1], self.part.speeds[1]
+        found: list[Leg] = []
+        rode = False
+        while way * (place - start) > self.beside:
+            top = self._top(place)
+            if way * v > (1 + _SAME_SPEED) * top:
+                return None
+            rode = not rode and way * v > (1 - _SAME_SPEED) * top and self._excess(place, towards=False) >= 0
+            if rode:
+                down = self._ridden_down_to(place)
+                found += reversed(list(self._rides(down, place)))
+                place, v = down, way * float(self._top(down))
+                continue
+            brake = self._leg(place, v, start, towards=False)
+            begin = self._first_above(brake, self._top)
+            if begin is None:  # it begins there, or stalls
+                return [brake, *reversed(found)] if way * (brake.state(brake.begin)[0] - start) <= self.beside else None
+            if abs(brake.state(begin)[0] - place) <= self.beside:  # the ceiling falls faster than it brakes, and it does not
+                return None
+            found.append(replace(brake, begin=begin))
+            place, v = brake.state(begin)
+        return found[::-1]
+
+    def _first_above(self, leg: Leg, top: Callable[[Any], np.ndarray]) -> float | None:
+        """Return the first instant, in a leg's own time, at which it is faster than `top` of its place; None if never."""
+        import scipy
+
+        way, t = self.field.way, np.linspace(leg.begin, leg.end, POSES_PER_PART)[:: 1 if leg.towards else -1]
+        s, v = leg.state(t)
+        above = (way * v > top(s)) & (np.abs(s - s[0]) > self.beside)
+        if not above.any():
+            return None
+
+        def apart(at: float) -> float:
+            place, speed = leg.state(at)
+            return float(way * speed - top(place))
+
+        k = int(np.argmax(above))
+        while apart(t[k]) <= 0 and k + 1 < len(t):  # `top` is less exact for many places than for one
+            k += 1
+        return float(scipy.optimize.brentq(apart, t[k - 1], t[k], xtol=1e-15)) if apart(t[k - 1]) < 0 else float(t[k - 1])
+
+    def _ridden_down_to(self, place: float) -> float:
+        """Return how far back of a place the ceiling can be ridden along: until it falls faster than the motion brakes."""
+        before = self.places[self.field.way * (self.places - place) < 0][::-1]
+        return self._sign_change(np.concatenate([[place], before]), towards=False, sign=-1.0)
+
+    def _sign_change(self, places: np.ndarray, *, towards: bool, sign: float) -> float:
+        """Return where, along places (n,), the excess first has a sign; their last if nowhere."""
+        import scipy
+
+        has = sign * self._excess(places, towards=towards) > 0
+        k = int(np.argmax(has))
+        if not has.any() or k == 0:
+            return float(places[-1] if not has.any() else places[0])
+        return float(scipy.optimize.brentq(lambda at: float(self._excess(at, towards=towards)), places[k - 1], places[k]))
+
+    def _rides(self, first: float, last: float) -> Iterator[Leg]:
+        """Yield the legs along the ceiling between two places: one for each joint that is at its limit."""
+        import scipy
+
+        ceiling, way = self.field.ceiling, self.field.way
+        assert ceiling is not None
+        inside = self.places[(way * (self.places - first) > 0) & (way * (last - self.places) > 0)]
+        places = np.concatenate([[first], inside, [last]])
+        joints, edges = ceiling.at(places)[1], [first]
+        for k in np.flatnonzero(joints[1:] != joints[:-1]):
+            pair = [joints[k], joints[k + 1]]
+
+            def apart(at: float, pair: list = pair) -> float:
+                return float(np.diff(ceiling.shares(at)[pair]).item())
+
+            edges.append(float(scipy.optimize.brentq(apart, places[k], places[k + 1])))
+        for begin, end in zip(edges, [*edges[1:], last], strict=True):
+            joint = int(ceiling.at(0.5 * (begin + end))[1])
+            if abs(end - begin) > self.beside:
+                yield self._leg(begin, way * float(self._top(begin)), end, towards=True, joint=joint)
+
+    def _ahead(self, back: list[Leg]) -> list[Leg] | None:
+        """Return the legs from the start that accelerate with all effort up to the way back, and then go on along it.
+
+        They leave it where the ceiling rises faster than they accelerate. None if they do not meet it.
+        """
+        way, place, v = self.field.way, self.part.places[0], self.part.speeds[0]
+        sampled = np.hstack([leg.state(np.linspace(leg.begin, leg.end, POSES_PER_PART)) for leg in back])
+
+        def top(at: Any) -> Any:
+            return way * _leg_at(back, at).speed_at(at) if np.ndim(at) == 0 else np.interp(way * at, *(way * sampled))
+
+        found: list[Leg] = []
+        if way * v > (1 + _SAME_SPEED) * top(place):
+            return None  # too fast to stop
+        while True:
+            ahead = self._leg(place, v, self.part.places[-1], towards=True)
+            end = self._first_above(ahead, top)
+            if end is None:
+                return None
+            met_at = float(ahead.state(end)[0])
+            along, left_at = self._along(back, met_at)
+            found += [replace(ahead, end=end), *along] if way * (met_at - place) > self.beside else along
+            if left_at is None:
+                return found
+            if way * (left_at - place) <= self.beside:  # it meets the way back where it left it
+                return None
+            place, v = left_at, way * float(self._top(left_at))
+
+    def _along(self, back: list[Leg], place: float) -> tuple[list[Leg], float | None]:
+        """Return the legs of the way back from a place on, and where the ceiling rises too fast for them, or None."""
+        way, found = self.field.way, []
+        for leg in back:
+            last = float(leg.state(leg.end)[0])
+            if way * (last - place) <= self.beside:
+                continue
+            own = replace(leg, begin=leg.time_at(place))
+            if leg.joint is not None:
+                first = float(own.state(own.begin)[0])
+                inside = self.places[(way * (self.places - first) > self.beside) & (way * (last - self.places) > 0)]
+                left_at = self._sign_change(np.concatenate([[first], inside, [last]]), towards=True, sign=1.0)
+                if left_at != last:
+                    return [*found, replace(own, end=own.time_at(left_at))], left_at
+            found.append(own)
+        return found, None

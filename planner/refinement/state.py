@@ -120,9 +120,12 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     @property
     def settled(self) -> bool:
-        """True if the objective keeps still from mesh to mesh; where no limit binds, if no change is worth a report."""
+        """True if the objective keeps still from mesh to mesh, or by less than what is reported if only its error counts.
+
+        Of bang arcs the switches are read before that: they tell more than a finer mesh.
+        """
         if self.objective_tolerance is None:
-            return self.moved <= REPORTED_CHANGE
+            return self.target.bang_bang or self.moved <= REPORTED_CHANGE
         return self.calm >= self.meshes_to_settle
 
     @property

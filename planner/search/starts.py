@@ -20,8 +20,8 @@ from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
+from linkplan.planner.phase_plane.leg_field import knows_pins, knows_speeds
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
-from linkplan.planner.phase_plane.power_legs import knows_pins
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
@@ -119,25 +119,27 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
     yield "the phase plane", phase_plane_guess(problem, search.start_pose, quickest)
 
 
-def is_along_power(search: Search) -> bool:
-    """True if a least time of one degree of freedom may lie along limits on power or pin force."""
+def may_be_along_limits(search: Search) -> bool:
+    """True if a least time of one degree of freedom may lie along limits on power, pin force or speed."""
     problem, motion = search.problem, search.problem.motion
     return (
         search.only_time_counts
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and (bool(np.any(np.isfinite(problem.limits.power))) or knows_pins(problem))
+        and (bool(np.any(np.isfinite(problem.limits.power))) or knows_pins(problem) or knows_speeds(problem))
         and phase_plane_applies(problem)
     )
 
 
-def along_power(search: Search, _: Budget) -> Plan | None:
-    """Return the plan of legs along limits on power and pin force, which need no solver; None if it does not pass."""
+def along_limits(search: Search, _: Budget) -> Plan | None:
+    """Return the plan of legs along limits on power, pin force and speed, without a solver; None if it does not pass."""
     progress("the phase plane along its limits, integrated")
     problem, motion = search.problem, legs_motion(search.problem, search.start_pose)
     if motion is None or not (problem.motion.min_duration_s or 0.0) <= motion.duration_s <= longest(problem):
         return None
+    if not other_limits(problem) and search.quickest is not None and not _as_quick(search, motion.duration_s):
+        return None  # a motion that turns back is quicker
     said = f"motion of {motion.duration_s:.6g} s, integrated along its limits"
     best = f"time-optimal {said}: the quickest that turns back only where it must"
     objective = problem.objective.weight("time") * motion.duration_s
@@ -181,9 +183,13 @@ def judged_by_the_phase_plane(search: Search) -> tuple[bool, Guess | None]:
         return False, None
     if search.quickest is None:
         return False, None
-    # The error of the phase plane's grid is below a thousandth.
-    as_quick = search.best.trajectory.duration_s <= 1.002 * search.quickest.duration_s
+    as_quick = _as_quick(search, search.best.trajectory.duration_s)
     return as_quick, None if as_quick else search.quickest
+
+
+def _as_quick(search: Search, duration_s: float) -> bool:
+    """True if a duration is the phase plane's least time. The error of its grid is below a thousandth."""
+    return duration_s <= 1.002 * search.quickest.duration_s
 
 
 def _better_plan(search: Search, budget: Budget) -> Plan | None:
@@ -219,12 +225,11 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
     """Return the plan of least time that the phase plane's motion leads to, solved for once; None without one."""
 
     def look() -> Plan | None:
-        problem = search.within(budget)
         assert search.quickest is not None  # where the phase plane applies
-        motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-        free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
+        free = search.of_another(_in_least_time(search.within(budget)))
         with recording():
-            return plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
+            along = along_limits(free, HURRIED) if may_be_along_limits(free) else None
+            return along or plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
 
     return search.known.once(PHASE_PLANE_LEAST_TIME, look)
 
@@ -306,9 +311,7 @@ def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]])
 
 
 _FIRST = (
-    Rung(
-        name="the phase plane along limits on power and pin force", tried=is_along_power, climb=along_power, budget=HURRIED
-    ),
+    Rung(name="the phase plane along its limits", tried=may_be_along_limits, climb=along_limits, budget=HURRIED),
     Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=PATIENT),
     Rung(name="the phase plane", tried=phase_plane_may_help, climb=from_the_phase_plane, budget=HURRIED),
 )
@@ -333,13 +336,16 @@ def shortest_motion(search: Search) -> Plan | None:
     return plan if plan is not None and plan.passed else None
 
 
+def _in_least_time(problem: Problem) -> Problem:
+    """Return the problem of least time. Efforts constant over intervals, as least work has them, would be late."""
+    motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
+    mesh = replace(problem.mesh, effort="polynomial")
+    return replace(problem, objective="time", motion=motion, mesh=mesh, guess=None)
+
+
 def _by_the_ladder(search: Search) -> Plan | None:
-    motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-    # Efforts constant over intervals, as least work has them, would be late.
-    mesh = replace(search.problem.mesh, effort="polynomial")
     # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
-    hurried = search.within(replace(PATIENT, share_of_time=0.5))
-    free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
+    free = _in_least_time(search.within(replace(PATIENT, share_of_time=0.5)))
     progress("looking for the shortest feasible duration")
     with recording():
         return climb(search.of_another(free), _RUNGS)

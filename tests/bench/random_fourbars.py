@@ -23,8 +23,6 @@ from tests.support.fourbar_problems import KINDS, Case, kind_of, random_case
 
 # A least time against the phase plane's, relative: both sides' own errors are below 1e-7.
 LEAST_TIME = 1e-6
-# The same where a speed limit shapes the motion and no cut stands at its ends.
-LEAST_TIME_LIMITED = 1e-4
 # The shortest feasible duration that an infeasible plan names, relative.
 SHORTEST = 1e-3
 
@@ -58,8 +56,7 @@ def _fixed(case: Case) -> bool:
 
 def _timed(case: Case, duration: float) -> str:
     off = duration / case.duration - 1
-    allowed = LEAST_TIME_LIMITED if case.kind == "speed limit" else LEAST_TIME
-    if abs(off) <= allowed:
+    if abs(off) <= LEAST_TIME:
         return "right"
     return "slower than the least time" if off > 0 else "faster than the least time"
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.phase_plane.power_legs import AT_FORCE, AT_POWER, Leg, LegField, PinForces
+from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, LegField, PinForces
+from linkplan.planner.phase_plane.power_legs import Leg
 
 SPEED = 2.0
 
@@ -66,7 +67,7 @@ def test_a_state_is_kept_only_by_an_effort_that_the_actuator_and_the_pin_both_be
     at, speed = np.zeros(1), np.array([SPEED])
     limited = replace(limited, curves=lambda _: np.array([[2.0, 1.0, -0.5, -0.25, 3.0]]))
     for towards in (True, False):
-        assert limited.keeps(at, speed, towards=towards) is keeps
+        assert limited.keeps(at, speed, limited.at(at, speed, towards=towards)[1]) is keeps
 
 
 def two_pins(first: tuple[float, float], second: tuple[float, float]) -> PinForces:
@@ -98,7 +99,8 @@ def test_no_effort_keeps_two_pins_that_contradict_each_other(towards):
 
 def kept(limited: LegField, towards: bool = True) -> bool:
     limited = replace(limited, curves=lambda _: np.array([[2.0, 1.0, -0.5, -0.25, 3.0]]))
-    return limited.keeps(np.zeros(1), np.array([SPEED]), towards=towards)
+    at, speed = np.zeros(1), np.array([SPEED])
+    return limited.keeps(at, speed, limited.at(at, speed, towards=towards)[1])
 
 
 @pytest.mark.parametrize("towards", [True, False])

@@ -8,7 +8,8 @@ import pytest
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.phase_plane.bang_bang_motions import parts_of
-from linkplan.planner.phase_plane.power_legs import AT_POWER, _field, power_legs
+from linkplan.planner.phase_plane.leg_field import AT_POWER, field_along
+from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.least_time import least_time
@@ -95,7 +96,7 @@ def crank(start_deg: float, goal_deg: float, friction: str = "", driven: str = "
 def test_the_field_has_the_mechanism_s_accelerations(start, goal, friction):
     problem = crank(start, goal, friction)
     mechanism, way = problem.mechanism, np.sign(goal - start)
-    found = _field(problem, parts_of(problem.motion)[0], problem.start_pose())
+    found = field_along(problem, parts_of(problem.motion)[0], problem.start_pose())
     for place, speed, effort in ((25.0, 0.5, 9.0), (50.0, 3.0, -20.0), (77.0, 7.0, 3.0)):
         s, v, u = np.radians(place), way * speed, np.array([effort])
         pose = close_at(mechanism, np.array([s]))
@@ -110,7 +111,7 @@ def test_the_field_has_the_mechanism_s_accelerations(start, goal, friction):
 def test_the_field_has_the_mechanism_s_pin_forces(start, goal):
     problem = crank(start, goal, driven="A", closure_force={"pin": 400.0})
     mechanism, way = problem.mechanism, np.sign(goal - start)
-    found = _field(problem, parts_of(problem.motion)[0], problem.start_pose())
+    found = field_along(problem, parts_of(problem.motion)[0], problem.start_pose())
     (closure,) = problem.limits.limited_closures
     for place, speed, effort in ((25.0, 0.5, 9.0), (50.0, 3.0, -20.0), (77.0, 7.0, 3.0)):
         s, v, u = np.radians(place), np.array([[way * speed]]), np.array([[effort]])

@@ -9,7 +9,7 @@ from linkplan.planner.search import starts
 from linkplan.planner.search.starts import (
     _better_plan,
     _swings_may_be_better,
-    along_power,
+    along_limits,
     enough_time,
     judged_by_the_phase_plane,
     no_time,
@@ -89,9 +89,12 @@ def test_legs_of_a_second_are_a_plan_where_that_is_within_the_durations_asked(mo
 
     monkeypatch.setattr(starts, "without_solving", plan_of)
     monkeypatch.setattr(starts, "replace", lambda plan, **_: SimpleNamespace(passed=True, plan=plan))
-    answer = along_power(SimpleNamespace(problem=problem, start_pose=None), None)
-    assert (answer is not None) is found
-    assert objectives == ([3.0] if found else [])
+    monkeypatch.setattr(starts, "other_limits", lambda _: False)
+    for quickest, as_quick in ((None, True), (0.999, True), (0.99, False)):  # a motion that turns back may be quicker
+        known = None if quickest is None else SimpleNamespace(duration_s=quickest)
+        answer = along_limits(SimpleNamespace(problem=problem, start_pose=None, quickest=known), None)
+        assert (answer is not None) is (found and as_quick)
+    assert objectives == ([3.0, 3.0] if found else [])
 
 
 def test_a_least_time_plan_is_a_guess_that_knows_its_switch():

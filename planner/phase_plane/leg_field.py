@@ -1,0 +1,235 @@
+"""What limits on effort, power, pin force and speed leave of the acceleration of one degree of freedom, along its way.
+
+Each of these limits bounds the effort at a place and a speed: a power P bounds it by P / w, and a pin force is affine in the
+effort, so that its rating R bounds it by the roots of |F(s, v, u)|^2 = R^2. Limits on the speeds of joints bound the speed
+along the way: where one of them is at its limit, r v is constant, r its speed per unit of v, and so v' = -r' v^2 / r.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from linkplan.models.poses.along import sampled, sliding_friction
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.phase_plane.bang_bang_motions import Part
+from linkplan.planner.problem.problem import Problem
+
+# What an actuator is held at: the limit of its effort (1 upper, -1 lower), of its power, or, from this number on, of the
+# force of a closure, at the larger effort that reaches it (positive) or the smaller one (negative). The numbers after the
+# closures are those of the joints with a limited speed.
+AT_POWER, AT_FORCE = 2, 3
+# Efforts, powers and forces may exceed their limits by this share: rounding.
+_LIMIT_TOLERANCE = 1e-6
+# Poses along a part of the way.
+POSES_PER_PART = 2001
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PinForces:
+    """Forces of closures that are limited, along a part of the way: F = still + square v^2 + linear v + by_effort u.
+
+    `curves` gives (4, n_rows) [N, ...] over the coordinate, divided by the closures' ratings; `rows` are those of each.
+    """
+
+    curves: Callable[[Any], np.ndarray]
+    rows: tuple[slice, ...]
+
+    def efforts(self, s: Any, v: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the least and largest efforts (..., n_closures) that each closure bears, and whether it bears any.
+
+        If the closure bears no load, both are the effort of least force.
+        """
+        values, v = self.curves(s), np.asarray(v, dtype=float)[..., None]
+        force = values[..., 0, :] + values[..., 1, :] * v**2 + values[..., 2, :] * v
+        least, most, bears = [], [], []
+        for rows in self.rows:
+            given, by = force[..., rows], values[..., 3, rows]
+            a, b, c = (by * by).sum(axis=-1), (by * given).sum(axis=-1), (given * given).sum(axis=-1) - 1.0
+            a = np.maximum(a, np.finfo(float).tiny)
+            within = b * b - a * c
+            root = np.sqrt(np.maximum(within, 0.0))
+            least.append((-b - root) / a)
+            most.append((-b + root) / a)
+            bears.append(within >= 0)
+        return np.stack(least, axis=-1), np.stack(most, axis=-1), np.stack(bears, axis=-1)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Ceiling:
+    """Limits on speeds of joints along a part of the way, as the largest speed that they leave.
+
+    `curves` gives the joints' speeds per unit of v (n,) over the coordinate, and with 1 as second argument their slopes;
+    `speed` (n, 2) are their limits [rad/s or m/s], and `way` is +1 or -1.
+    """
+
+    curves: Callable[..., np.ndarray]
+    speed: np.ndarray
+    way: float
+
+    def shares(self, s: Any) -> np.ndarray:
+        """Return each joint's speed (..., n) per unit of v along the way, as a share of its limit in that direction."""
+        ratio = self.way * self.curves(s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.fmax(ratio / np.where(ratio > 0, self.speed[:, 1], self.speed[:, 0]), 0.0)
+
+    def at(self, s: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the largest speed (...) along the way, and which of the joints (...) is then at its limit."""
+        shares = self.shares(s)
+        with np.errstate(divide="ignore"):
+            return 1.0 / shares.max(axis=-1), np.argmax(shares, axis=-1)
+
+    def acceleration(self, s: Any, v: Any, joint: Any) -> np.ndarray:
+        """Return the acceleration (...) that keeps the speed of a joint, or of one for each place, as it is."""
+        ratio, slope = (
+            np.take_along_axis(self.curves(s, order), np.asarray(joint)[..., None], axis=-1)[..., 0] for order in (0, 1)
+        )
+        return -slope * np.square(v) / ratio
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LegField:
+    """All that effort, power, pin forces and speeds allow along a part of the way.
+
+    M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
+    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1; `pins` is None where no pin force is limited, and
+    `ceiling` where no speed is.
+    """
+
+    curves: Callable[[Any], np.ndarray]
+    effort: np.ndarray
+    power: np.ndarray
+    way: float
+    pins: PinForces | None = None
+    ceiling: Ceiling | None = None
+
+    @property
+    def at_speed(self) -> int:
+        """What an actuator is held at that keeps the first limited joint at the limit of its speed; the others follow."""
+        return AT_FORCE + (0 if self.pins is None else len(self.pins.rows))
+
+    def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the limits (..., n_u) that hold below the ceiling, the efforts (..., n_u) and the acceleration.
+
+        The efforts are those that push towards the end, or brake, at places and speeds.
+        """
+        maps = self.curves(s)[..., 4:]
+        upper = (maps * self.way > 0) == towards
+        held, effort = np.where(upper, 1, -1), np.where(upper, self.effort[:, 1], self.effort[:, 0])
+        spent = effort * maps * np.asarray(v)[..., None]
+        held = np.where(spent > self.power[:, 1], AT_POWER, np.where(spent < self.power[:, 0], -AT_POWER, held))
+        effort, a = self.along(s, v, held)
+        if self.pins is None:
+            return held, effort, a
+        least, most, _ = self.pins.efforts(s, v)
+        beyond = effort > most.min(axis=-1, keepdims=True)
+        short = ~beyond & (effort < least.max(axis=-1, keepdims=True))
+        held = np.where(beyond, AT_FORCE + np.argmin(most, axis=-1)[..., None], held)
+        held = np.where(short, -AT_FORCE - np.argmax(least, axis=-1)[..., None], held)
+        return held, *self.along(s, v, held)
+
+    def along(self, s: Any, v: Any, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
+        values, v = self.curves(s), np.asarray(v, dtype=float)
+        free = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v
+        if self.ceiling is not None and np.all(held >= self.at_speed):
+            a = self.ceiling.acceleration(s, v, np.broadcast_to(held[..., 0] - self.at_speed, v.shape))
+            return ((values[..., 0] * a - free) / values[..., 4])[..., None], a
+        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == AT_POWER
+        upper = np.asarray(held) > 0
+        power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
+        effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
+        if self.pins is not None and np.any(np.abs(held) >= AT_FORCE):
+            least, most, _ = self.pins.efforts(s, v)
+            for k in range(least.shape[-1]):
+                effort = np.where(held == AT_FORCE + k, most[..., k, None], effort)
+                effort = np.where(held == -AT_FORCE - k, least[..., k, None], effort)
+        return effort, (free + (values[..., 4:] * effort).sum(axis=-1)) / values[..., 0]
+
+    def keeps(self, s: np.ndarray, v: np.ndarray, effort: np.ndarray) -> bool:
+        """True if efforts (n, n_u) keep all limits on efforts, powers and pin forces at places and speeds (n,)."""
+        room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
+        low, high = self.effort.T
+        if self.pins is not None:
+            least, most, bears = self.pins.efforts(s, v)
+            low, high = np.maximum(low, least.max(axis=-1)[:, None]), np.minimum(high, most.min(axis=-1)[:, None])
+            if not np.all(bears):
+                return False
+        spent = effort * self.curves(s)[:, 4:] * v[:, None]
+        powers = (spent <= (1 + _LIMIT_TOLERANCE) * self.power[:, 1]) & (spent >= (1 + _LIMIT_TOLERANCE) * self.power[:, 0])
+        return bool(np.all((effort >= low - room) & (effort <= high + room)) and np.all(powers))
+
+
+def knows_pins(problem: Problem) -> bool:
+    """True if legs can keep the limits on pin forces: one degree of freedom, one actuator, no dry friction."""
+    mechanism = problem.mechanism
+    if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
+        return False
+    return not sliding_friction(mechanism, mechanism.home[None]).any()
+
+
+def knows_speeds(problem: Problem) -> bool:
+    """True if legs can keep limits on speeds: one degree of freedom, one actuator."""
+    return (problem.mechanism.dof, problem.mechanism.n_u) == (1, 1) and bool(np.any(np.isfinite(problem.limits.speed)))
+
+
+def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegField:
+    """Return the field of accelerations that effort, power, pin forces and speeds allow along a part.
+
+    Raises:
+        AssemblyError: where the way is not open.
+    """
+    import scipy
+
+    dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
+    place = np.linspace(start, goal, POSES_PER_PART)
+    deadline, way_there = problem.solver.deadline, np.linspace(problem.motion.start[0], start, POSES_PER_PART)
+    there = follow(problem.mechanism, way_there[:, None], start_pose, deadline)[-1]
+    q = follow(problem.mechanism, place[:, None], there, deadline)
+    inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
+    none = np.zeros((POSES_PER_PART, len(problem.limits.effort)))
+    speeds = {v: np.full((POSES_PER_PART, 1), v) for v in (0.0, 1.0, -1.0)}
+    accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
+    still, fast, back = (inertia * a[:, 0] for a in accelerations)
+    way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
+    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
+    values = np.column_stack([inertia, still - way * rub, square, linear, maps])
+    along = slice(None, None, int(way))
+    pins = None
+    if knows_pins(problem):
+        still, fast, back = (
+            sampled(dynamics.closure_force, q, v, a, none)[:, :, 0]
+            for v, a in zip(speeds.values(), accelerations, strict=True)
+        )
+        pushed = sampled(dynamics.acceleration, q, speeds[0.0], none + 1.0)[:, :, 0]
+        by_effort = sampled(dynamics.closure_force, q, speeds[0.0], pushed, none + 1.0)[:, :, 0] - still
+        forces = np.stack([still, 0.5 * (fast + back) - still, 0.5 * (fast - back), by_effort], axis=1)
+        pins = _pins(problem, place[along], forces[along])
+    ceiling = None
+    if knows_speeds(problem):
+        limited = np.flatnonzero(np.isfinite(problem.limits.speed).any(axis=1))
+        ratios = sampled(dynamics.velocity_map, q)[:, limited, 0]
+        of_speeds = scipy.interpolate.CubicSpline(place[along], ratios[along])
+        ceiling = Ceiling(curves=of_speeds, speed=problem.limits.speed[limited], way=way)
+    return LegField(
+        curves=scipy.interpolate.CubicSpline(place[along], values[along]),
+        effort=problem.limits.effort,
+        power=problem.limits.power,
+        way=way,
+        pins=pins,
+        ceiling=ceiling,
+    )
+
+
+def _pins(problem: Problem, place: np.ndarray, forces: np.ndarray) -> PinForces:
+    """Return forces (n, 4, n_rows) [N, ...] of all closures at places (n,) as those of limited ones, by their ratings."""
+    import scipy
+
+    limited, columns, rows = problem.limits.limited_closures, [], []
+    for c in limited:
+        own = forces[:, :, problem.mechanism.closure_slice(c)] / problem.limits.closure_force[c]
+        begin = sum(one.shape[2] for one in columns)
+        rows.append(slice(begin, begin + own.shape[2]))
+        columns.append(own)
+    return PinForces(curves=scipy.interpolate.CubicSpline(place, np.concatenate(columns, axis=2)), rows=tuple(rows))
