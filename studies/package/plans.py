@@ -147,7 +147,8 @@ class Planner:
 
         A step takes a quarter of the time of `plan`, the same in every call but the first. The motion is not certified, but
         has bounds on its error. The next step starts from it. Returns None if the problem differs from the last one in more
-        than numbers; then call `plan`.
+        than numbers, or if that was planned without a program, as least times along limits on power, pin force or speed are;
+        then call `plan`.
 
         Raises:
             LinkplanError: if the problem is invalid.
