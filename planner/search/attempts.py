@@ -5,6 +5,7 @@ chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it
 to a thousandth of it, on finer meshes.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,14 @@ from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import REPORTED_CHANGE, Refined
 from linkplan.planner.search.ladder import Budget, Search, Steps, followed
-from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, solve_from, with_longer_durations
+from linkplan.planner.search.solving import (
+    GRID_ERROR_FACTOR,
+    INTERVALS_PER_SWING,
+    first_mesh,
+    graded_mesh,
+    solve_from,
+    with_longer_durations,
+)
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved
@@ -66,23 +74,26 @@ def plan_from(
     return missed
 
 
-def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> list[Iterate]:
-    """Return solutions from a start, the most promising first."""
-    mesh, durations = first_mesh(problem, guess)
-    found = [solve_from(problem, guess, mesh, durations, word)]
+def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterator[Iterate]:
+    """Yield solutions from a start, the most promising first.
+
+    Where the phase plane's switches are known, efforts are held between them and only the switch times are unknown. If that
+    does not lead to the phase plane's time, the efforts are free; a mesh without switches may come below it by its error.
+    """
+    found: list[Iterate | None] = []
     if guess.switch_times_s is not None and search.only_time_counts:
-        # Its switches are known: the efforts are held between them, and only the switch times are unknown.
-        graded, lengths = graded_mesh(
-            guess, guess.switch_times_s, max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
-        )
-        found.append(
-            solve_from(problem, guess, graded, lengths, f"{word}, bang efforts fixed", bang_efforts=guess.bang_efforts)
-        )
-        # The phase plane's time is exact. A mesh without switches may come below it by its error.
-        return sorted(
-            (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
-        )
-    return [one for one in found if one is not None]
+        n = max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
+        held = f"{word}, bang efforts fixed"
+        graded = graded_mesh(guess, guess.switch_times_s, n)
+        first = solve_from(problem, guess, *graded, held, bang_efforts=guess.bang_efforts)
+        if first is not None and first.solution.objective <= GRID_ERROR_FACTOR * guess.duration_s:
+            yield first
+        else:
+            found.append(first)
+    found.append(solve_from(problem, guess, *first_mesh(problem, guess), word))
+    yield from sorted(
+        (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
+    )
 
 
 def refined(search: Search, problem: Problem, found: Iterate, *, mended: bool = True) -> Plan:

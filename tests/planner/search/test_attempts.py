@@ -80,19 +80,28 @@ def test_only_solutions_that_are_worth_it_are_refined(monkeypatch, objective, tr
     assert (plan_from(search, None, "a start", None, worth=2.0) is not None) is tried
 
 
-def test_of_solutions_with_and_without_switches_the_one_nearest_to_the_exact_time_is_the_first(monkeypatch):
-    """The phase plane's time is 2 s: 2.001 s come before 1.99 s, which are less by a mesh's error."""
-    answers = iter([1.99, 2.001])
+@pytest.mark.parametrize(
+    ("held", "order", "first_after"), [(2.0019, [2.0019, 1.99], 1), (2.0021, [2.0021, 1.99], 2), (2.1, [1.99, 2.1], 2)]
+)
+def test_a_solution_with_held_switches_that_takes_the_exact_time_is_the_first_and_may_be_the_only(
+    monkeypatch, held, order, first_after
+):
+    """The phase plane's time is 2 s to a thousandth: 1.99 s are less by a mesh's error."""
+    intervals, solved = [], []
+
+    def solve_from(*_, bang_efforts=None):
+        solved.append(held if bang_efforts is not None else 1.99)
+        return SimpleNamespace(solution=SimpleNamespace(objective=solved[-1]))
+
     monkeypatch.setattr(attempts, "first_mesh", lambda *_: (None, None))
-    intervals = []
     monkeypatch.setattr(attempts, "graded_mesh", lambda *given: (intervals.append(given[-1]), None))
-    monkeypatch.setattr(
-        attempts, "solve_from", lambda *_, **__: SimpleNamespace(solution=SimpleNamespace(objective=next(answers)))
-    )
-    guess = SimpleNamespace(switch_times_s=np.ones(1), swings=3, bang_efforts=None, duration_s=2.0)
+    monkeypatch.setattr(attempts, "solve_from", solve_from)
+    guess = SimpleNamespace(switch_times_s=np.ones(1), swings=3, bang_efforts=np.ones(2), duration_s=2.0)
     problem = SimpleNamespace(mesh=SimpleNamespace(intervals=9))
     found = attempts._solved(problem, guess, "start", SimpleNamespace(only_time_counts=True))
-    assert [one.solution.objective for one in found] == [2.001, 1.99]
+    first = next(found)
+    assert len(solved) == first_after
+    assert [one.solution.objective for one in (first, *found)] == order
     assert intervals == [3 * INTERVALS_PER_SWING]
 
 
