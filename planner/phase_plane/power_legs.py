@@ -203,8 +203,9 @@ class _Way:
         """Return by how much the acceleration along the ceiling exceeds what all effort towards the end, or back, gives."""
         ceiling, way = self.field.ceiling, self.field.way
         assert ceiling is not None  # there is one to ride along
-        top, joint = ceiling.at(place)
-        return way * (ceiling.acceleration(place, top, joint) - self.field.at(place, way * top, towards=towards)[2])
+        with np.errstate(all="ignore"):  # where no speed is limited there is no ceiling, and no number
+            top, joint = ceiling.at(place)
+            return way * (ceiling.acceleration(place, top, joint) - self.field.at(place, way * top, towards=towards)[2])
 
     def _back(self) -> list[Leg] | None:
         """Return the legs, in order, of the fastest motion that arrives at the goal; None if it does not reach the start.
@@ -251,6 +252,8 @@ class _Way:
         k = int(np.argmax(above))
         while apart(t[k]) <= 0 and k + 1 < len(t):  # `top` is less exact for many places than for one
             k += 1
+        if apart(t[k]) < 0:
+            return None
         return float(scipy.optimize.brentq(apart, t[k - 1], t[k], xtol=1e-15)) if apart(t[k - 1]) < 0 else float(t[k - 1])
 
     def _ridden_down_to(self, place: float) -> float:
