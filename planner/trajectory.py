@@ -89,8 +89,6 @@ class Trajectory:
 
     def acceleration_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v' (n, n_s) [rad/s2 or m/s2] at times (n,); zero outside a motion that is not periodic."""
-        if self.velocity.shape[0] == 1:
-            return np.zeros((len(np.asarray(time_s)), self.n_s))
         acceleration = PiecewisePolynomial(self.velocity, self.breaks_s).derivative()(self._times(time_s))
         return np.where(self._inside(time_s)[:, None], acceleration, 0.0)
 

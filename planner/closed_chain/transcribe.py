@@ -15,7 +15,7 @@ from linkplan.planner.problem.instant import Scales, position_units
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.marking import Tightening
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.bernstein import bernstein_gram
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial, bernstein_gram
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
 from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.mesh import Mesh
@@ -176,13 +176,9 @@ def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory
     origin: Origin = transcribed.origin
     if not origin.smoothing:
         return objective
-    widths, coefficients = np.diff(motion.breaks_s), motion.effort / origin.scales.effort
-    degree = len(coefficients) - 1
-    if not degree:
-        return objective
-    slope = degree * np.diff(coefficients, axis=0) / widths[:, None]
-    squares = np.einsum("ikl,ij,jkl->k", slope, bernstein_gram(degree - 1), slope)
-    integral = float(squares @ widths)
+    slope = PiecewisePolynomial(motion.effort / origin.scales.effort, motion.breaks_s).derivative().coefficients
+    squares = np.einsum("ikl,ij,jkl->k", slope, bernstein_gram(len(slope) - 1), slope)
+    integral = float(squares @ np.diff(motion.breaks_s))
     return objective - origin.smoothing * transcribed.units.objective * origin.scales.time_s * integral
 
 

@@ -35,7 +35,7 @@ from linkplan.planner.limits.path_limit import (
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Corner, Robust
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.bernstein import bernstein_matrix
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # An effort within this share of the clamp of a servo's force counts as clamped, so ctrl has no effect: a motion may enter
 # the clamp between two nodes. Efforts between nodes may be wrong by 200 times as much (DYNAMICS_SHARE). Measured: 4e-5.
@@ -80,13 +80,8 @@ class EffortRateLimit(PathLimit):
 
 def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return u' (n, n_u) within intervals, and jumps (n, n_u): an infinite rate with the jump's sign after it, else NaN."""
-    degree = trajectory.effort.shape[0] - 1
-    widths = np.diff(trajectory.breaks_s)
-    index = np.clip(np.searchsorted(trajectory.breaks_s, time, side="right") - 1, 0, len(widths) - 1)
-    tau = (time - trajectory.breaks_s[index]) / widths[index]
-    slope = degree * np.diff(trajectory.effort, axis=0) / widths[:, None]
-    basis = bernstein_matrix(max(degree - 1, 0), tau) if degree else np.zeros((len(time), 0))
-    rate = np.einsum("tp,ptu->tu", basis, slope[:, index]) if degree else np.zeros((len(time), trajectory.n_u))
+    rate = PiecewisePolynomial(trajectory.effort, trajectory.breaks_s).derivative()(time)
+    index = np.searchsorted(trajectory.breaks_s[1:-1], time, side="right")
     jumps = np.full((len(time), trajectory.n_u), np.nan)
     step = trajectory.effort[0, 1:] - trajectory.effort[-1, :-1]
     size = 1e-7 * max(float(np.abs(trajectory.effort).max()), np.finfo(float).tiny)

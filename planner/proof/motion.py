@@ -23,6 +23,7 @@ from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.proof.taylor import Matrix, product, solve, transposed
 from linkplan.planner.proof.walk import Ball, Blocks, dense, loaded_tree
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # Largest jump between two pieces, and largest difference of a planned velocity from the slope of the position, as a share
 # of the motion's span or largest speed: rounding of the program's solution. Measured: 2e-10 on fine meshes.
@@ -93,8 +94,7 @@ def _largest_of_unit(problem: Problem, values: np.ndarray) -> np.ndarray:
 
 def _slope(trajectory: Trajectory, speed: np.ndarray) -> Finding:
     """Return the finding on the difference of the planned velocity from the slope of the planned position."""
-    widths = np.diff(trajectory.breaks_s)[:, None]
-    slope = (len(trajectory.position) - 1) * np.diff(trajectory.position, axis=0) / widths
+    slope = PiecewisePolynomial(trajectory.position, trajectory.breaks_s).derivative().coefficients
     name, velocity = "the planned velocity is the slope of the planned position", trajectory.velocity
     if slope.shape == velocity.shape:  # coefficients of the difference bound it
         return finding_of(name, float((np.abs(slope - velocity) / speed).max()), JOIN_SHARE, "of the largest speed")
@@ -157,16 +157,13 @@ class Piece:
 
 def _agrees(trajectory: Trajectory, k: int) -> bool:
     """Return True if the planned velocity on interval k and its slope are those of the position, to rounding."""
-    widths = np.diff(trajectory.breaks_s)[:, None]
-    slope = (len(trajectory.position) - 1) * np.diff(trajectory.position, axis=0) / widths
-    pairs = [(slope, trajectory.velocity)]
-    if slope.shape == trajectory.velocity.shape:
-        bent, planned = ((len(slope) - 1) * np.diff(x, axis=0) / widths for x in pairs[0])
-        pairs.append((bent, planned))
+    slope = PiecewisePolynomial(trajectory.position, trajectory.breaks_s).derivative()
+    velocity = PiecewisePolynomial(trajectory.velocity, trajectory.breaks_s)
+    if slope.coefficients.shape != velocity.coefficients.shape:
+        return False
     return all(
-        one.shape == other.shape
-        and np.abs(one[:, k] - other[:, k]).max(initial=0.0) <= JOIN_SHARE * np.abs(other).max(initial=0.0)
-        for one, other in pairs
+        np.abs(one.coefficients[:, k] - other.coefficients[:, k]).max() <= JOIN_SHARE * np.abs(other.coefficients).max()
+        for one, other in ((slope, velocity), (slope.derivative(), velocity.derivative()))
     )
 
 
