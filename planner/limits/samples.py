@@ -25,8 +25,9 @@ class Poses:
 
     @cached_property
     def block_ratios(self) -> np.ndarray:
-        """The determinants (n, n_blocks) of J_z's blocks, relative to home."""
-        return block_ratios(self.problem, self.q)
+        """The determinants (n, n_blocks) of J_z's blocks (loops that close together), relative to home."""
+        at_home = np.array(self.problem.mechanism.dynamics.block_singularity(self.problem.mechanism.home)).ravel()
+        return self.of_pose("block_singularity") / at_home
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,12 +128,6 @@ def closure_forces(problem: Problem, q, v, a, u) -> np.ndarray:
     return np.array(sizes).T.reshape(len(q), -1)
 
 
-def block_ratios(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Return the determinants (n, n_blocks) of J_z's blocks (loops that close together), relative to home."""
-    block = problem.mechanism.dynamics.block_singularity
-    return sampled(block, q)[:, :, 0] / np.array(block(problem.mechanism.home)).ravel()
-
-
 def singularity_ratios(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Return the least of J_z's block determinants at poses q (n, n_q), relative to home: 0 at a singular pose.
 
@@ -140,4 +135,4 @@ def singularity_ratios(problem: Problem, q: np.ndarray) -> np.ndarray:
     """
     if len(problem.mechanism.dependent) == 0:
         return np.ones(len(q))
-    return block_ratios(problem, q).min(axis=1)
+    return Poses(problem=problem, q=q).block_ratios.min(axis=1)

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import sampled
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along, stretched
+from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
@@ -33,16 +33,9 @@ MIN_SAVING, _MIN_UNUSED_SHARE = 1e-3, 1e-3
 
 def nears_singular(problem: Problem, guess: Guess) -> bool:
     """True if a motion comes nearer than half the distance of its ends to a singular pose."""
-    nearest = _singular_margin(problem, guess, np.linspace(0.0, guess.duration_s, 1001))
-    return nearest < 0.5 * _singular_margin(problem, guess, np.array([0.0, guess.duration_s]))
-
-
-def _singular_margin(problem: Problem, guess: Guess, times: np.ndarray) -> float:
-    """Return the least |det J_z| of a kinematic loop at times (n,) [s] of a guess, as a share of home's; else infinite."""
-    singularity = problem.mechanism.dynamics.block_singularity
-    poses = poses_along(problem.mechanism, guess, times, problem.solver.deadline)
-    share = sampled(singularity, poses)[:, :, 0] / np.array(singularity(problem.mechanism.home)).ravel()
-    return float(np.abs(share).min(initial=np.inf))
+    times = np.linspace(0.0, guess.duration_s, 1001)
+    ratios = singularity_ratios(problem, poses_along(problem.mechanism, guess, times, problem.solver.deadline))
+    return bool(ratios.min() < 0.5 * ratios[[0, -1]].min())
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
