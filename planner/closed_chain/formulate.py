@@ -9,8 +9,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from linkplan.models.mechanism import Mechanism
-from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system, n_algebraic, n_lifted, node_numbers
+from linkplan.planner.closed_chain.mechanics import (
+    NodeTerms,
+    in_order,
+    mechanism_system,
+    n_algebraic,
+    n_lifted,
+    node_numbers,
+)
 from linkplan.planner.limits.kinds import limits_of, site_at_home
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.problem.instant import Scales
@@ -25,11 +31,6 @@ from linkplan.planner.transcription.system import Endpoint
 # it the nearest motion chatters at the ends of its bang arcs where limits bind (Fuller's phenomenon). With it, a swing over
 # the whole limit in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's span.
 SMOOTHING_WEIGHT = 2.5e-9
-
-
-def coordinate_row(mechanism: Mechanism, site: int, axis: int, value: float) -> float:
-    """Return the value of a site coordinate's row at the coordinate `value` [m]."""
-    return float(value - site_at_home(mechanism, site)[axis]) / mechanism.extent_m
 
 
 def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
@@ -49,8 +50,7 @@ def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoin
     first, last, duration = (ca.SX.sym(*of) for of in (("first", 2 * n_s), ("last", 2 * n_s), ("duration", 1)))
     asked = ca.SX.sym("asked", len(motion.goal_rows))
     z = ca.SX.sym("z", n_z)
-    order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
-    q = ca.vertcat(last[:n_s] * ca.DM(unit), z[:n_dependent])[[int(i) for i in order]]
+    q = in_order(mechanism, last[:n_s] * ca.DM(unit), z[:n_dependent])
     places = mechanism.dynamics.site_places(q)
     at = ca.vertcat(*[places[:, point.index] for point in motion.goal_at])[list(motion.goal_rows)]
     column = ca.vertcat((at - asked) / mechanism.extent_m, 0.0)
@@ -146,8 +146,9 @@ def _node_terms(problem: Problem, limits: tuple[PathLimit, ...], *, least_limit:
 
 def _passed_rows(problem: Problem, asked: NodeTerms) -> tuple[tuple[int, int, float], ...]:
     """Return (phase boundary, path quantity, value) for each coordinate of a site that a waypoint prescribes."""
+    mechanism, first = problem.mechanism, len(asked.rows)
     return tuple(
-        (k + 1, len(asked.rows) + asked.passed.index((site, axis)), coordinate_row(problem.mechanism, site, axis, at))
+        (k + 1, first + asked.passed.index((site, axis)), (at - site_at_home(mechanism, site)[axis]) / mechanism.extent_m)
         for k, waypoint in enumerate(problem.motion.waypoints)
         for site, axis, at in waypoint.open_coordinates
     )
