@@ -148,12 +148,6 @@ class IntervalFunctions:
         return self.n_own + at_nodes + self.n_open_ends * len(self.open_end_rows)
 
     @property
-    def row_kinds(self) -> tuple[str, ...]:
-        """The kind of each row."""
-        at_open_ends = tuple(self.node_kinds[i] for i in self.open_end_rows)
-        return self.own_kinds + self.n_nodes * self.node_kinds + self.n_open_ends * at_open_ends
-
-    @property
     def compiled(self) -> bool:
         """Whether the nodes' functions, which do most of the work, are compiled."""
         return self.node.node_value.class_name() == "External"
