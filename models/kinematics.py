@@ -157,9 +157,9 @@ def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> n
     It is the hinge axis, or the rod's line, of the parent. For a floating body it is the hinge axis of a body tied to it.
     """
     body = int(model.jnt_bodyid[joint])
-    before = [_moving(model, int(model.body_parentid[body]))]
+    before = [int(model.body_weldid[model.body_parentid[body]])]
     if int(model.jnt_type[joint]) == FREE:
-        ties = [[_moving(model, tied) for tied, _ in tied_points(model, index)] for index in range(model.neq)]
+        ties = [[int(model.body_weldid[tied]) for tied, _ in tied_points(model, index)] for index in range(model.neq)]
         before = [other for pair in ties if body in pair for other in pair if other != body]
     data = data_at(model, reference)
     frame = data.xmat[body].reshape(3, 3)
@@ -173,14 +173,9 @@ def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> n
 
 def _rod_before(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
     """Return the line (3,) of the rod that carries a joint's body, in the rod's frame, or None if the carrier is no rod."""
-    carrier = _moving(model, int(model.body_parentid[int(model.jnt_bodyid[joint])]))
+    carrier = int(model.body_weldid[model.body_parentid[model.jnt_bodyid[joint]]])
     first = int(model.body_jntadr[carrier])
     return rod_line(model, first) if first >= 0 and int(model.jnt_type[first]) == BALL else None
-
-
-def _moving(model: mujoco.MjModel, body: int) -> int:
-    """Return the root of the rigid group that a body belongs to."""
-    return int(model.body_weldid[body])
 
 
 def _held_at(model: mujoco.MjModel, joint: int) -> list[np.ndarray] | None:

@@ -18,6 +18,7 @@ import numpy as np
 
 from linkplan.models.catalogue import is_text
 from linkplan.models.conversion import CLOSING, GazeboJoint, gazebo_joints
+from linkplan.models.deletion import delete_geoms
 from linkplan.models.errors import ModelError, choose
 from linkplan.models.extras import load_extra
 from linkplan.models.kinematics import data_at, in_body, rotation_of_rpy
@@ -219,8 +220,7 @@ def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
             mesh.file = str(found.resolve())
             continue
         missing.append(Path(name).name)
-        for geom in [geom for geom in spec.geoms if geom.meshname == mesh.name]:
-            spec.delete(geom)
+        delete_geoms(spec, (geom for geom in spec.geoms if geom.meshname == mesh.name))
         spec.delete(mesh)
     remedy = 'their folder is named by <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco> in <robot>'
     return [f"meshes that are not there are left out: {', '.join(dict.fromkeys(missing))}; {remedy}"] if missing else []

@@ -71,32 +71,28 @@ def _pins(model: mujoco.MjModel) -> dict[int, list[tuple[int, np.ndarray]]]:
             if model.jnt_type[joint] == FREE:
                 continue
             parent = int(model.body_parentid[body])
+            carrier = int(model.body_weldid[parent])  # the nearest ancestor with a joint, or the world
             if model.jnt_type[joint] != SLIDE:
-                pins.setdefault(_solid(model, parent), []).append(anchor)
-            elif _solid(model, parent) == 0:
+                pins.setdefault(carrier, []).append(anchor)
+            elif carrier == 0:
                 # A slide's own anchor moves with it. The ground's pin is the anchor at the joint's reference.
                 pins.setdefault(0, []).append((parent, model.body_pos[body]))
             else:
-                pins[body].insert(0, pins[_solid(model, parent)][0])
+                pins[body].insert(0, pins[carrier][0])
     for index in range(model.neq):
         if not model.eq_active0[index]:
             continue
         for body, point in tied_points(model, index):
-            pins.setdefault(_solid(model, body), []).append((body, point))
+            pins.setdefault(int(model.body_weldid[body]), []).append((body, point))
     for body, points in pins.items():
         if len(points) == 1 and body != 0:
             points.append((body, model.body_ipos[body]))
     return pins
 
 
-def _solid(model: mujoco.MjModel, body: int) -> int:
-    """Return the root of the rigid group of a body: the nearest ancestor with a joint, or the world (0)."""
-    return int(model.body_weldid[body])
-
-
 def body_name(model: mujoco.MjModel, body: int) -> str:
     """Return the name of the stick that contains a body."""
-    body = _solid(model, body)
+    body = int(model.body_weldid[body])
     return "ground" if body == 0 else model.body(body).name or f"body {body}"
 
 
