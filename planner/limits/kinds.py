@@ -140,15 +140,20 @@ def site_at_home(mechanism: Mechanism, site: int) -> np.ndarray:
 
 def _tube(p: ca.SX, along: np.ndarray, radius: float) -> ca.SX:
     """Return the squared distance of p (3,) from a polyline (n, 3), in squared radii, smooth and never underestimated."""
-    distances = []
-    for a, b in itertools.pairwise(along):
-        way = b - a
-        share = ca.fmax(0.0, ca.fmin(1.0, ca.dot(p - ca.DM(a), ca.DM(way)) / float(way @ way)))
-        off = p - ca.DM(a) - share * ca.DM(way)
-        distances.append(ca.sumsqr(off) / radius**2)
-    squares = ca.vertcat(*distances)
+    squares = ca.vertcat(*squared_distances(p, along)) / radius**2
     weights = ca.exp(-_TUBE_SHARPNESS * (squares - ca.mmin(squares)))
     return ca.dot(weights, squares) / ca.sum1(weights)
+
+
+def squared_distances(p: ca.SX, along: np.ndarray) -> list[ca.SX]:
+    """Return the squared distances [m2] of a place p (3,) from the segments of a polyline (n, 3)."""
+
+    def from_segment(a: np.ndarray, b: np.ndarray) -> ca.SX:
+        way, off = b - a, p - ca.DM(a)
+        share = ca.fmax(0.0, ca.fmin(1.0, ca.dot(off, ca.DM(way)) / float(way @ way)))
+        return ca.sumsqr(off - share * ca.DM(way))
+
+    return [from_segment(a, b) for a, b in itertools.pairwise(along)]
 
 
 def _margin_sampled_finely(samples: Samples, limit: SiteLimit, margin: Margin, measured: Measured) -> Margin:

@@ -4,7 +4,6 @@ Those on poses are all rows of the loops, singular poses, tendons, ball joints, 
 """
 
 import functools
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import casadi as ca
@@ -16,10 +15,10 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.certificate.certificate import CLOSURE_M, DYNAMICS_SHARE, INVERSE_DYNAMICS_SHARE, RANGE_SLACK
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE
 from linkplan.planner.limits.actuators import clamped_allowance
+from linkplan.planner.limits.kinds import squared_distances
 from linkplan.planner.problem.extra import ExtraLimit, expressed
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.claim import Claim, claim_of, of_kinetics, rounding_of, share_of
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Kinetics, State
@@ -83,7 +82,8 @@ def site_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
         place = mechanism.dynamics.site_places(q)[:, limit.index]
         bounds, slack = (limit.low, limit.high), None
         if limit.is_tube:
-            value, squared = _squared_distance(limit, place), limit.high**2
+            distances = squared_distances(place, np.asarray(limit.along))
+            value, squared = functools.reduce(ca.fmin, distances), limit.high**2
             slack = (0.0, (limit.high + rounding_of(bounds)[1]) ** 2 - squared)
             name, unit, bounds = f"squared distance from the tube of site {limit.site}", "m2", (-np.inf, squared)
         else:
@@ -91,18 +91,6 @@ def site_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
             name, unit = f"{limit.what} of site {limit.site}", "m"
         walk = walk_of(ca.Function("site", [q], [ca.densify(value)]))
         yield claim_of(name, unit, bounds, _entry(walk, 0), slack)
-
-
-def _squared_distance(limit: SiteLimit, place: ca.SX) -> ca.SX:
-    """Return the squared distance of a place (3,) from the nearest segment of a tube's polyline."""
-
-    def from_segment(a: np.ndarray, b: np.ndarray) -> ca.SX:
-        way, off = b - a, place - ca.DM(a)
-        share = ca.fmax(0.0, ca.fmin(1.0, ca.dot(off, ca.DM(way)) / float(way @ way)))
-        return ca.sumsqr(off - share * ca.DM(way))
-
-    corners = list(np.asarray(limit.along))
-    return functools.reduce(ca.fmin, [from_segment(a, b) for a, b in itertools.pairwise(corners)])
 
 
 def reference_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
