@@ -7,8 +7,33 @@ import numpy as np
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 
+class OnIntervals:
+    """The times of a motion whose intervals end at `breaks_s` (n + 1,) [s]."""
+
+    __slots__ = ()
+    breaks_s: np.ndarray
+
+    @property
+    def duration_s(self) -> float:
+        """The duration [s]."""
+        return float(self.breaks_s[-1] - self.breaks_s[0])
+
+    def dense_times(self, per_interval: int) -> np.ndarray:
+        """Return increasing times: every interval's two ends and `per_interval` - 1 times between them.
+
+        A break appears twice, just before and at it, so that both sides of a jump in effort are included.
+        """
+        inner = np.linspace(0.0, 1.0, per_interval + 1)
+        inner[-1] = 1.0 - 1e-12
+        return self.times_at(inner)
+
+    def times_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the times (n_intervals * n,) at shares (n,) of every interval."""
+        return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Trajectory:
+class Trajectory(OnIntervals):
     """Independent positions s(t), their velocity v(t) = s'(t), and efforts u(t), over [0, duration].
 
     `breaks_s` (n + 1,) are the intervals' ends. Coefficients are Bernstein's on each interval: `position`
@@ -41,11 +66,6 @@ class Trajectory:
         shapes = [self.position.shape[1], self.velocity.shape[1], self.effort.shape[1]]
         if n < 1 or np.any(np.diff(self.breaks_s) <= 0) or shapes != [n, n, n]:
             raise ValueError(f"trajectory has {n} intervals, its coefficients {shapes}; breaks must increase")
-
-    @property
-    def duration_s(self) -> float:
-        """The duration [s]."""
-        return float(self.breaks_s[-1] - self.breaks_s[0])
 
     @property
     def n_s(self) -> int:
@@ -100,16 +120,3 @@ class Trajectory:
         time = np.asarray(time_s, dtype=float)
         slack = 1e-12 * max(1.0, self.duration_s)
         return self.periodic | ((time >= self.breaks_s[0] - slack) & (time <= self.breaks_s[-1] + slack))
-
-    def dense_times(self, per_interval: int) -> np.ndarray:
-        """Return increasing times: every interval's two ends and `per_interval` - 1 times between them.
-
-        A break appears twice, just before and at it, so that both sides of a jump in effort are included.
-        """
-        inner = np.linspace(0.0, 1.0, per_interval + 1)
-        inner[-1] = 1.0 - 1e-12
-        return self.times_at(inner)
-
-    def times_at(self, points: np.ndarray) -> np.ndarray:
-        """Return the times (n_intervals * n,) at shares (n,) of every interval."""
-        return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()

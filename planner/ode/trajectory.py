@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.problem.settings import frozen
+from linkplan.planner.trajectory import OnIntervals
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class OdeTrajectory:
+class OdeTrajectory(OnIntervals):
     """States and efforts as polynomials: Bernstein coefficients (degree + 1, n, n_x) and (degree + 1, n, n_u).
 
     `breaks_s` (n + 1,) are the intervals' ends [s]. `state` may carry time as a last state of its own: `n_x` does not
@@ -28,11 +29,6 @@ class OdeTrajectory:
         if self.running is not None:
             object.__setattr__(self, "running", frozen(self.running))
 
-    @property
-    def duration_s(self) -> float:
-        """The duration [s]."""
-        return float(self.breaks_s[-1] - self.breaks_s[0])
-
     def state_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return states (n, n_x) at times (n,)."""
         return self.full_state_at(time_s)[:, : self.n_x]
@@ -48,13 +44,3 @@ class OdeTrajectory:
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return efforts (n, n_u) at times (n,); at a break the later interval's."""
         return PiecewisePolynomial(self.effort, self.breaks_s)(np.atleast_1d(time_s))
-
-    def dense_times(self, per_interval: int) -> np.ndarray:
-        """Return times at `per_interval` steps of every interval, both sides of each break."""
-        inner = np.linspace(0.0, 1.0, per_interval + 1)
-        inner[-1] = 1.0 - 1e-12
-        return self.times_at(inner)
-
-    def times_at(self, points: np.ndarray) -> np.ndarray:
-        """Return the times (n_intervals * n,) that stand at shares (n,) of every interval."""
-        return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()
