@@ -67,8 +67,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     misjudged, beyond = integrated.misjudged, integrated.beyond
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
     state_margin = _inside(x, problem.state_limit).min(axis=0)
-    p = np.tile(problem.parameters[:, None], (1, len(time)))
-    path = np.array(problem.at_instant("path").map(len(time))(x.T, u.T, p, time[None])).reshape(-1, len(time))
+    path = np.array(problem.at_instant("path")(x.T, u.T, problem.parameters, time[None])).reshape(-1, len(time))
     limit = problem.path_limit
     inside = np.minimum(path - limit[:, :1], limit[:, 1:] - path)
     n = len(trajectory.breaks_s) - 1
@@ -150,8 +149,7 @@ def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme)
     # The right end of an interval is the next one's left end, where efforts may jump: a hair inside.
     time = breaks[:-1, None] + np.diff(breaks)[:, None] * np.clip(chosen.nodes, 0.0, 1.0 - 1e-12)
     x, u = trajectory.state_at(time.ravel()).T, trajectory.effort_at(time.ravel()).T
-    p = np.tile(problem.parameters[:, None], (1, time.size))
-    rate = np.array(problem.at_instant("running_cost").map(time.size)(x, u, p, time.reshape(1, -1)))
+    rate = np.array(problem.at_instant("running_cost")(x, u, problem.parameters, time.reshape(1, -1)))
     return np.diff(breaks) * (rate.reshape(-1, m) @ chosen.weights)
 
 

@@ -7,6 +7,7 @@ from scipy.interpolate import PchipInterpolator
 from linkplan.planner.limits.path_limit import Tightened
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.refinement.marking import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Start, Units
 from linkplan.planner.transcription.interval import IntervalRows
@@ -48,18 +49,12 @@ def units_of(problem: OdeProblem, guess: CompletedGuess) -> Units:
     u = np.where(np.abs(u).max(axis=0) > 0, u, effort)
     cost = 0.0
     if problem.running_cost is not None:
-        running = problem.at_instant("running_cost").map(len(times))(
-            guess.state.T, u.T, _p(problem, len(times)), times[None]
-        )
+        running = problem.at_instant("running_cost")(guess.state.T, u.T, problem.parameters, times[None])
         cost += T * float(np.mean(np.abs(np.array(running))))
     if problem.final_cost is not None:
         cost += abs(float(problem.at_ends("final_cost")(guess.state[0], guess.state[-1], T, problem.parameters)))
     cost = cost if np.isfinite(cost) and cost > _MIN_UNIT_SHARE else 1.0
     return Units(time_s=T, state=size, effort=effort, objective=cost)
-
-
-def _p(problem: OdeProblem, n: int) -> np.ndarray:
-    return np.tile(problem.parameters[:, None], (1, n))
 
 
 def formulate_ode(
@@ -81,9 +76,9 @@ def formulate_ode(
     """
     timed = depends_on_time(problem)
     n_x, X = problem.n_x + timed, units.state
-    state = np.vstack([problem.state_limit, np.tile([-np.inf, np.inf], (int(timed), 1))])
+    state = np.vstack([problem.state_limit, free_bounds(int(timed))])
     start = np.vstack([problem.start, np.zeros((int(timed), 2))])
-    goal = np.vstack([problem.goal, np.tile([-np.inf, np.inf], (int(timed), 1))])
+    goal = np.vstack([problem.goal, free_bounds(int(timed))])
     limited = tuple(int(i) for i in np.flatnonzero(np.isfinite(state).any(axis=1)))
     low, high = problem.duration
     p = problem.parameters

@@ -72,9 +72,9 @@ def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, mos
     """True if an error grows by more than a factor, with the dynamics of each interval frozen at its middle."""
     breaks, n_x = trajectory.breaks_s, problem.n_x
     widths = np.diff(breaks)
-    middle, p = breaks[:-1] + 0.5 * widths, np.tile(problem.parameters[:, None], (1, len(widths)))
+    middle = breaks[:-1] + 0.5 * widths
     x, u = trajectory.state_at(middle), trajectory.effort_at(middle)
-    _, slope = _variation(problem).map(len(widths))(x.T, u.T, p, middle[None])
+    _, slope = _variation(problem)(x.T, u.T, problem.parameters, middle[None])
     slopes = np.array(slope).reshape(n_x + 1, len(widths), n_x).transpose(1, 0, 2)[:, :n_x] * size / size[:, None]
     if not np.all(np.isfinite(slopes)):
         return False

@@ -53,8 +53,8 @@ def switching_of(problem: OdeProblem, motion: OdeTrajectory, solution: Solution)
     if solution.multipliers is None:
         return None
     last = _costates(problem, solution)
-    drive, push = _functions(problem, len(last))
-    breaks, p = motion.breaks_s, np.tile(problem.parameters[:, None], (1, len(last)))
+    drive, push = _functions(problem)
+    breaks, p = motion.breaks_s, problem.parameters
     step = np.diff(breaks) / _STEPS_PER_INTERVAL
 
     def at(share: float):
@@ -77,11 +77,6 @@ def switching_of(problem: OdeProblem, motion: OdeTrajectory, solution: Solution)
     return Switching(time_s=time, value=np.stack(values[::-1], axis=1))
 
 
-def last_costates(problem: OdeProblem, solution: Solution) -> np.ndarray:
-    """Return the costates (n_x,) at the end: what the objective would gain or lose by a unit less or more of each state."""
-    return _costates(problem, solution)[-1]
-
-
 def _costates(problem: OdeProblem, solution: Solution) -> np.ndarray:
     """Return the costates (n, n_x) at the intervals' ends: what a unit more of a state there would cost."""
     transcribed = solution.transcribed
@@ -92,8 +87,8 @@ def _costates(problem: OdeProblem, solution: Solution) -> np.ndarray:
     return -rows[:, handed] * units.objective / units.state[: problem.n_x]
 
 
-def _functions(problem: OdeProblem, n: int) -> tuple[ca.Function, ca.Function]:
-    """Return dH/dx, a costate's rate backwards in time, and dH/du, of (x, u, p, t, costate), mapped over n columns."""
+def _functions(problem: OdeProblem) -> tuple[ca.Function, ca.Function]:
+    """Return dH/dx, a costate's rate backwards in time, and dH/du, of (x, u, p, t, costate)."""
     sizes = (("x", problem.n_x), ("u", problem.n_u), ("p", len(problem.parameters)), ("t", 1), ("costate", problem.n_x))
     x, u, p, t, costate = (ca.SX.sym(*size) for size in sizes)
     hamiltonian = ca.dot(costate, problem.at_instant("rate")(x, u, p, t))
@@ -101,7 +96,7 @@ def _functions(problem: OdeProblem, n: int) -> tuple[ca.Function, ca.Function]:
         hamiltonian += problem.at_instant("running_cost")(x, u, p, t)
     inputs = [x, u, p, t, costate]
     drive, push = (ca.densify(ca.gradient(hamiltonian, of)) for of in (x, u))
-    return ca.Function("drive", inputs, [drive]).map(n), ca.Function("push", inputs, [push]).map(n)
+    return ca.Function("drive", inputs, [drive]), ca.Function("push", inputs, [push])
 
 
 def switch_by_costates(first: FirstSolution) -> FirstSolution:
@@ -156,7 +151,7 @@ def _replaces(case: OdeCase, tried: Iterate[OdeTrajectory], before: Solution, *,
     if uncut:
         return solution.objective <= before.objective + allowed
     sizes = np.abs(tried.motion.state[:, :, : case.asked.n_x]).max(axis=(0, 1))
-    worth = case.certify(tried.motion).integration_error * float(np.abs(last_costates(case.asked, solution)) @ sizes)
+    worth = case.certify(tried.motion).integration_error * float(np.abs(_costates(case.asked, solution)[-1]) @ sizes)
     return before.objective - solution.objective > max(_MIN_GAIN_SHARE * abs(before.objective), 10.0 * worth)
 
 

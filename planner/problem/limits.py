@@ -101,7 +101,7 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
                 f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], where its stops act"
             )
         position[index] = low, high
-    speed = np.tile([-np.inf, np.inf], (mechanism.n_q, 1))
+    speed = free_bounds(mechanism.n_q)
     for index, value in joint_values(section, "speed_s", "limits", mechanism).items():
         joint = mechanism.joints[index]
         speed[index] = [joint.read(end) for end in _including_rest(value, f"limits.speed_{joint.unit}_s.{joint.name}")]
