@@ -89,7 +89,7 @@ def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tupl
     unit = unit_steps(problem.mechanism.independent_joints, problem.mechanism.extent_m)
     span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)  # a guess that hardly moves is bent by this much
     for number in itertools.count(1):
-        offset = perturbation(number, times / base.duration_s, span).offset
+        offset, _ = perturbation(number, times / base.duration_s, span)
         yield f"perturbed guess {number}", _splined(times, s + offset, base.start_pose, base.boundaries_s)
 
 

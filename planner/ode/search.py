@@ -53,10 +53,10 @@ def perturbed(problem: OdeProblem, given: list[CompletedGuess], n: int) -> Itera
         tau = np.linspace(0.0, 1.0, max(41, len(guess.state)))
         at = np.linspace(0.0, 1.0, len(guess.state))
         state = np.column_stack([np.interp(tau, at, column) for column in guess.state.T])
-        tightened_share = perturbation(number, tau, size)
-        state = np.clip(state + tightened_share.offset, limit[:, 0], limit[:, 1])
+        offset, stretch = perturbation(number, tau, size)
+        state = np.clip(state + offset, limit[:, 0], limit[:, 1])
         low, high = problem.duration
-        duration = float(np.clip(guess.duration_s * tightened_share.stretch, low, high))
+        duration = float(np.clip(guess.duration_s * stretch, low, high))
         yield completed(problem, StateGuess(state=state, effort=guess.effort, duration_s=duration))
 
 
@@ -114,11 +114,6 @@ def of_least_time(problem: OdeProblem) -> OdeProblem:
 
     bounds = tuple(share * problem.duration[1] for share in _LEAST_TIME_BOUNDS)
     return replace(problem, running_cost=None, final_cost=final_cost, duration_s=bounds, objective_tolerance=None)
-
-
-def stretched(motion: OdeTrajectory, duration_s: float) -> OdeTrajectory:
-    """Return a motion's states and efforts over another duration [s]."""
-    return replace(motion, breaks_s=motion.breaks_s * (duration_s / motion.duration_s), running=None)
 
 
 def sampled_guess(motion: OdeTrajectory) -> CompletedGuess:

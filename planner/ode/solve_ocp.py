@@ -27,7 +27,6 @@ from linkplan.planner.ode.search import (
     of_other_durations,
     perturbed,
     sampled_guess,
-    stretched,
     with_smallest_efforts,
 )
 from linkplan.planner.ode.switches import is_affine
@@ -142,7 +141,8 @@ def _continued(
 
     def solve_at(before: FirstSolution | None, value: float) -> FirstSolution | None:
         problem, start = problem_at(value), motion if before is None else before.found.motion
-        start = stretched(start, float(np.clip(start.duration_s, *problem.duration)))
+        stretch = float(np.clip(start.duration_s, *problem.duration)) / start.duration_s
+        start = replace(start, breaks_s=start.breaks_s * stretch, running=None)
         case, breaks = OdeCase(problem, problem, units_of(problem, sampled_guess(start))), start.breaks_s - start.breaks_s[0]
         mesh, durations = broken(breaks / breaks[-1]), breaks[-1:]
         found = attempt(case, case.start_from(start), mesh, durations, what)

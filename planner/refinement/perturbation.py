@@ -1,21 +1,12 @@
 """Random perturbations of an initial guess, the same in every run (multistart)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Perturbation:
-    """An offset (n, k) that is added to a motion, in its units, and a factor from 0.5 to 2 on its duration."""
+def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return an offset (n, k) to add to a motion, in its units, and a factor from 0.5 to 2 on its duration.
 
-    offset: np.ndarray
-    stretch: float
-
-
-def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> Perturbation:
-    """Return a perturbation: three half waves of random size, of half the motion's size together, nothing at its ends.
-
+    The offset is three half waves of random size, of half the motion's size together, and nothing at the motion's ends.
     Every fourth perturbation is larger.
 
     Args:
@@ -25,4 +16,4 @@ def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> Perturbati
     """
     rng, wave = np.random.default_rng(number), np.arange(1, 4)
     shape = np.sin(np.pi * np.outer(along, wave)) @ (rng.uniform(-1.0, 1.0, (len(wave), len(span))) / wave[:, None])
-    return Perturbation(offset=0.5 * (1 + number // 4) * shape * span, stretch=float(2.0 ** rng.uniform(-1.0, 1.0)))
+    return 0.5 * (1 + number // 4) * shape * span, float(2.0 ** rng.uniform(-1.0, 1.0))

@@ -60,16 +60,12 @@ def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> t
     The mesh is finer where the guess is fast: near a singular pose a motion covers in a hundredth of its time what takes
     half of it elsewhere. Every interval has an equal share of time, way and change of speed together.
     """
-    boundaries = _boundaries(guess)
+    boundaries = np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
     ends = np.sort(np.concatenate([boundaries, switch_times_s]))
     # Samples of a guess at which its speed is measured.
     times = np.linspace(0.0, guess.duration_s, 4001)
     progress = np.concatenate([[0.0], np.cumsum(_pace(guess, times))])
     return _spread(times, n_intervals * progress / progress[-1], ends, boundaries)
-
-
-def _boundaries(guess: Guess) -> np.ndarray:
-    return np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
 
 
 def _pace(guess: Guess, times: np.ndarray) -> np.ndarray:

@@ -56,18 +56,18 @@ def test_what_a_case_aims_at_follows_from_its_objective():
 def test_a_bend_leaves_the_ends_where_they_are_and_is_the_same_in_every_run():
     span = np.array([1.0, 3.0])
     once, again = perturbation(7, TAU, span), perturbation(7, TAU, span)
-    np.testing.assert_array_equal(once.offset, again.offset)
-    np.testing.assert_allclose(once.offset[[0, -1]], 0.0, atol=UNIT)
-    assert np.all(np.abs(once.offset).max(axis=0) > 0.01 * span)
-    assert not np.allclose(once.offset, perturbation(8, TAU, span).offset)
-    assert 0.5 <= once.stretch <= 2.0
+    np.testing.assert_array_equal(once[0], again[0])
+    np.testing.assert_allclose(once[0][[0, -1]], 0.0, atol=UNIT)
+    assert np.all(np.abs(once[0]).max(axis=0) > 0.01 * span)
+    assert not np.allclose(once[0], perturbation(8, TAU, span)[0])
+    assert 0.5 <= once[1] <= 2.0
 
 
 def test_a_bend_is_as_large_as_the_motion_it_bends():
     np.testing.assert_allclose(
-        perturbation(2, TAU, np.array([4.0])).offset, 4.0 * perturbation(2, TAU, np.array([1.0])).offset, rtol=1e-12
+        perturbation(2, TAU, np.array([4.0]))[0], 4.0 * perturbation(2, TAU, np.array([1.0]))[0], rtol=1e-12
     )
-    small, large = (np.abs(perturbation(number, TAU, np.ones(50)).offset).max() for number in (3, 40))
+    small, large = (np.abs(perturbation(number, TAU, np.ones(50))[0]).max() for number in (3, 40))
     assert large > 3 * small
 
 
@@ -78,15 +78,15 @@ def test_mechanisms_and_differential_equations_are_bent_alike():
     times = np.linspace(0.0, base.duration_s, 121)
     offset = guess.position(times) - base.position(times)
     span = np.ptp(base.position(times), axis=0)
-    np.testing.assert_allclose(offset, perturbation(1, times / base.duration_s, span).offset, atol=1e-12)
+    np.testing.assert_allclose(offset, perturbation(1, times / base.duration_s, span)[0], atol=1e-12)
     ode = OdeProblem(
         name="an integrator", rate=lambda x, u, p, t: u, start=[0.0], goal=[1.0], effort_limit=[[-9, 9]],  # noqa: ARG005
         duration_s=(0.1, 100.0), running_cost=lambda x, u, p, t: u[0] ** 2,  # noqa: ARG005
     )  # fmt: skip
     straight = straight_guess(ode)
     _, second = perturbed(ode, [straight], 2)
-    np.testing.assert_allclose(second.state[:, 0] - TAU, perturbation(1, TAU, np.ones(1)).offset[:, 0], atol=1e-12)
-    assert second.duration_s == pytest.approx(straight.duration_s * perturbation(1, TAU, np.ones(1)).stretch)
+    np.testing.assert_allclose(second.state[:, 0] - TAU, perturbation(1, TAU, np.ones(1))[0][:, 0], atol=1e-12)
+    assert second.duration_s == pytest.approx(straight.duration_s * perturbation(1, TAU, np.ones(1))[1])
 
 
 # Free durations.
