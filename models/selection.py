@@ -17,9 +17,6 @@ from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, WELD, data_at, 
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
 
-# Slides of an undriven base that moves in a plane.
-_PLANAR_SLIDES = 2
-
 
 def subtree(model: mujoco.MjModel, body: int) -> set[int]:
     """Return a body and all that hangs on it."""
@@ -71,7 +68,8 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     for body in np.flatnonzero(model.body_parentid == 0).tolist():
         joints = joints_of(model, body)
         kinds = [int(model.jnt_type[j]) for j in joints]
-        moves = FREE in kinds or kinds.count(SLIDE) >= _PLANAR_SLIDES or any(_falls(model, j) for j in joints)
+        planar = kinds.count(SLIDE) >= 2
+        moves = FREE in kinds or planar or any(_falls(model, j) for j in joints)
         moving |= {body} if moves and not driven & set(joints) else set()
     floating = {max(trees, key=lambda base: model.body_subtreemass[base]) for trees in _tied_trees(model) if trees <= moving}
     return [j for body in bodies if body in floating for j in joints_of(model, body)]

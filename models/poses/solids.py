@@ -16,8 +16,6 @@ from linkplan.models.poses.skeleton import pins_in_space
 from linkplan.models.tree.coordinates import rotation_from_quaternion
 
 _SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-# Distance from a mechanism's middle, in its extents, beyond which geoms of the ground are scenery.
-_SCENERY_EXTENTS = 2.0
 
 
 def simplified(vertices: np.ndarray, most: int = 120) -> np.ndarray:
@@ -139,7 +137,7 @@ def geom_solids(mechanism: Mechanism) -> tuple[Solid, ...]:
     data = data_at(model, mechanism.qpos_of(mechanism.home))
     found, middle = [], data.xpos[1:].mean(axis=0)
     farthest = np.linalg.norm(data.geom_xpos - middle, axis=1) + model.geom_rbound
-    scenery = (model.body_weldid[model.geom_bodyid] == 0) & (farthest > _SCENERY_EXTENTS * mechanism.extent_m)
+    scenery = (model.body_weldid[model.geom_bodyid] == 0) & (farthest > 2.0 * mechanism.extent_m)
     for geom in np.flatnonzero(visible_geoms(model) & ~scenery):
         shape = _shape_of(model, int(geom))
         if shape is not None:
