@@ -111,7 +111,8 @@ def effort_within(tau: np.ndarray, maps: np.ndarray, limit: np.ndarray) -> np.nd
     for k in np.flatnonzero(np.any((effort < low) | (effort > high), axis=1)):
         small = 1e-6 * float(np.linalg.norm(maps[k])) * np.eye(len(limit))  # of efforts that give the same, the least
         rows, wanted = np.vstack([maps[k], small]), np.append(tau[k], np.zeros(len(limit)))
-        effort[k] = scipy.optimize.lsq_linear(rows, wanted, (low, np.nextafter(high, np.inf)), tol=1e-14).x
+        within = (low, np.nextafter(high, np.inf))
+        effort[k] = scipy.optimize.lsq_linear(rows, wanted, within, method="bvls", max_iter=100 * len(limit)).x
     return effort
 
 

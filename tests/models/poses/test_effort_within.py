@@ -25,3 +25,17 @@ def test_efforts_within_limits_miss_by_no_more_than_a_search_does(seed):
     for u, wanted, B in zip(found, tau, maps, strict=True):
         searched = scipy.optimize.minimize(lambda x, B=B, w=wanted: np.sum((B @ x - w) ** 2), np.zeros(4), bounds=tight)
         assert np.sum((B @ u - wanted) ** 2) <= searched.fun + 1e-9
+
+
+def test_of_many_weak_drives_each_is_at_its_limit_or_helps_no_more():
+    """The gradient g of |B u - tau|^2 is 0 inside the limits, at most 0 at the upper one and at least 0 at the lower."""
+    rng = np.random.default_rng(0)
+    size = 10 ** rng.uniform(-3, 3, size=(20, 1))  # of the coordinates
+    maps, most = size * rng.normal(size=(5, 20, 25)), 10 ** rng.uniform(-3, 1, size=25)
+    tau = 10 * rng.normal(size=(5, 20))
+    found = effort_within(tau, maps, np.stack([-most, most], axis=1))
+    slope = np.einsum("ksu,ks->ku", maps, np.einsum("ksu,ku->ks", maps, found) - tau) / (size.max() * np.abs(tau).max())
+    share = found / most
+    assert np.sum(np.abs(share) > 1 - 1e-9) > 50  # most drives are too weak
+    assert np.abs(share).max() <= 1 + 1e-9
+    np.testing.assert_allclose(np.where(np.abs(share) < 1 - 1e-9, slope, np.maximum(0, slope * share)), 0, atol=1e-6)
