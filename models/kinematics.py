@@ -124,6 +124,46 @@ def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray
     return [(first, points[0]), (second, points[1])]
 
 
+def subtree(model: mujoco.MjModel, body: int) -> set[int]:
+    """Return a body and all that hangs on it."""
+    found = {body}
+    for other in range(body + 1, model.nbody):
+        if int(model.body_parentid[other]) in found:
+            found.add(other)
+    return found
+
+
+def joints_of(model: mujoco.MjModel, body: int) -> range:
+    """Return the joints of a body."""
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
+
+
+def tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
+    """Return the bodies that an equality constraint ties together."""
+    kind, ends = int(model.eq_type[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
+    ends = tuple(end for end in ends if end >= 0)
+    if kind == int(mujoco.mjtEq.mjEQ_JOINT):  # couplings have no type of object
+        return {int(model.jnt_bodyid[end]) for end in ends}
+    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
+        return set().union(*(bodies_of_tendon(model, end) for end in ends))
+    return {body for body, _ in tied_points(model, index)}
+
+
+def bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """Return the bodies that a tendon's joints move, and those that it runs along."""
+    found = set()
+    for at in range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon])):
+        kind, element = int(model.wrap_type[at]), int(model.wrap_objid[at])
+        if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
+            found.add(int(model.jnt_bodyid[element]))
+        elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
+            found.add(int(model.site_bodyid[element]))
+        elif kind in (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER)):
+            found.add(int(model.geom_bodyid[element]))
+    return found
+
+
 def rod_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
     """Return the line (3,) about which a rod on a ball joint may spin, in its own frame, or None if the body is not a rod.
 

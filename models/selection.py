@@ -13,59 +13,34 @@ import numpy as np
 
 from linkplan.models.deletion import delete_users, leave_the_ground
 from linkplan.models.errors import ModelError, choose, listed
-from linkplan.models.kinematics import BALL, FREE, HINGE, SLIDE, WELD, data_at, fix_in_parent, in_body, tied_points
+from linkplan.models.kinematics import (
+    BALL,
+    FREE,
+    HINGE,
+    SLIDE,
+    WELD,
+    bodies_of_tendon,
+    data_at,
+    fix_in_parent,
+    in_body,
+    joints_of,
+    subtree,
+    tied_bodies,
+    tied_points,
+)
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
 
 
-def subtree(model: mujoco.MjModel, body: int) -> set[int]:
-    """Return a body and all that hangs on it."""
-    found = {body}
-    for other in range(body + 1, model.nbody):
-        if int(model.body_parentid[other]) in found:
-            found.add(other)
-    return found
-
-
-def joints_of(model: mujoco.MjModel, body: int) -> range:
-    """Return the joints of a body."""
-    first = int(model.body_jntadr[body])
-    return range(first, first + int(model.body_jntnum[body]))
-
-
-def tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
-    """Return the bodies that an equality constraint ties together."""
-    kind, ends = int(model.eq_type[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
-    ends = tuple(end for end in ends if end >= 0)
-    if kind == int(mujoco.mjtEq.mjEQ_JOINT):  # couplings have no type of object
-        return {int(model.jnt_bodyid[end]) for end in ends}
-    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
-        return set().union(*(_bodies_of_tendon(model, end) for end in ends))
-    return {body for body, _ in tied_points(model, index)}
-
-
-def _bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
-    found = set()
-    for at in range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon])):
-        kind, element = int(model.wrap_type[at]), int(model.wrap_objid[at])
-        if kind == int(mujoco.mjtWrap.mjWRAP_JOINT):
-            found.add(int(model.jnt_bodyid[element]))
-        elif kind == int(mujoco.mjtWrap.mjWRAP_SITE):
-            found.add(int(model.site_bodyid[element]))
-        elif kind in (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER)):
-            found.add(int(model.geom_bodyid[element]))
-    return found
-
-
 def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the joints of bodies on the world that translate in a plane or in space, or fall along a rail.
+    """Return the joints of bodies on what stands still that translate in a plane or in space, or fall along a rail.
 
     A base that actuators drive does not float, nor does one that loops tie to the world or to what stands on it. Of floating
     bases that loops tie to one another, such as the plates of a chassis, only the heaviest is returned: it holds the others.
     """
     driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nactuator) if int(model.actuator_trntype[a]) == 0}
     moving = set()
-    for body in np.flatnonzero(model.body_parentid == 0).tolist():
+    for body in {_base_of(model, body) for body in range(1, model.nbody)} - {0}:
         joints = joints_of(model, body)
         kinds = [int(model.jnt_type[j]) for j in joints]
         planar = kinds.count(SLIDE) >= 2
@@ -75,14 +50,22 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     return [j for body in bodies if body in floating for j in joints_of(model, body)]
 
 
+def _base_of(model: mujoco.MjModel, body: int) -> int:
+    """Return the outermost moving body that carries a body; the world, 0, for one that stands still."""
+    if not model.body_weldid[body]:
+        return 0
+    while model.body_weldid[parent := int(model.body_parentid[body])]:
+        body = parent
+    return body
+
+
 def _falls(model: mujoco.MjModel, joint: int) -> bool:
-    """Return True if weight moves the slide of a body on the world, and nothing that the model has can hold it."""
-    if int(model.jnt_type[joint]) != SLIDE or model.jnt_limited[joint] or model.jnt_stiffness[joint]:
+    """Return True if weight moves the slide of a base, and nothing that the model has can hold it but a stop."""
+    if int(model.jnt_type[joint]) != SLIDE or model.jnt_stiffness[joint]:
         return False
-    body, axis = int(model.jnt_bodyid[joint]), np.empty(3)
-    mujoco.mju_rotVecQuat(axis, model.jnt_axis[joint], model.body_quat[body])
+    body, axis = int(model.jnt_bodyid[joint]), data_at(model, model.qpos0).xaxis[joint]
     weight, friction = model.body_subtreemass[body] * model.opt.gravity, model.dof_frictionloss[model.jnt_dofadr[joint]]
-    ropes = [_bodies_of_tendon(model, tendon) for tendon in range(model.ntendon)]
+    ropes = [bodies_of_tendon(model, tendon) for tendon in range(model.ntendon)]
     thrusts = set(model.actuator_trntype.tolist()) - {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_TENDON)}
     ties = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
     held = model.body_gravcomp[body] or thrusts or any({body, 0} & rope for rope in ropes) or {body} in ties
@@ -90,17 +73,17 @@ def _falls(model: mujoco.MjModel, joint: int) -> bool:
 
 
 def _tied_trees(model: mujoco.MjModel) -> list[set[int]]:
-    """Return the bodies on the world, and the world itself, in groups that loops tie together."""
-    groups = [{body} for body in np.flatnonzero(model.body_parentid == 0).tolist()]
+    """Return the bases on what stands still, and the world itself, in groups that loops tie together."""
+    groups = [{base} for base in {_base_of(model, body) for body in range(model.nbody)}]
     for index in np.flatnonzero(model.eq_active0).tolist():
-        ends = {int(model.body_rootid[body]) for body in tied_bodies(model, index)}
+        ends = {_base_of(model, body) for body in tied_bodies(model, index)}
         tied = [group for group in groups if group & ends]
         groups = [group for group in groups if not group & ends] + ([set().union(*tied)] if tied else [])
     return groups
 
 
 def floating_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints of bodies on the world that move freely in a plane or in space, or fall, and that nothing drives."""
+    """Return the joints of bases that move freely in a plane or in space, or fall, and that nothing drives."""
     return set(floating_of(model, range(1, model.nbody)))
 
 
