@@ -133,9 +133,10 @@ def steady_gap(push: float, stiffness: float, solimp: np.ndarray) -> float:
 
 
 def impedance_at(gap: float, solimp: np.ndarray) -> float:
-    """Return MuJoCo's impedance d(r) of a constraint with a gap [m] (MuJoCo, "Solver parameters")."""
-    d_0, d_width, width, midpoint, power = (float(x) for x in solimp)
-    x = min(1.0, gap / width) if width > 0 else 1.0
+    """Return MuJoCo's impedance d(r) of a constraint with a gap [m] (MuJoCo, "Solver parameters", where it is clipped)."""
+    d_0, d_width, midpoint = np.clip(solimp[[0, 1, 3]], mujoco.mjMINIMP, mujoco.mjMAXIMP).tolist()
+    width, power = max(float(solimp[2]), mujoco.mjMINVAL), max(float(solimp[4]), 1.0)
+    x = min(1.0, gap / width)
     y = x if power == 1 else x**power / midpoint ** (power - 1)
     if x > midpoint and power != 1:
         y = 1 - (1 - x) ** power / (1 - midpoint) ** (power - 1)

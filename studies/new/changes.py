@@ -31,7 +31,7 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.models.urdf_loops import FILTERS
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
-from linkplan.studies.check.softness import STIFF_KEY
+from linkplan.studies.check.softness import STIFF_KEY, steady_gap
 from linkplan.studies.new.locks import (
     HOLD_MULTIPLE,
     coupled_with_play,
@@ -285,8 +285,7 @@ def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, obj
 def held_gap(mechanism: Mechanism) -> float:
     """Return the largest closure gap in MuJoCo while the drives hold the weight at home; 0 without loops or drives.
 
-    It is a share of the mechanism's extent, or an angle [rad]. At rest the law a + R f = -K d r of a row (MuJoCo,
-    "Constraint model") gives r = R f / (K d), with the forces f that keep the rows J q'' at zero.
+    It is a share of the mechanism's extent, or an angle [rad]. The forces are those that keep the rows J q'' at zero.
     """
     if not mechanism.closures or not mechanism.n_u or not mechanism.dof:
         return 0.0
@@ -300,7 +299,9 @@ def held_gap(mechanism: Mechanism) -> float:
     pushed = rows @ free @ (springs - data.qfrc_bias + _joint_efforts(mechanism, hold))
     force = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
     stiffness, _, impedance, _ = data.efc_KBIP.reshape(-1, 4)[: data.ne].T
-    gap = np.abs(data.efc_R[: data.ne] * force / (stiffness * impedance))
+    push = np.abs(force) * data.efc_R[: data.ne] * impedance / (1 - impedance)
+    laws = zip(push, stiffness, model.eq_solimp[data.efc_id[: data.ne]], strict=True)
+    gap = np.array([steady_gap(*law) for law in laws])
     return float(np.max(gap / np.where(_are_lengths(model, data), mechanism.extent_m, 1.0), initial=0.0))
 
 

@@ -59,9 +59,9 @@ def at_gravity_equilibrium(mechanism: Mechanism) -> Mechanism | None:
         return None
 
 
-def _rounded(joint: Joint, position: float) -> float:
-    """Return a position rounded to three decimals of a degree or metre."""
-    return joint.read(round(joint.shown(position), 3))
+def _rounded(joint: Joint, position: float, decimals: int = 3) -> float:
+    """Return a position rounded to decimals of a degree or metre."""
+    return joint.read(round(joint.shown(position), decimals) + 0.0)
 
 
 def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -119,7 +119,8 @@ def _carried_along(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, loose:
 
     found = s.copy()
     solution = scipy.integrate.solve_ivp(rate, (0.0, 1.0), begin[loose], method="DOP853", rtol=1e-10, atol=1e-12)
-    found[loose] = solution.y[:, -1]
+    for column, x in zip(loose, solution.y[:, -1].tolist(), strict=True):
+        found[column] = _rounded(mechanism.independent_joints[column], x, 9)  # an idle roller does not turn by 1e-11 deg
     return found
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.new.changes import changed_mechanism
-from linkplan.studies.new.hanging import at_gravity_equilibrium
+from linkplan.studies.new.hanging import at_gravity_equilibrium, at_rest
 
 # A rod between ball joints whose rocker is pinned at two points: the coordinate of the rod's spin is an angle of ball_b.
 ROD_ON_A_ROCKER = """<mujoco><option gravity="0 0 0"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
@@ -75,6 +75,22 @@ def test_a_cart_that_nothing_drives_ends_where_its_momentum_takes_it(tmp_path, a
     hip, rail = np.radians(motion["goal_deg"]["hip"]), motion["goal_m"]["rail"]
     assert abs(hip) > 0.1
     assert rail == pytest.approx(0.15 * np.sin(hip) / 2, rel=1e-5)
+
+
+def test_the_rollers_of_an_omnidirectional_wheel_are_not_said_to_turn():
+    """Their axes are perpendicular to that of the hub but for an exporter's rounding."""
+    rollers = "".join(
+        f'<body euler="0 {angle} 0"><body pos="0 0 .2"><joint name="roller{angle}" axis="1 1e-12 0"/>'
+        '<geom type="capsule" size=".02 .01" euler="0 90 0"/></body></body>'
+        for angle in (37, 101, 233)
+    )
+    wheel = load_mechanism(
+        f"""<mujoco><worldbody><body euler="11 23 71"><joint name="hub" axis="0 1 0"/><geom size=".1"/>{rollers}</body>
+        </worldbody><actuator><motor joint="hub" ctrlrange="-5 5"/></actuator></mujoco>"""
+    )
+    turned = at_rest(wheel, np.array([1.0, 0.0, 0.0, 0.0]), wheel.home)
+    assert wheel.steered.all()
+    np.testing.assert_array_equal(turned, [1.0, 0.0, 0.0, 0.0])
 
 
 # A wrist that its author has fixed by its range, at which it is not drawn.
