@@ -21,6 +21,7 @@ Coleman & Li, SIAM J. Sci. Comput. 21, 1999). Then they move towards the referen
 where P projects onto the null space of J.
 """
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from random import Random
@@ -30,6 +31,7 @@ import numpy as np
 
 from linkplan.models.closure.equations import Closure
 from linkplan.models.closure.rank import RANK_TOLERANCE, ROUNDING_SHARE, numerical_rank
+from linkplan.models.compiled.functions import on_arrays
 from linkplan.models.deadline import Deadline
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
@@ -70,8 +72,11 @@ class KinematicLoop:
 
     def residual(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return phi (n_rows,) [m] and its Jacobian (n_rows, n_q)."""
-        phi, jacobian = self.function(q)
-        return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(q))
+        phi, entries = np.empty(self.function.numel_out(0)), np.empty(self.function.nnz_out(1))
+        on_arrays(self.function, [np.array(q, dtype=float)], [phi, entries])()
+        jacobian = np.zeros((len(phi), len(q)))
+        jacobian.ravel()[_places(self.function)] = entries
+        return phi, jacobian
 
     def gap(self, phi: np.ndarray) -> float:
         """Return the largest gap [m] in values of phi; an angle counts with its lever."""
@@ -88,6 +93,13 @@ class KinematicLoop:
     def rank(self, q: np.ndarray) -> int:
         """Return the closure's rank at a pose."""
         return numerical_rank(self.jacobian(q), self.rank_tolerance)
+
+
+@functools.lru_cache(maxsize=64)
+def _places(function: ca.Function) -> np.ndarray:
+    """Return the places of a sparse Jacobian's entries in its dense rows, one behind the other."""
+    pattern = function.sparsity_out(1)
+    return np.array(pattern.row(), dtype=int) * pattern.size2() + np.array(pattern.get_col(), dtype=int)
 
 
 def close(loop: KinematicLoop, start: np.ndarray, free: Sequence[int] | None = None) -> tuple[np.ndarray, float]:

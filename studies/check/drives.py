@@ -16,13 +16,20 @@ from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.passive import is_gas_spring
 
 
+def drivable(mechanism: Mechanism) -> np.ndarray:
+    """Return a mask (n_s,) of the freedoms that a drive could move: all but the spins of rods in loops."""
+    return mechanism.steered | ~in_loops(mechanism)
+
+
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
     """Return the names of joints on which motors would fix the pose, one for each freedom that is not the spin of a rod.
 
     The joints nearest to the ground whose positions fix the pose come first: drives are usually there.
     """
     model = mechanism.model
-    moved = mechanism.steered | ~in_loops(mechanism)
+    moved = drivable(mechanism)
+    if not moved.any():
+        return []
     rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, moved], []
     depth = {joint_label(model, k): _depth(model.body_parentid, int(model.jnt_bodyid[k])) for k in range(model.njnt)}
     joints = [k for k, joint in enumerate(mechanism.joints) if joint.name in depth and joint.chart is None]
@@ -35,6 +42,8 @@ def joints_to_drive(mechanism: Mechanism) -> list[str]:
 
 def motors_hint(mechanism: Mechanism) -> str:
     """Return a phrase on how a mechanism without actuators gets motors."""
+    if not drivable(mechanism).any():
+        return "its loops hold all but the spins of rods still"
     names = json.dumps(joints_to_drive(mechanism), ensure_ascii=False)
     if names == "[]":
         return "none of its joints is a hinge or slide, on which mechanism.drive puts a motor"

@@ -29,7 +29,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
-from linkplan.studies.check.drives import motors_hint
+from linkplan.studies.check.drives import drivable, motors_hint
 from linkplan.studies.check.summary import grouped
 from linkplan.studies.new.changes import (
     changed_mechanism,
@@ -295,8 +295,9 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
     line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
     if joint.chart is None and joint.name not in [mechanism.model.joint(j).name for j in range(mechanism.model.njnt)]:
         line = f'name="{joint.name}" to its first joint, which has no name, and {line}'
-    if mechanism.dof == 0:
-        raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom: its loops hold it still")
+    if not drivable(mechanism).any():
+        but = " but the spins of rods" if mechanism.dof else ""
+        raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom{but}: its loops hold it still")
     if (shut := shut_balls(mechanism)) is not None:
         raise ProblemError(f"mechanism '{mechanism.name}': {shut}")
     if (floats := floating_sentence(mechanism.model)) is not None:

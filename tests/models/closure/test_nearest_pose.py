@@ -2,11 +2,13 @@
 
 import re
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 from linkplan.models.closure.initial_assembly import home_text
+from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.errors import UnassembledError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.tables import parse_value
@@ -168,3 +170,21 @@ def test_of_several_loops_the_one_that_stays_open_is_named():
     error = offered(f"<mujoco><worldbody>{bodies}</worldbody><equality>{ties}</equality></mujoco>")
     assert error.gap_m == pytest.approx(0.5 - 2 * np.hypot(0.2, 0.06))
     assert "mm at closure far; no closed pose was found near it" in str(error)
+
+
+def test_the_sparse_jacobian_of_the_loops_is_read_into_its_places():
+    squeezer = load_mechanism("andrews-squeezer")
+    q = ca.SX.sym("q", squeezer.n_q)
+    phi = squeezer.dynamics.closure(q)
+    function = ca.Function("loop", [q], [ca.densify(phi), ca.jacobian(phi, q)])
+    loop = KinematicLoop(
+        name=squeezer.name,
+        joints=squeezer.joints,
+        coordinates=squeezer.coordinates,
+        closures=squeezer.closures,
+        unit=np.ones(squeezer.n_q),
+        function=function,
+    )
+    assert function.nnz_out(1) < function.numel_out(1)
+    for found, wanted in zip(loop.residual(squeezer.home + 0.1), function(squeezer.home + 0.1), strict=True):
+        np.testing.assert_array_equal(found, np.array(wanted).reshape(found.shape))

@@ -4,9 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.drives import feeble_drives, joints_to_drive, pushed_one_way
 from linkplan.studies.check.inspection import inspect
+from linkplan.studies.new.first_motion import first_motion
 from tests.support.linkages import ROD
 from tests.support.mechanisms import replaced
 
@@ -80,3 +82,19 @@ def test_no_motor_is_offered_for_the_spin_of_a_rod_but_one_for_a_wheel():
     rod = load_mechanism(replaced(replaced(text, ball, hinges), "</worldbody>", f"{wheel}</worldbody>"))
     assert (rod.dof, len(rod.passive_dofs)) == (3, 2)  # the rod spins, and so does the wheel
     assert joints_to_drive(rod) == ["drive", "wheel"]
+
+
+def test_a_truss_in_which_a_rod_spins_is_said_to_be_held_still():
+    bars = "".join(
+        f'<body pos="{x} 0 0"><joint type="{kind}" axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 {-x} 0 .3"/>'
+        f'<site name="tip{number}" pos="{-x} 0 .3"/></body>'
+        for number, (x, kind) in enumerate(((-0.2, "hinge"), (0.1, "hinge"), (0.3, "ball")))
+    )
+    ties = "".join(f'<connect site1="tip0" site2="tip{number}"/>' for number in (1, 2))
+    text = f"<mujoco><default><geom contype='0'/></default><worldbody>{bars}</worldbody><equality>{ties}</equality></mujoco>"
+    truss = load_mechanism(text)
+    assert truss.dof == 1
+    assert joints_to_drive(truss) == []
+    assert "its loops hold all but the spins of rods still" in str(inspect(truss, []).problems)
+    with pytest.raises(ProblemError, match="no degree of freedom but the spins of rods"):
+        first_motion({"model": text}, print)
