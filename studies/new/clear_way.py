@@ -91,6 +91,18 @@ def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     return (lengths >= low - RANGE_ROUNDING) & (lengths <= high + RANGE_ROUNDING)
 
 
+def servos_hold(mechanism: Mechanism, poses: np.ndarray, column: int) -> np.ndarray:
+    """Return a mask (n,) of the poses (n, n_q) at which servos on a coordinate hold the weight within their ctrlranges."""
+    still = np.zeros((len(poses), mechanism.dof))
+    tau, maps = demanded(mechanism, poses, still, still)
+    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
+    acting = servos & np.any(maps[:, column] != 0, axis=0)
+    if not acting.any():
+        return np.ones(len(poses), dtype=bool)
+    excess = control_excess(mechanism, poses, still, effort_within(tau, maps, mechanism.effort_limit))
+    return ~np.any(excess[:, acting] > 0, axis=1)
+
+
 def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     """Return the sentence on an actuator that cannot hold the weight at one of the poses (n, n_q), or None.
 

@@ -41,7 +41,7 @@ from linkplan.studies.new.changes import (
     raised_notes,
     with_exclusions,
 )
-from linkplan.studies.new.clear_way import obstacle_on_way, tendons_kept, why_not, why_stuck
+from linkplan.studies.new.clear_way import obstacle_on_way, servos_hold, tendons_kept, why_not, why_stuck
 from linkplan.studies.new.hanging import (
     at_gravity_equilibrium,
     at_rest,
@@ -213,13 +213,13 @@ def _of_all_homes(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> It
 def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
     """Return a mechanism whose home has the driven joints in the middle of their reach; None if its loops open there.
 
-    Where home is outside the range of a tendon, the middle is that of the positions that keep all of them.
+    Where home is outside the range of a tendon or of a servo's ctrl, the middle is that of the positions that keep them.
     """
     middle = mechanism.home[mechanism.independent].copy()
     for column in driven_columns(mechanism):
         can = reach(mechanism, int(column))
         positions = can.poses[:, mechanism.independent[column]]
-        kept = np.flatnonzero(tendons_kept(mechanism, can.poses).all(axis=1)) if mechanism.tendons else []
+        kept = np.flatnonzero(tendons_kept(mechanism, can.poses).all(axis=1) & servos_hold(mechanism, can.poses, column))
         if 0 < len(kept) < len(positions):
             longest = max(np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1), key=len)
             middle[column] = positions[longest[len(longest) // 2]]

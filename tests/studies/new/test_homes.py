@@ -7,6 +7,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.new.changes import changed_mechanism
+from linkplan.studies.new.first_motion import first_motion
 from linkplan.studies.new.hanging import at_gravity_equilibrium, at_rest
 
 # A rod between ball joints whose rocker is pinned at two points: the coordinate of the rod's spin is an angle of ball_b.
@@ -49,6 +50,19 @@ def test_a_home_outside_a_tendon_s_range_is_left_for_one_that_keeps_it(tmp_path,
     lengths = np.sqrt(0.13 - 0.12 * np.sin(angles))
     assert np.all((lengths >= 0.4) & (lengths <= 0.6))
     assert abs(np.degrees(angles[1] - angles[0])) > 10
+
+
+def test_a_home_outside_a_servo_s_ctrlrange_is_left_for_the_middle_of_the_range():
+    """A stiff servo holds its arm between its ctrls of -72 and -33 deg alone; the arm turns from -180 to 180 deg."""
+    servo = """<mujoco><worldbody><body><joint name="A" axis="0 1 0" range="-180 180"/>
+    <geom type="capsule" fromto="0 0 0 .2 0 0" size=".01" mass="1"/></body></worldbody>
+    <actuator><position joint="A" kp="10000" ctrlrange="-1.27 -.58"/></actuator></mujoco>"""
+    first = first_motion({"model": servo}, print)
+    assert first.planned
+    motion = first.tables["motion"]
+    angles = [motion["start_deg"]["A"], motion["goal_deg"]["A"]]
+    assert -72.8 < min(angles) < max(angles) < -33.2
+    assert max(angles) - min(angles) > 10
 
 
 def test_a_home_on_a_flat_energy_is_left_as_it_is():
