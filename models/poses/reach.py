@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from linkplan.models.closure import newton
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled, whole_turns
@@ -232,34 +233,38 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
-    """Return the pose with phi = 0 and det J_z = 0 next to `near`, or `near` itself if the solver does not converge."""
-    import scipy
+    """Return the pose with phi = 0 and det J_z = 0 next to `near`, or `near` itself if there is none within four steps.
 
-    index = int(mechanism.independent[coordinate])
-    free = [*[int(i) for i in mechanism.dependent], index]
-    at_home, here = (np.array(mechanism.dynamics.block_singularity(q)).ravel() for q in (mechanism.home, near))
+    Closed poses are a curve if the other independent coordinates stand still. It is followed by its tangent at `near`, which
+    passes a pose at which the coordinate turns back (pseudo-arclength continuation: Keller 1977).
+    """
+    dynamics, unit = mechanism.dynamics, step_sizes(mechanism)
+    free = [*[int(i) for i in mechanism.dependent], int(mechanism.independent[coordinate])]
+    at_home, here = (np.array(dynamics.block_singularity(q)).ravel() for q in (mechanism.home, near))
     at_home = np.where(at_home == 0, 1.0, at_home)
     block = int(np.argmin(np.abs(here / at_home)))  # the loops that fold
+    tangent = np.zeros(len(near))
+    tangent[free] = np.linalg.svd((np.array(dynamics.closure_jacobian(near)) * unit)[:, free])[2][-1]
 
-    def fold(q: np.ndarray) -> float:
-        if mechanism.projected:
-            return float(mechanism.dynamics.orientation(near, q)[block]) / here[block] / at_home[block]
-        return float(mechanism.dynamics.block_singularity(q)[block]) / at_home[block]
+    def along(distance: float) -> np.ndarray:
+        def residual(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            phi, jacobian = np.array(dynamics.closure(q)).ravel(), np.array(dynamics.closure_jacobian(q))
+            return np.append(phi, tangent @ ((q - near) / unit) - distance), np.vstack([jacobian, tangent / unit])
 
-    def system(x: np.ndarray) -> np.ndarray:
-        q = np.array(near)
-        q[free] = x
-        phi = np.array(closure(q)).ravel()
-        return np.append(phi, fold(q))
+        return newton.solve(residual, near + distance * unit * tangent, free)[0]
 
-    # Normal equations do not see the gap that opens where J_z loses rank, so all rows of phi are used for these loops.
-    closure = mechanism.dynamics.closure if mechanism.projected else mechanism.dynamics.independent_closure
-    method = "lm" if mechanism.projected else "hybr"
-    solution = scipy.optimize.root(system, near[free], tol=1e-14, method=method)
-    pose = np.array(near)
-    pose[free] = solution.x
-    close = np.max(np.abs(pose - near) / step_sizes(mechanism)) < 4
-    return pose if close and np.abs(system(solution.x)).max() < max(1e-8, mechanism.closed_m) else np.array(near)
+    def fold(distance: float) -> float:
+        q = along(distance)
+        values = dynamics.orientation(near, q) if mechanism.projected else dynamics.block_singularity(q)
+        return float(values[block]) * np.sign(here[block])
+
+    way = 1.0 if fold(0.1) < fold(-0.1) else -1.0
+    begin = 0.0
+    for end in (0.5, 1.0, 2.0, 4.0):
+        if fold(way * end) <= 0:
+            return along(way * sign_change(lambda x: fold(way * x), begin, end, xtol=1e-11))
+        begin = end
+    return np.array(near)
 
 
 @functools.lru_cache(maxsize=64)
