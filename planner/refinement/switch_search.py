@@ -42,7 +42,6 @@ class _Reading:
     what: str
     switch_times_s: np.ndarray
     fixed: FixedArcs | None
-    last_resort: bool = False  # used only if no other interpretation leads to a solution
 
 
 def settle_switch_times(
@@ -66,10 +65,8 @@ def settle_switch_times(
         fixed = readings[0].fixed
         if fixed is not None and _known(found.solution.transcribed, fixed) and not at_bounds(found.solution):
             return replace(found, fixed=fixed)
-        better, solved, start = None, False, case.start_from(found.motion)
+        better, start = None, case.start_from(found.motion)
         for reading in [*readings, replace(readings[0], what="switch times as unknowns, efforts free", fixed=None)]:
-            if solved and reading.last_resort:
-                continue
             finer, durations = mesh_with_switches(boundaries, reading.switch_times_s, case.problem.mesh.intervals)
             tried = attempt(
                 case, start, finer, durations, reading.what,
@@ -84,7 +81,6 @@ def settle_switch_times(
             if tried is not None and tried.solution.objective <= before + allowed * abs(before):
                 better = tried
                 break
-            solved = solved or tried is not None
         if better is None:
             break
         settled = better.solution.objective > before - SETTLED_GAIN * abs(before) and not at_bounds(better.solution)
@@ -99,37 +95,32 @@ def _readings(case: Case[MotionT, CertificateT], found: Iterate[MotionT], bounda
     """Return the interpretations of a solution's arcs, the likeliest first.
 
     Arcs shorter than an interval are bang arcs where nothing else binds; elsewhere they are rather ends of arcs along a
-    limit, and only meant where nothing comes of those.
+    limit.
     """
     motion, transcribed, x, target = found.motion, found.solution.transcribed, found.solution.x, case.target
     on_path = path_arcs(transcribed, x)
     # Bang arcs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
     arcs = own_arcs(transcribed, x, ("motor",) if target.bang_bang else ("motor", "speed"))
-    arcs = np.hstack([on_path, arcs])
-    alone, readings = is_bang_bang(case, transcribed), []
-    for short in (True,) if alone else (False, True) if target.bang_bang else (False,):
-        switch_times = find_switch_times(
-            motion,
-            target.effort_limit,
-            boundaries,
-            np.any(on_path, axis=1),
-            short=short,
-            continuous_efforts=target.continuous_efforts,
-        )
-        switch_times = np.sort(np.append(switch_times, arc_ends(arcs, motion.breaks_s, switch_times, boundaries)))
-        if len(switch_times) == 0 or (readings and np.array_equal(switch_times, readings[0].switch_times_s)):
-            continue
-        ends = np.sort(np.concatenate([boundaries, switch_times]))
-        bang_efforts = find_bang_efforts(motion, target.effort_limit, ends[1:-1])
-        fixed = FixedArcs(efforts=bang_efforts, paths=find_constrained_paths(on_path, motion.breaks_s, ends, bang_efforts))
-        # The second time arcs are read, short ones are taken for bangs though other limits bind.
-        again = bool(readings)
-        what = "switch times as unknowns, short arcs too" if again else "switch times as unknowns"
-        readings.append(_Reading(what=what, switch_times_s=switch_times, fixed=fixed, last_resort=again))
-        if fixed.paths.any():
-            inner, loose = free_ends(ends, fixed)
-            what = "switch times as unknowns, ends of arcs free"
-            readings.append(_Reading(what=what, switch_times_s=np.sort(np.append(switch_times, inner)), fixed=loose))
+    switch_times = find_switch_times(
+        motion,
+        target.effort_limit,
+        boundaries,
+        np.any(on_path, axis=1),
+        short=is_bang_bang(case, transcribed),
+        continuous_efforts=target.continuous_efforts,
+    )
+    further = arc_ends(np.hstack([on_path, arcs]), motion.breaks_s, switch_times, boundaries)
+    switch_times = np.sort(np.append(switch_times, further))
+    if len(switch_times) == 0:
+        return []
+    ends = np.sort(np.concatenate([boundaries, switch_times]))
+    bang_efforts = find_bang_efforts(motion, target.effort_limit, ends[1:-1])
+    fixed = FixedArcs(efforts=bang_efforts, paths=find_constrained_paths(on_path, motion.breaks_s, ends, bang_efforts))
+    readings = [_Reading(what="switch times as unknowns", switch_times_s=switch_times, fixed=fixed)]
+    if fixed.paths.any():
+        inner, loose = free_ends(ends, fixed)
+        what = "switch times as unknowns, ends of arcs free"
+        readings.append(_Reading(what=what, switch_times_s=np.sort(np.append(switch_times, inner)), fixed=loose))
     return readings
 
 
