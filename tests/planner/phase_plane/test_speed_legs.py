@@ -37,13 +37,11 @@ def hinge(speed_deg_s: float, *settings: str) -> Problem:
     return body_problem(HINGE, MOTION, "objective.minimize=time", f"limits.speed_deg_s.J={speed_deg_s}", *settings)
 
 
-@pytest.mark.parametrize(("seed", "number"), DRAWN)
-def test_a_motion_along_its_ceiling_passes_takes_the_least_time_and_is_always_at_some_limit(seed, number):
-    problem, least = drawn(seed, number)
+def always_at_a_limit(problem: Problem) -> float:
+    """Plan the legs' motion, check that its certificate passes and that it is always at some limit; return its duration."""
     motion = legs_motion(problem, problem.start_pose())
     certificate = certify(problem, motion)
     assert certificate.passed, certificate.failures
-    assert motion.duration_s == pytest.approx(least, rel=LEAST_TIME)
     time = motion.dense_times(10)
     s, v, u = (of(time)[:, 0] for of in (motion.position_at, motion.velocity_at, motion.effort_at))
     ratio = sampled(problem.mechanism.dynamics.velocity_map, follow(problem.mechanism, s[:, None], problem.start_pose()))
@@ -54,6 +52,23 @@ def test_a_motion_along_its_ceiling_passes_takes_the_least_time_and_is_always_at
     full = (np.abs(u / high - 1) < AT_LIMIT) | (np.abs(u / low - 1) < AT_LIMIT)
     assert np.all(fast | full)
     assert 0.01 < np.mean(fast) < 0.95
+    return motion.duration_s
+
+
+@pytest.mark.parametrize(("seed", "number"), DRAWN)
+def test_a_motion_along_its_ceiling_passes_takes_the_least_time_and_is_always_at_some_limit(seed, number):
+    problem, least = drawn(seed, number)
+    assert always_at_a_limit(problem) == pytest.approx(least, rel=LEAST_TIME)
+
+
+def test_of_three_limited_joints_each_is_ridden_along_where_it_is_nearest_to_its_limit():
+    problem, _ = drawn(77, 21)
+    limits = np.array([[-23.7, 23.7], [-16.2, 16.2], problem.limits.speed[2]])
+    problem = replace(problem, limits=replace(problem.limits, speed=limits))
+    legs, _ = power_legs(problem, problem.start_pose())
+    at_o, at_a, at_c = (AT_FORCE + joint for joint in range(3))
+    assert [held for leg in legs for _, (held,) in leg.arcs()] == [1, at_c, 1, at_a, at_o, -1, at_c, -1]
+    always_at_a_limit(problem)
 
 
 def test_a_hinge_takes_the_trapezoid_s_time():
