@@ -1,8 +1,9 @@
-"""What limits on effort, power, pin force and speed leave of the acceleration of one degree of freedom, along its way.
+"""The acceleration of one degree of freedom along its way within limits on effort, power, pin force and speed.
 
-Each of these limits bounds the effort at a place and a speed: a power P bounds it by P / w, and a pin force is affine in the
-effort, so that its rating R bounds it by the roots of |F(s, v, u)|^2 = R^2. Limits on the speeds of joints bound the speed
-along the way: where one of them is at its limit, r v is constant, r its speed per unit of v, and so v' = -r' v^2 / r.
+Each limit bounds the effort at a place and a speed. A power P bounds it by P / w. A pin force is affine in the effort, and
+its rating R bounds it by the roots of |F(s, v, u)|^2 = R^2. Limits on the speeds of joints bound the speed along the way by
+the maximum velocity curve. Where one of these limits binds, r v is constant, so that v' = -r' v^2 / r; r is that joint's
+speed per unit of v.
 """
 
 from collections.abc import Callable
@@ -16,9 +17,9 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
-# What an actuator is held at: the limit of its effort (1 upper, -1 lower), of its power, or, from this number on, of the
-# force of a closure, at the larger effort that reaches it (positive) or the smaller one (negative). The numbers after the
-# closures are those of the joints with a limited speed.
+# The limit that an actuator is held at: 1 and -1 are the upper and lower limit of its effort, these two numbers its power
+# and the force of the first closure. A force is reached by a larger effort (positive) and by a smaller one (negative). The
+# numbers after the closures are the joints with a limited speed.
 AT_POWER, AT_FORCE = 2, 3
 # Efforts, powers and forces may exceed their limits by this share: rounding.
 _LIMIT_TOLERANCE = 1e-6
@@ -57,10 +58,10 @@ class PinForces:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Ceiling:
-    """Limits on speeds of joints along a part of the way, as the largest speed that they leave.
+class VelocityCurve:
+    """The maximum velocity curve: the largest speed along a part of the way that limits on the speeds of joints allow.
 
-    `curves` gives the joints' speeds per unit of v (n,) over the coordinate, and with 1 as second argument their slopes;
+    `curves` gives the joints' speeds per unit of v (n,) over the coordinate, and their slopes if its second argument is 1.
     `speed` (n, 2) are their limits [rad/s or m/s], and `way` is +1 or -1.
     """
 
@@ -93,8 +94,8 @@ class LegField:
     """All that effort, power, pin forces and speeds allow along a part of the way.
 
     M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
-    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1; `pins` is None where no pin force is limited, and
-    `ceiling` where no speed is.
+    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1; `pins` is None if no pin force is limited, and
+    `velocity_curve` if no speed is.
     """
 
     curves: Callable[[Any], np.ndarray]
@@ -102,15 +103,15 @@ class LegField:
     power: np.ndarray
     way: float
     pins: PinForces | None = None
-    ceiling: Ceiling | None = None
+    velocity_curve: VelocityCurve | None = None
 
     @property
     def at_speed(self) -> int:
-        """What an actuator is held at that keeps the first limited joint at the limit of its speed; the others follow."""
+        """The number of the first joint with a limited speed among the limits that an actuator is held at."""
         return AT_FORCE + (0 if self.pins is None else len(self.pins.rows))
 
     def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the limits (..., n_u) that hold below the ceiling, the efforts (..., n_u) and the acceleration.
+        """Return the limits (..., n_u) that hold below the velocity curve, the efforts (..., n_u) and the acceleration.
 
         The efforts are those that push towards the end, or brake, at places and speeds.
         """
@@ -133,8 +134,8 @@ class LegField:
         """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
         values, v = self.curves(s), np.asarray(v, dtype=float)
         free = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v
-        if self.ceiling is not None and np.all(held >= self.at_speed):
-            a = self.ceiling.acceleration(s, v, np.broadcast_to(held[..., 0] - self.at_speed, v.shape))
+        if self.velocity_curve is not None and np.all(held >= self.at_speed):
+            a = self.velocity_curve.acceleration(s, v, np.broadcast_to(held[..., 0] - self.at_speed, v.shape))
             return ((values[..., 0] * a - free) / values[..., 4])[..., None], a
         rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == AT_POWER
         upper = np.asarray(held) > 0
@@ -206,19 +207,19 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
         by_effort = sampled(dynamics.closure_force, q, speeds[0.0], pushed, none + 1.0)[:, :, 0] - still
         forces = np.stack([still, 0.5 * (fast + back) - still, 0.5 * (fast - back), by_effort], axis=1)
         pins = _pins(problem, place[along], forces[along])
-    ceiling = None
+    velocity_curve = None
     if knows_speeds(problem):
         limited = np.flatnonzero(np.isfinite(problem.limits.speed).any(axis=1))
         ratios = sampled(dynamics.velocity_map, q)[:, limited, 0]
         of_speeds = scipy.interpolate.CubicSpline(place[along], ratios[along])
-        ceiling = Ceiling(curves=of_speeds, speed=problem.limits.speed[limited], way=way)
+        velocity_curve = VelocityCurve(curves=of_speeds, speed=problem.limits.speed[limited], way=way)
     return LegField(
         curves=scipy.interpolate.CubicSpline(place[along], values[along]),
         effort=problem.limits.effort,
         power=problem.limits.power,
         way=way,
         pins=pins,
-        ceiling=ceiling,
+        velocity_curve=velocity_curve,
     )
 
 

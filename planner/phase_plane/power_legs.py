@@ -1,13 +1,12 @@
-"""Least-time motions of one degree of freedom along limits on power, pin force and speed: the phase plane's legs, over time.
+"""Least-time motions of one degree of freedom along limits on power, pin force and speed, from legs in the phase plane.
 
-A leg with all that effort, power and pin forces allow from where a motion begins, another back from where it ends, and where
-they cross the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds are a ceiling over the
-plane. The way back runs along it wherever the motion can brake as the ceiling falls; the way ahead leaves it where it rises
-faster than the effort accelerates, and meets the way back again.
+One leg accelerates from the start with all the effort that the limits allow, another brakes into the goal, and their
+crossing is the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds add the maximum
+velocity curve. The legs into the goal follow this curve where the motion can brake as the curve falls. The legs from the
+start leave it where it rises faster than the motion accelerates, and meet the legs into the goal again.
 
-Along a power limit the effort falls off from a bang at rest that may last a hundred-thousandth of the motion, which
-neither a grid over the way nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is
-held along it.
+Along a power limit the effort falls off from a bang at rest. This bang may last a hundred-thousandth of the motion, which a
+grid over the way or a mesh over time does not show. The integrated legs give the end of each arc and the limit along it.
 """
 
 from collections.abc import Callable, Iterator
@@ -34,7 +33,7 @@ _SAME_SPEED = 1e-9
 class Leg:
     """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion.
 
-    `joint` is the limited joint whose speed is held all along, None below the ceiling.
+    `joint` is the joint with a limited speed along the maximum velocity curve, None below the curve.
     """
 
     field: LegField
@@ -57,7 +56,7 @@ class Leg:
         return float(scipy.optimize.brentq(lambda t: self.state(t)[0] - place, self.begin, self.end, xtol=1e-15))
 
     def speed_at(self, place: float) -> float:
-        """Return its speed at a place."""
+        """Return the leg's speed at a place."""
         return float(self.state(self.time_at(place))[1])
 
     def held_at(self, t: float) -> tuple[int, ...]:
@@ -80,7 +79,7 @@ class Leg:
         return 0.5 * (looks[1:] + looks[:-1])
 
     def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return its arcs in order: the end of each [s], in the motion's time, and the limit held along it."""
+        """Return the leg's arcs in order: the end of each [s], in the motion's time, and the limit along it."""
         looks = self._looks()
         held, found = [self.held_at(t) for t in looks], []
         for k in range(1, len(looks)):
@@ -137,7 +136,7 @@ class _Way:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Places (n,) from start to goal at which ceilings are examined."""
+        """Places (n,) from start to goal at which the velocity curve is examined."""
         return np.linspace(self.part.places[0], self.part.places[-1], POSES_PER_PART)
 
     @cached_property
@@ -194,49 +193,49 @@ class _Way:
             field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1], joint=joint
         )
 
-    def _top(self, place: Any) -> np.ndarray:
-        """Return the largest speeds (...) along the way that limits on speeds leave at places."""
-        ceiling = self.field.ceiling
-        return np.full(np.shape(place), np.inf) if ceiling is None else ceiling.at(place)[0]
+    def _fastest_at(self, place: Any) -> np.ndarray:
+        """Return the maximum velocity curve (...) at places; infinite without limits on speeds."""
+        curve = self.field.velocity_curve
+        return np.full(np.shape(place), np.inf) if curve is None else curve.at(place)[0]
 
     def _excess(self, place: Any, *, towards: bool) -> np.ndarray:
-        """Return by how much the acceleration along the ceiling exceeds what all effort towards the end, or back, gives."""
-        ceiling, way = self.field.ceiling, self.field.way
-        assert ceiling is not None  # there is one to ride along
-        with np.errstate(all="ignore"):  # where no speed is limited there is no ceiling, and no number
-            top, joint = ceiling.at(place)
-            return way * (ceiling.acceleration(place, top, joint) - self.field.at(place, way * top, towards=towards)[2])
+        """Return the acceleration along the velocity curve less that of all effort towards the end, or of full braking."""
+        curve, way = self.field.velocity_curve, self.field.way
+        assert curve is not None  # its callers are on it
+        with np.errstate(all="ignore"):  # the curve may be infinite at some places
+            top, joint = curve.at(place)
+            return way * (curve.acceleration(place, top, joint) - self.field.at(place, way * top, towards=towards)[2])
 
     def _back(self) -> list[Leg] | None:
         """Return the legs, in order, of the fastest motion that arrives at the goal; None if it does not reach the start.
 
-        From the goal back, it brakes with all effort below the ceiling, and rides along it where it can brake as it falls.
+        Backwards from the goal, it brakes with all effort below the velocity curve, and follows the curve where it can.
         """
         way, start, place, v = self.field.way, self.part.places[0], self.part.places[-1], self.part.speeds[1]
         found: list[Leg] = []
-        rode = False
+        follows = False
         while way * (place - start) > self.beside:
-            top = self._top(place)
+            top = self._fastest_at(place)
             if way * v > (1 + _SAME_SPEED) * top:
                 return None
-            rode = not rode and way * v > (1 - _SAME_SPEED) * top and self._excess(place, towards=False) >= 0
-            if rode:
-                down = self._ridden_down_to(place)
-                found += reversed(list(self._rides(down, place)))
-                place, v = down, way * float(self._top(down))
+            follows = not follows and way * v > (1 - _SAME_SPEED) * top and self._excess(place, towards=False) >= 0
+            if follows:
+                first = self._followed_from(place)
+                found += reversed(list(self._curve_legs(first, place)))
+                place, v = first, way * float(self._fastest_at(first))
                 continue
             brake = self._leg(place, v, start, towards=False)
-            begin = self._first_above(brake, self._top)
-            if begin is None:  # it begins there, or stalls
+            begin = self._first_above(brake, self._fastest_at)
+            if begin is None:  # the leg begins at the start, or stalls
                 return [brake, *reversed(found)] if way * (brake.state(brake.begin)[0] - start) <= self.beside else None
-            if abs(brake.state(begin)[0] - place) <= self.beside:  # the ceiling falls faster than it brakes, and it does not
+            if abs(brake.state(begin)[0] - place) <= self.beside:  # rounding: it is neither below the curve nor along it
                 return None
             found.append(replace(brake, begin=begin))
             place, v = brake.state(begin)
         return found[::-1]
 
     def _first_above(self, leg: Leg, top: Callable[[Any], np.ndarray]) -> float | None:
-        """Return the first instant, in a leg's own time, at which it is faster than `top` of its place; None if never."""
+        """Return the first instant, in a leg's own time, at which the leg is faster than `top`; None if never."""
         import scipy
 
         way, t = self.field.way, np.linspace(leg.begin, leg.end, POSES_PER_PART)[:: 1 if leg.towards else -1]
@@ -256,13 +255,13 @@ class _Way:
             return None
         return float(scipy.optimize.brentq(apart, t[k - 1], t[k], xtol=1e-15)) if apart(t[k - 1]) < 0 else float(t[k - 1])
 
-    def _ridden_down_to(self, place: float) -> float:
-        """Return how far back of a place the ceiling can be ridden along: until it falls faster than the motion brakes."""
+    def _followed_from(self, place: float) -> float:
+        """Return the first place from which the motion can follow the velocity curve to a place on it."""
         before = self.places[self.field.way * (self.places - place) < 0][::-1]
         return self._sign_change(np.concatenate([[place], before]), towards=False, sign=-1.0)
 
     def _sign_change(self, places: np.ndarray, *, towards: bool, sign: float) -> float:
-        """Return where, along places (n,), the excess first has a sign; their last if nowhere."""
+        """Return the first of places (n,), refined, at which the excess has a sign; the last one if there is none."""
         import scipy
 
         has = sign * self._excess(places, towards=towards) > 0
@@ -271,31 +270,31 @@ class _Way:
             return float(places[-1] if not has.any() else places[0])
         return float(scipy.optimize.brentq(lambda at: float(self._excess(at, towards=towards)), places[k - 1], places[k]))
 
-    def _rides(self, first: float, last: float) -> Iterator[Leg]:
-        """Yield the legs along the ceiling between two places: one for each joint that is at its limit."""
+    def _curve_legs(self, first: float, last: float) -> Iterator[Leg]:
+        """Yield the legs along the velocity curve between two places, one for each joint that is at its limit."""
         import scipy
 
-        ceiling, way = self.field.ceiling, self.field.way
-        assert ceiling is not None
+        curve, way = self.field.velocity_curve, self.field.way
+        assert curve is not None
         inside = self.places[(way * (self.places - first) > 0) & (way * (last - self.places) > 0)]
         places = np.concatenate([[first], inside, [last]])
-        joints, edges = ceiling.at(places)[1], [first]
+        joints, edges = curve.at(places)[1], [first]
         for k in np.flatnonzero(joints[1:] != joints[:-1]):
             pair = [joints[k], joints[k + 1]]
 
             def apart(at: float, pair: list = pair) -> float:
-                return float(np.diff(ceiling.shares(at)[pair]).item())
+                return float(np.diff(curve.shares(at)[pair]).item())
 
             edges.append(float(scipy.optimize.brentq(apart, places[k], places[k + 1])))
         for begin, end in zip(edges, [*edges[1:], last], strict=True):
-            joint = int(ceiling.at(0.5 * (begin + end))[1])
+            joint = int(curve.at(0.5 * (begin + end))[1])
             if abs(end - begin) > self.beside:
-                yield self._leg(begin, way * float(self._top(begin)), end, towards=True, joint=joint)
+                yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, joint=joint)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
-        """Return the legs from the start that accelerate with all effort up to the way back, and then go on along it.
+        """Return the legs from the start: full acceleration up to the legs into the goal, and then those; None if it fails.
 
-        They leave it where the ceiling rises faster than they accelerate. None if they do not meet it.
+        The motion leaves the velocity curve where the curve rises faster than full effort accelerates.
         """
         way, place, v = self.field.way, self.part.places[0], self.part.speeds[0]
         sampled = np.hstack([leg.state(np.linspace(leg.begin, leg.end, POSES_PER_PART)) for leg in back])
@@ -316,12 +315,12 @@ class _Way:
             found += [replace(ahead, end=end), *along] if way * (met_at - place) > self.beside else along
             if left_at is None:
                 return found
-            if way * (left_at - place) <= self.beside:  # it meets the way back where it left it
+            if way * (left_at - place) <= self.beside:  # rounding: the motion does not get away from the curve
                 return None
-            place, v = left_at, way * float(self._top(left_at))
+            place, v = left_at, way * float(self._fastest_at(left_at))
 
     def _along(self, back: list[Leg], place: float) -> tuple[list[Leg], float | None]:
-        """Return the legs of the way back from a place on, and where the ceiling rises too fast for them, or None."""
+        """Return the legs into the goal from a place on, and the place at which the motion cannot follow them, or None."""
         way, found = self.field.way, []
         for leg in back:
             last = float(leg.state(leg.end)[0])

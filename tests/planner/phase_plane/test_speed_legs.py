@@ -8,7 +8,7 @@ import pytest
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.phase_plane.leg_field import AT_FORCE, Ceiling
+from linkplan.planner.phase_plane.leg_field import AT_FORCE, VelocityCurve
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.planning import plan_motion
@@ -16,8 +16,8 @@ from linkplan.planner.problem.problem import Problem
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 from tests.support.fourbar_problems import random_case
 
-# Of random four-bars with a limit on the speed of a joint: the ceiling falls faster than full effort brakes and rises faster
-# than it accelerates (21), the crank's own (152), one at nearly singular poses whose least time was 1.4e-4 late (4243, 10).
+# Random four-bars with a limit on the speed of a joint. The velocity curve of 21 falls faster than full effort brakes and
+# rises faster than it accelerates; 152 has a limit on the crank; the least time of 10, near singular poses, was 1.4e-4 late.
 DRAWN = ((77, 21), (77, 152), (4243, 10))
 # Against the least time from quadrature on a grid.
 LEAST_TIME = 1e-6
@@ -56,12 +56,12 @@ def always_at_a_limit(problem: Problem) -> float:
 
 
 @pytest.mark.parametrize(("seed", "number"), DRAWN)
-def test_a_motion_along_its_ceiling_passes_takes_the_least_time_and_is_always_at_some_limit(seed, number):
+def test_a_motion_along_its_velocity_curve_passes_takes_the_least_time_and_is_always_at_some_limit(seed, number):
     problem, least = drawn(seed, number)
     assert always_at_a_limit(problem) == pytest.approx(least, rel=LEAST_TIME)
 
 
-def test_of_three_limited_joints_each_is_ridden_along_where_it_is_nearest_to_its_limit():
+def test_of_three_limited_joints_each_is_at_its_limit_in_turn():
     problem, _ = drawn(77, 21)
     limits = np.array([[-23.7, 23.7], [-16.2, 16.2], problem.limits.speed[2]])
     problem = replace(problem, limits=replace(problem.limits, speed=limits))
@@ -78,7 +78,7 @@ def test_a_hinge_takes_the_trapezoid_s_time():
     assert motion.duration_s == pytest.approx(np.radians(90.0) / top + top / push, rel=1e-7)
 
 
-def test_ends_at_the_ceiling_are_ridden_from_and_to_it():
+def test_ends_on_the_velocity_curve_are_joined_along_it():
     problem = hinge(60.0, "motion.start_speed_deg_s={J=60}", "motion.goal_speed_deg_s={J=60}")
     legs, boundaries = power_legs(problem, problem.start_pose())
     assert boundaries[-1] == pytest.approx(1.5, rel=1e-7)
@@ -86,7 +86,7 @@ def test_ends_at_the_ceiling_are_ridden_from_and_to_it():
 
 
 @pytest.mark.parametrize("end", ["start", "goal"])
-def test_an_end_faster_than_the_ceiling_has_no_legs(end):
+def test_an_end_above_the_velocity_curve_has_no_legs(end):
     problem = hinge(60.0, f"motion.{end}_speed_deg_s={{J=59}}")
     assert power_legs(problem, problem.start_pose()) is not None
     slower = replace(problem, limits=replace(problem.limits, speed=np.radians([[-58.0, 58.0]])))
@@ -105,7 +105,7 @@ def test_a_direction_that_may_not_be_taken_has_no_legs():
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_the_ceiling_is_that_of_the_joint_nearest_to_its_limit(way):
+def test_the_velocity_curve_is_that_of_the_joint_nearest_to_its_limit(way):
     """Speeds of -2 v and s v, within -3 and 6, and within -1 and 4: at s = 0.5 the first counts, at s = 3 the second."""
 
     def curves(s: np.ndarray, order: int = 0) -> np.ndarray:
@@ -113,16 +113,16 @@ def test_the_ceiling_is_that_of_the_joint_nearest_to_its_limit(way):
         rows = [np.full_like(s, -2.0), s] if order == 0 else [np.zeros_like(s), np.ones_like(s)]
         return np.stack(rows, axis=-1)
 
-    ceiling = Ceiling(curves=curves, speed=np.array([[-3.0, 6.0], [-1.0, 4.0]]), way=way)
-    top, joint = ceiling.at(np.array([0.5, 3.0]))
+    curve = VelocityCurve(curves=curves, speed=np.array([[-3.0, 6.0], [-1.0, 4.0]]), way=way)
+    top, joint = curve.at(np.array([0.5, 3.0]))
     np.testing.assert_allclose(top, [1.5, 4.0 / 3.0] if way > 0 else [2.0, 1.0 / 3.0])
     np.testing.assert_array_equal(joint, [0, 1] if way > 0 else [1, 1])
-    np.testing.assert_allclose(ceiling.acceleration(3.0, way * 0.5, 1), -(0.5**2) / 3.0)
-    np.testing.assert_allclose(ceiling.acceleration(3.0, way * 0.5, 0), 0.0)
+    np.testing.assert_allclose(curve.acceleration(3.0, way * 0.5, 1), -(0.5**2) / 3.0)
+    np.testing.assert_allclose(curve.acceleration(3.0, way * 0.5, 0), 0.0)
 
 
 @pytest.mark.slow
-def test_a_least_time_along_a_ceiling_is_that_of_the_legs():
+def test_a_least_time_along_a_velocity_curve_is_that_of_the_legs():
     problem, least = drawn(4243, 10)
     plan = plan_motion(problem)
     assert plan.status == "optimal", plan.message
