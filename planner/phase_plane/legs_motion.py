@@ -1,8 +1,8 @@
-"""The motion that legs along limits on power are, as polynomials: exact between its nodes, and not solved for.
+"""The motion along the phase plane's legs as polynomials, collocated interval by interval without a solver.
 
-A weak motor climbs at the speed at which its power carries the weight, and forgets within a thousandth of the motion how it
-came there; the leg back from the goal does so backwards. No solver that looks at all of it at once is needed for that, and
-one may well be lost on it: collocated interval by interval from either end, every leg runs the way in which its errors die.
+Under a limit on power the speed converges within a thousandth of the motion to that at which the power carries the weight.
+Backwards from the goal it does the same, so that a program over the whole motion is ill-conditioned. Each leg is therefore
+collocated in the direction in which its errors decrease: ahead from the start, back from the goal.
 """
 
 import itertools
@@ -29,7 +29,7 @@ _CHECKED_AT = np.linspace(0.0, 1.0, 12)
 def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
     """Return the quickest reach that never turns back but where it must, along its limits; None without one.
 
-    It is the quickest one: no motion that goes on to its turning place is anywhere faster than the legs allow.
+    No motion that goes on to its turning place is anywhere faster than the legs allow, so that this one is the quickest.
 
     Args:
         problem: whose efforts are limited; of its other limits, all but those on power, pin force and speed are left out.
