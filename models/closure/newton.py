@@ -97,7 +97,7 @@ class KinematicLoop:
 
 @functools.lru_cache(maxsize=64)
 def _places(function: ca.Function) -> np.ndarray:
-    """Return the places of a sparse Jacobian's entries in its dense rows, one behind the other."""
+    """Return the index of each entry of a sparse Jacobian in the flattened dense matrix."""
     pattern = function.sparsity_out(1)
     return np.array(pattern.row(), dtype=int) * pattern.size2() + np.array(pattern.get_col(), dtype=int)
 
@@ -371,7 +371,8 @@ def _brought_within_ranges(loop: KinematicLoop, pose: np.ndarray) -> np.ndarray:
     # The ends of a range are admissible, and a range may have no width at all.
     low, high = np.array([(x.lower - POSITION_ROUNDING, x.upper + POSITION_ROUNDING) for x in loop.joints]).T
     phi, jacobian = (lambda q: loop.residual(q)[0]), (lambda q: loop.residual(q)[1])
-    found = scipy.optimize.least_squares(phi, np.clip(pose, low, high), jacobian, bounds=(low, high), x_scale=loop.unit)
+    begin, limits = np.clip(pose, low, high), {"bounds": (low, high), "x_scale": loop.unit, "max_nfev": 200}
+    found = scipy.optimize.least_squares(phi, begin, jacobian, **limits)
     inside = _closed(loop, found.x)
     return pose if inside is None or _outside(loop, inside) > 0.0 else inside
 

@@ -233,10 +233,10 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
-    """Return the pose with phi = 0 and det J_z = 0 next to `near`, or `near` itself if there is none within four steps.
+    """Return the closed pose with det J_z = 0 next to `near`, or `near` itself if there is none within four steps.
 
-    Closed poses are a curve if the other independent coordinates stand still. It is followed by its tangent at `near`, which
-    passes a pose at which the coordinate turns back (pseudo-arclength continuation: Keller 1977).
+    The closed poses form a curve if the other independent coordinates stand still. The distance along its tangent at `near`
+    describes the curve also beyond a pose at which the coordinate turns back (pseudo-arclength continuation: Keller 1977).
     """
     dynamics, unit = mechanism.dynamics, step_sizes(mechanism)
     free = [*[int(i) for i in mechanism.dependent], int(mechanism.independent[coordinate])]
@@ -262,7 +262,9 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
     begin = 0.0
     for end in (0.5, 1.0, 2.0, 4.0):
         if fold(way * end) <= 0:
-            return along(way * sign_change(lambda x: fold(way * x), begin, end, xtol=1e-11))
+            pose = along(way * sign_change(lambda x: fold(way * x), begin, end, xtol=1e-11))
+            gap = np.abs(np.array(dynamics.closure(pose))).max()
+            return pose if gap < max(1e-8, mechanism.closed_m) else np.array(near)
         begin = end
     return np.array(near)
 

@@ -21,7 +21,7 @@ from linkplan.planner.problem.problem import Problem
 # and the force of the first closure. A force is reached by a larger effort (positive) and by a smaller one (negative). The
 # numbers after the closures are the joints with a limited speed.
 AT_POWER, AT_FORCE = 2, 3
-# Efforts, powers and forces may exceed their limits by this share: rounding.
+# The share by which rounding may exceed limits on efforts, powers and forces.
 _LIMIT_TOLERANCE = 1e-6
 # Poses along a part of the way.
 POSES_PER_PART = 2001
@@ -59,7 +59,7 @@ class PinForces:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class VelocityCurve:
-    """The maximum velocity curve: the largest speed along a part of the way that limits on the speeds of joints allow.
+    """The maximum velocity curve: the largest speed along a part of the way at which all joints keep their speed limits.
 
     `curves` gives the joints' speeds per unit of v (n,) over the coordinate, and their slopes if its second argument is 1.
     `speed` (n, 2) are their limits [rad/s or m/s], and `way` is +1 or -1.
@@ -82,7 +82,7 @@ class VelocityCurve:
             return 1.0 / shares.max(axis=-1), np.argmax(shares, axis=-1)
 
     def acceleration(self, s: Any, v: Any, joint: Any) -> np.ndarray:
-        """Return the acceleration (...) that keeps the speed of a joint, or of one for each place, as it is."""
+        """Return the acceleration (...) at which the speed of a joint is constant; `joint` may name one for each place."""
         ratio, slope = (
             np.take_along_axis(self.curves(s, order), np.asarray(joint)[..., None], axis=-1)[..., 0] for order in (0, 1)
         )
@@ -163,7 +163,7 @@ class LegField:
 
 
 def knows_pins(problem: Problem) -> bool:
-    """True if legs can keep the limits on pin forces: one degree of freedom, one actuator, no dry friction."""
+    """True if there are limits on pin forces that legs can keep: with one freedom, one actuator and no dry friction."""
     mechanism = problem.mechanism
     if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
         return False
@@ -171,7 +171,7 @@ def knows_pins(problem: Problem) -> bool:
 
 
 def knows_speeds(problem: Problem) -> bool:
-    """True if legs can keep limits on speeds: one degree of freedom, one actuator."""
+    """True if there are limits on speeds that legs can keep: with one freedom and one actuator."""
     return (problem.mechanism.dof, problem.mechanism.n_u) == (1, 1) and bool(np.any(np.isfinite(problem.limits.speed)))
 
 

@@ -1,8 +1,8 @@
 """The motion along the phase plane's legs as polynomials, collocated interval by interval without a solver.
 
-Under a limit on power the speed converges within a thousandth of the motion to that at which the power carries the weight.
-Backwards from the goal it does the same, so that a program over the whole motion is ill-conditioned. Each leg is therefore
-collocated in the direction in which its errors decrease: ahead from the start, back from the goal.
+Under a limit on power the speed converges within a thousandth of the motion to the speed at which the power carries the
+weight. Backwards from the goal it does the same, so that a program over the whole motion is ill-conditioned. Each leg is
+therefore collocated in the direction in which its errors decrease: ahead from the start, back from the goal.
 """
 
 import itertools

@@ -33,7 +33,7 @@ _SAME_SPEED = 1e-9
 class Leg:
     """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion.
 
-    `joint` is the joint with a limited speed along the maximum velocity curve, None below the curve.
+    `held` is the limit (n_u,) along the whole leg, None if it follows from the field.
     """
 
     field: LegField
@@ -43,7 +43,7 @@ class Leg:
     begin: float
     end: float
     later: float = 0.0
-    joint: int | None = None
+    held: np.ndarray | None = None
 
     def time_at(self, place: float) -> float:
         """Return when it passes a place [s]."""
@@ -61,16 +61,15 @@ class Leg:
 
     def held_at(self, t: float) -> tuple[int, ...]:
         """Return the limit held at an instant of its own time."""
-        if self.joint is not None:
-            return (self.field.at_speed + self.joint,)
-        return tuple(int(one) for one in self.field.at(*self.state(t), towards=self.towards)[0])
+        held = self.field.at(*self.state(t), towards=self.towards)[0] if self.held is None else self.held
+        return tuple(int(one) for one in held)
 
     def is_possible(self) -> bool:
         """True if an effort keeps all limits at every examined instant."""
         s, v = self.state(self._looks())
-        if self.joint is None:
-            return self.field.keeps(s, v, self.field.at(s, v, towards=self.towards)[1])
-        return self.field.keeps(s, v, self.field.along(s, v, np.array([self.field.at_speed + self.joint]))[0])
+        field, held = self.field, self.held
+        effort = field.at(s, v, towards=self.towards)[1] if held is None else field.along(s, v, held)[0]
+        return field.keeps(s, v, effort)
 
     def _looks(self) -> np.ndarray:
         """Return the instants (n,), in its own time, at which it is examined: four in each step of the integration."""
@@ -162,12 +161,11 @@ class _Way:
         found = None if back is None else self._ahead(back)
         return found if found is not None and all(leg.is_possible() for leg in found) else None
 
-    def _leg(self, begin: float, v: float, end: float, *, towards: bool, joint: int | None = None) -> Leg:
+    def _leg(self, begin: float, v: float, end: float, *, towards: bool, held: np.ndarray | None = None) -> Leg:
         """Return the leg from a place and a speed until a place, or until it stalls: ahead in time, or back from there."""
         import scipy
 
         field, way = self.field, self.field.way
-        held = None if joint is None else np.array([field.at_speed + joint])
 
         def rates(_t: float, y: np.ndarray) -> list[float]:
             self.deadline.require_time()
@@ -190,7 +188,7 @@ class _Way:
         )  # fmt: skip
         ends = np.sort([0.0, found.t[-1]])
         return Leg(
-            field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1], joint=joint
+            field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1], held=held
         )
 
     def _fastest_at(self, place: Any) -> np.ndarray:
@@ -287,9 +285,9 @@ class _Way:
 
             edges.append(float(scipy.optimize.brentq(apart, places[k], places[k + 1])))
         for begin, end in zip(edges, [*edges[1:], last], strict=True):
-            joint = int(curve.at(0.5 * (begin + end))[1])
+            held = np.array([self.field.at_speed + int(curve.at(0.5 * (begin + end))[1])])
             if abs(end - begin) > self.beside:
-                yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, joint=joint)
+                yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, held=held)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
         """Return the legs from the start: full acceleration up to the legs into the goal, and then those; None if it fails.
@@ -327,7 +325,7 @@ class _Way:
             if way * (last - place) <= self.beside:
                 continue
             own = replace(leg, begin=leg.time_at(place))
-            if leg.joint is not None:
+            if leg.held is not None:
                 first = float(own.state(own.begin)[0])
                 inside = self.places[(way * (self.places - first) > self.beside) & (way * (last - self.places) > 0)]
                 left_at = self._sign_change(np.concatenate([[first], inside, [last]]), towards=True, sign=1.0)

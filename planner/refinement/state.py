@@ -120,9 +120,10 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     @property
     def settled(self) -> bool:
-        """True if the objective keeps still from mesh to mesh, or by less than what is reported if only its error counts.
+        """True if the objective no longer changes from mesh to mesh.
 
-        Of bang arcs the switches are read before that: they tell more than a finer mesh.
+        Without a tolerance on it, changes below `REPORTED_CHANGE` count as none. In least time they do not count at all: the
+        switches are read first, which improve the motion more than a finer mesh does.
         """
         if self.objective_tolerance is None:
             return self.target.bang_bang or self.moved <= REPORTED_CHANGE

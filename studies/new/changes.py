@@ -285,7 +285,7 @@ def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, obj
 def held_gap(mechanism: Mechanism) -> float:
     """Return the largest closure gap in MuJoCo while the drives hold the weight at home; 0 without loops or drives.
 
-    It is a share of the mechanism's extent, or an angle [rad]. The forces are those that keep the rows J q'' at zero.
+    The gap is a share of the mechanism's extent, or an angle [rad]. It follows from the constraint forces with J q'' = 0.
     """
     if not mechanism.closures or not mechanism.n_u or not mechanism.dof:
         return 0.0

@@ -213,7 +213,7 @@ def _of_all_homes(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> It
 def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
     """Return a mechanism whose home has the driven joints in the middle of their reach; None if its loops open there.
 
-    Where home is outside the range of a tendon or of a servo's ctrl, the middle is that of the positions that keep them.
+    If home is outside the range of a tendon or of a servo's ctrl, the middle of the positions within these ranges is taken.
     """
     middle = mechanism.home[mechanism.independent].copy()
     for column in driven_columns(mechanism):
