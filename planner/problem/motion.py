@@ -9,6 +9,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
+from linkplan.models.poses.momentum import coasting_freedoms
 from linkplan.planner.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
@@ -199,9 +200,10 @@ def _state(
     result = []
     if default is None:
         values = _with_rests(values, f"{where}.{key}", mechanism)
+    coasting = mechanism.independent[list(coasting_freedoms(mechanism))]
     for index in mechanism.independent:
         joint = mechanism.joints[index]
-        if index not in values and default is None and int(index) not in mechanism.passive_dofs:
+        if index not in values and default is None and index not in mechanism.passive_dofs and index not in coasting:
             named = sorted(mechanism.joints[i].name for i in values)
             as_many = len(values) == mechanism.dof
             hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if as_many else ""
@@ -209,7 +211,7 @@ def _state(
                 f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
             )
         value = values.get(int(index), default)  # NaN (free) in a waypoint
-        # A passive degree of freedom that is not named stays at home.
+        # A coordinate that is not named, because nothing moves or holds it, starts at home.
         result.append(mechanism.home[index] if value is None else joint.read(value))
     if key.endswith("_s"):
         _refuse_dependent(values, f"{where}.{key}", mechanism)

@@ -35,6 +35,7 @@ from linkplan.studies.check.softness import STIFF_KEY, steady_gap
 from linkplan.studies.new.locks import (
     HOLD_MULTIPLE,
     coupled_with_play,
+    dropped,
     fixed_by_range,
     held_by_friction,
     pressed,
@@ -330,6 +331,12 @@ _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...]
         pressed,
         "weight and springs press joints onto their stops: they are locked there ({locks}); a motion on which they would"
         " leave their stops is another mechanism's",
+    ),
+    functools.partial(
+        _locked,
+        dropped,
+        "weight drops joints that nothing drives onto their stops or into a contact, and their forces are not planned for:"
+        " they are locked where they stand at home ({locks}); a motion in which they fall is another mechanism's",
     ),
     functools.partial(
         _locked,

@@ -11,15 +11,14 @@ import numpy as np
 import scipy
 
 from linkplan.models.closure.initial_assembly import home_of
-from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.models.poses.momentum import coasting_freedoms
 from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.problem.build import mechanism_from_tables
-from linkplan.studies.check.drives import is_damped
 
 GRAVITY_M_S2 = 9.81
 
@@ -31,8 +30,8 @@ def driven_columns(mechanism: Mechanism) -> np.ndarray:
 
 
 def rests_by_itself(mechanism: Mechanism, column: int) -> bool:
-    """Tell if a coordinate is passive or held by springs, so that a motion does not name it."""
-    return not mechanism.steered[column] or column in sprung_freedoms(mechanism)
+    """Tell if a coordinate is passive, coasts or is held by springs, so that a motion does not name it."""
+    return not mechanism.steered[column] or column in {*sprung_freedoms(mechanism), *coasting_freedoms(mechanism)}
 
 
 def hanging_columns(mechanism: Mechanism) -> list[int]:
@@ -41,13 +40,17 @@ def hanging_columns(mechanism: Mechanism) -> list[int]:
     return [k for k in range(mechanism.dof) if k not in driven and not rests_by_itself(mechanism, k)]
 
 
+def driven_at_home(mechanism: Mechanism) -> dict[int, float]:
+    """Return the home positions [rad or m] of the driven coordinates by index into q."""
+    return {int(index): float(mechanism.home[index]) for index in mechanism.independent[driven_columns(mechanism)]}
+
+
 def at_gravity_equilibrium(mechanism: Mechanism) -> Mechanism | None:
     """Return a mechanism whose home is the gravity equilibrium of its undriven joints; None if home is."""
     if not hanging_columns(mechanism):
         return None
-    held = mechanism.independent[driven_columns(mechanism)]
     off = 1e-3  # [rad or m], from an unstable equilibrium; where the energy is flat, the search ends where it begins
-    pose = hanging_pose(mechanism, mechanism.home + off, {int(index): float(mechanism.home[index]) for index in held})
+    pose = hanging_pose(mechanism, mechanism.home + off, driven_at_home(mechanism))
     same = 2 * off if is_equilibrium(mechanism, mechanism.home) else 1e-6
     if pose is None or np.abs(pose - mechanism.home).max() < same:
         return None
@@ -67,8 +70,6 @@ def _rounded(joint: Joint, position: float, decimals: int = 3) -> float:
 def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return positions (n_s,) with the hanging joints moved to equilibrium; unchanged if home is no equilibrium.
 
-    A hanging joint that rests anywhere, as a cart on a rail, is where its momentum, which stays zero, takes it.
-
     Args:
         mechanism: whose actuators hold the driven coordinates.
         s: positions (n_s,).
@@ -78,10 +79,12 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
         AssemblyError: if there is no equilibrium on the branch of `near`.
     """
     hanging = hanging_columns(mechanism)
-    if not hanging or not is_equilibrium(mechanism, mechanism.home):
+    if (
+        not hanging
+        or not is_equilibrium(mechanism, mechanism.home)
+        or is_equilibrium(mechanism, close_at(mechanism, s, near))
+    ):
         return s
-    if is_equilibrium(mechanism, close_at(mechanism, s, near)):
-        return _carried_along(mechanism, s, near, [k for k in hanging if _keeps_momentum(mechanism, s, near, k)])
     held = {int(mechanism.independent[k]): float(s[k]) for k in driven_columns(mechanism)}
     pose = hanging_pose(mechanism, near, held)
     rest = s.copy()
@@ -90,38 +93,6 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
         raise AssemblyError(f"mechanism '{mechanism.name}' does not hang at rest with its drives at {s}")
     return rest
-
-
-def _keeps_momentum(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, column: int) -> bool:
-    """Tell if nothing acts on a coordinate wherever it is: no potential, no damping, and the same inertia."""
-    moved = s + 0.1 * np.eye(mechanism.dof)[column] * unit_steps(mechanism.independent_joints, mechanism.extent_m)
-    try:
-        here, there = close_at(mechanism, s, near), close_at(mechanism, moved, near)
-    except AssemblyError:
-        return False
-    inertia = [np.array(mechanism.dynamics.reduced_inertia(pose)) for pose in (here, there)]
-    same = np.abs(inertia[1] - inertia[0]).max() <= ROUNDING_SHARE * np.abs(inertia[0]).max()
-    return bool(same and not is_damped(mechanism, here, column) and is_equilibrium(mechanism, there))
-
-
-def _carried_along(mechanism: Mechanism, s: np.ndarray, near: np.ndarray, loose: list[int]) -> np.ndarray:
-    """Return positions (n_s,) with the `loose` columns moved from a pose by M_ll s_l' + M_lr s_r' = 0, on a straight way."""
-    begin = near[mechanism.independent]
-    rest = np.setdiff1d(np.arange(mechanism.dof), loose).tolist()
-    if not loose or np.array_equal(s[rest], begin[rest]):
-        return s
-
-    def rate(share: float, moved: np.ndarray) -> np.ndarray:
-        at = begin + share * (s - begin)
-        at[loose] = moved
-        M = np.array(mechanism.dynamics.reduced_inertia(close_at(mechanism, at, near)))
-        return -np.linalg.solve(M[np.ix_(loose, loose)], M[np.ix_(loose, rest)] @ (s - begin)[rest])
-
-    found = s.copy()
-    solution = scipy.integrate.solve_ivp(rate, (0.0, 1.0), begin[loose], method="DOP853", rtol=1e-10, atol=1e-12)
-    for column, x in zip(loose, solution.y[:, -1].tolist(), strict=True):
-        found[column] = _rounded(mechanism.independent_joints[column], x, 9)  # an idle roller does not turn by 1e-11 deg
-    return found
 
 
 def is_equilibrium(mechanism: Mechanism, pose: np.ndarray) -> bool:
@@ -136,7 +107,19 @@ def is_equilibrium(mechanism: Mechanism, pose: np.ndarray) -> bool:
 
 
 def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, float]) -> np.ndarray | None:
-    """Return the pose (n_q,) of least potential energy with held joints at given positions; None if none is found.
+    """Return the equilibrium (n_q,) of least potential energy with held joints at given positions; None if none is found.
+
+    Args:
+        mechanism: with the springs and weights that store the energy.
+        near: a pose (n_q,), the start of the search for a local minimum.
+        held: positions [rad or m] by index into q; all other joints may move within loops and ranges.
+    """
+    pose = least_energy_pose(mechanism, near, held)
+    return pose if pose is not None and is_equilibrium(mechanism, pose) else None
+
+
+def least_energy_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, float]) -> np.ndarray | None:
+    """Return the closed pose (n_q,) of least potential energy, which may rest on stops; None if none is found.
 
     Args:
         mechanism: with the springs and weights that store the energy.
@@ -169,10 +152,9 @@ def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, floa
     if not np.all(np.isfinite(found.x)) or (closed and np.abs(gaps(found.x)).max(initial=0.0) > 1e-5):
         return None
     try:
-        pose = close_at(mechanism, found.x[mechanism.independent], found.x)
+        return close_at(mechanism, found.x[mechanism.independent], found.x)
     except AssemblyError:
         return None
-    return pose if is_equilibrium(mechanism, pose) else None
 
 
 def _energy_unit(mechanism: Mechanism) -> float:

@@ -6,15 +6,16 @@ import numpy as np
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.kinematics import data_at, rod_line
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, sliding_friction
+from linkplan.models.poses.along import RANGE_ROUNDING, demanded, sliding_friction
 from linkplan.models.poses.assembly import in_loops
+from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
 from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import unit_steps
 from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
-from linkplan.studies.new.hanging import hanging_columns
+from linkplan.studies.new.hanging import driven_at_home, hanging_columns, is_equilibrium, least_energy_pose
 
 # What holds this multiple of the weight at home holds in motion too: the rest moves the machine, or withstands its motion.
 HOLD_MULTIPLE = 2.0
@@ -53,6 +54,26 @@ def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
         needed = np.abs(demanded(mechanism, poses, still, still)[0][:, column])
         if np.all(HOLD_MULTIPLE * needed <= sliding_friction(mechanism, poses, column)):
             found[joint.name] = joint.shown(float(mechanism.home[mechanism.independent[column]])) + 0.0
+    return found
+
+
+def dropped(mechanism: Mechanism) -> dict[str, float]:
+    """Return the home positions [deg or m] of the undriven joints that weight drops onto stops or into contact, by name.
+
+    An example is the boom of a hopper, which stands on its foot: without the ground's force, no pose of it is at rest.
+    """
+    home, found = mechanism.home, {}
+    hanging = hanging_columns(mechanism)
+    if not hanging or is_equilibrium(mechanism, home):
+        return found
+    if (pose := least_energy_pose(mechanism, home, driven_at_home(mechanism))) is None:
+        return found
+    before, after = ({pair.bodies for pair in contact_pairs(mechanism, at[None])} for at in (home, pose))
+    for index in mechanism.independent[hanging].tolist():
+        joint, at, falls_to = mechanism.joints[index], float(home[index]), float(pose[index])
+        stopped = min(joint.upper - falls_to, falls_to - joint.lower) < RANGE_ROUNDING
+        if joint.chart is None and abs(falls_to - at) > RANGE_ROUNDING and (stopped or after - before):
+            found[joint.name] = joint.shown(at) + 0.0
     return found
 
 

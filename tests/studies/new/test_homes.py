@@ -8,7 +8,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.new.changes import changed_mechanism
 from linkplan.studies.new.first_motion import first_motion
-from linkplan.studies.new.hanging import at_gravity_equilibrium, at_rest
+from linkplan.studies.new.hanging import at_gravity_equilibrium
 
 # A rod between ball joints whose rocker is pinned at two points: the coordinate of the rod's spin is an angle of ball_b.
 ROD_ON_A_ROCKER = """<mujoco><option gravity="0 0 0"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
@@ -76,35 +76,45 @@ def test_a_home_on_a_flat_energy_is_left_as_it_is():
     assert abs(np.degrees(hanging.home[1])) == pytest.approx(180.0)
 
 
-def test_a_cart_that_nothing_drives_ends_where_its_momentum_takes_it(tmp_path, ask):
+def test_a_cart_that_nothing_drives_ends_where_its_momentum_takes_it():
     """The centre of mass of cart and leg stays: m l sin(hip) / 2 of 1 kg of 2 kg, back against the leg."""
     cart = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0" range="-.5 .5"/>
     <geom size=".05" mass="1"/><body><joint name="hip" axis="0 1 0"/><inertial pos="0 0 -.15" mass="1"
     diaginertia=".01 .01 .01"/></body></body></worldbody>
     <actuator><motor joint="hip" ctrlrange="-20 20"/></actuator></mujoco>"""
-    (tmp_path / "cart.xml").write_text(cart, encoding="utf-8")
-    code, out, _ = ask("new", str(tmp_path / "cart.xml"), "-o", str(tmp_path / "first.toml"))
-    assert code == 0, out
-    motion = tomllib.loads((tmp_path / "first.toml").read_text(encoding="utf-8"))["motion"]
-    hip, rail = np.radians(motion["goal_deg"]["hip"]), motion["goal_m"]["rail"]
+    first = first_motion({"model": cart}, lambda _: None)
+    assert first.planned
+    assert "goal_m" not in first.tables["motion"]
+    rail, hip = first.plan.trajectory.position[-1, -1]
     assert abs(hip) > 0.1
     assert rail == pytest.approx(0.15 * np.sin(hip) / 2, rel=1e-5)
 
 
-def test_the_rollers_of_an_omnidirectional_wheel_are_not_said_to_turn():
-    """Their axes are perpendicular to that of the hub but for an exporter's rounding."""
-    rollers = "".join(
-        f'<body euler="0 {angle} 0"><body pos="0 0 .2"><joint name="roller{angle}" axis="1 1e-12 0"/>'
-        '<geom type="capsule" size=".02 .01" euler="0 90 0"/></body></body>'
-        for angle in (37, 101, 233)
-    )
-    wheel = load_mechanism(
-        f"""<mujoco><worldbody><body euler="11 23 71"><joint name="hub" axis="0 1 0"/><geom size=".1"/>{rollers}</body>
-        </worldbody><actuator><motor joint="hub" ctrlrange="-5 5"/></actuator></mujoco>"""
-    )
-    turned = at_rest(wheel, np.array([1.0, 0.0, 0.0, 0.0]), wheel.home)
-    assert wheel.steered.all()
-    np.testing.assert_array_equal(turned, [1.0, 0.0, 0.0, 0.0])
+# A hopper on a boom that turns about a post; weight drops the boom until the leg's foot meets the ground.
+HOPPER = """<mujoco><compiler autolimits="true"/><worldbody><geom type="plane" size="2 2 .1" pos="0 0 {ground}"/>
+<body pos="0 0 .5"><joint name="turn" axis="0 0 1" damping=".05"/><geom size=".03" mass=".05"/>
+<body><joint name="pitch" axis="0 1 0" {held}/><geom type="capsule" fromto="0 0 0 .6 0 0" size=".02" mass=".1"/>
+<body pos=".6 0 0"><joint name="hip" axis="1 0 0" range="-90 90"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".1"/>
+</body></body></body></worldbody><actuator><motor joint="hip" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("held", "ground", "lock"),
+    [('range="-10 20"', "-9", {"pitch": 0.0}), ("", "0", {"pitch": 0.0}), ("", "-9", {}), ('stiffness="50"', "-9", {})],
+)
+def test_what_weight_drops_onto_a_stop_or_the_ground_is_locked(held, ground, lock):
+    mechanism, notes = changed_mechanism({"model": HOPPER.format(held=held, ground=ground)})
+    assert mechanism.selection.lock == lock
+    assert any("weight drops joints" in note for note in notes) == bool(lock)
+
+
+def test_a_hopper_moves_its_leg_while_its_boom_coasts():
+    first = first_motion({"model": HOPPER.format(held='range="-10 20"', ground="-9")}, lambda _: None)
+    assert first.planned
+    assert set(first.tables["motion"]["goal_deg"]) == {"hip"}
+    turned = first.plan.trajectory.position[:, :, 0]
+    assert np.ptp(turned) > np.radians(0.1)
 
 
 # A wrist that its author has fixed by its range, at which it is not drawn.
