@@ -1,5 +1,6 @@
 """Newton steps on programs of one or two unknowns: error bounds, active bounds, violations, the nearest feasible point."""
 
+import time
 from types import SimpleNamespace
 
 import casadi as ca
@@ -169,7 +170,9 @@ def test_the_nearest_feasible_point_keeps_unknowns_that_are_at_a_bound(side, dis
         row_upper=np.array([2.0]),
         objective_scale=3.0,
     )
+    begin = time.perf_counter()
     found = nearest_feasible(transcribed, np.zeros(2))
+    assert 0.0 < found.solve_s <= time.perf_counter() - begin
     assert found.converged
     assert found.x == pytest.approx([2.0, 0.0] if held else [1.0, -side * 1.0])
     assert found.objective == pytest.approx(3.0 * found.x[0])
