@@ -5,10 +5,11 @@ refused then, because its dynamics would be others.
 """
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from linkplan.models.errors import ModelError, listed, shown
 
@@ -17,16 +18,16 @@ _OPENING = "opening file"
 _POINTER = b"version https://git-lfs"
 
 
-def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], at_zero: set[str]) -> list[str]:
+def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], places: Mapping[str, np.ndarray]) -> list[str]:
     """Delete what refers to locked joints, and return the names of their actuators and couplings.
 
-    A fixed tendon is the weighted sum of its joints: a joint that is locked at zero leaves it as it is.
+    A fixed tendon is the weighted sum of its joints: without a locked joint, its range and its spring move by a constant.
 
     Args:
         spec: is changed.
         joints: names of the locked joints.
         away: names of the joints that are dropped. A coupling of locked and dropped joints alone is deleted.
-        at_zero: names of the joints that are locked at zero, which is their reference.
+        places: the reference and the locked position [rad or m] of each locked hinge and slide.
 
     Raises:
         ModelError: if a tendon or an equality constraint ties one of the joints to one that stays free.
@@ -37,13 +38,14 @@ def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], at_zero:
     for tendon in list(spec.tendons):
         used = {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
         if used & joints and used - joints - away:
-            if tendon.name in coupling or not used & joints <= at_zero:
-                name = min(used & joints - (set() if tendon.name in coupling else at_zero))
+            moved = {name for name in used & joints if places[name].any()}
+            relaxed = tendon.springlength[0] == -1 and np.any(tendon.stiffness)  # at the reference pose of every joint
+            if tendon.name in coupling or (moved and relaxed):
                 raise ModelError(
-                    f"joint '{name}' cannot be locked: tendon '{tendon.name}' uses it; it goes on with the others only if"
-                    " the joint is locked at 0 and the tendon couples nothing"
+                    f"joint '{min(moved or used & joints)}' cannot be locked: tendon '{tendon.name}' uses it; it goes on with"
+                    " the others if it couples nothing and, with a spring, has a springlength or the joint is locked at 0"
                 )
-            _leave_tendon(spec, tendon, joints)
+            _leave_tendon(spec, tendon, {name: places[name][1] for name in used & joints})
         elif used & joints:
             names += [f"tendon {tendon.name}", *_delete_tendon(spec, tendon)]
     for closure in [one for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT]:
@@ -59,8 +61,8 @@ def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], at_zero:
     return names + _delete_drives(spec, mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtObj.mjOBJ_JOINT, joints)
 
 
-def _leave_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon", joints: set[str]) -> None:
-    """Replace a fixed tendon by a copy without some joints."""
+def _leave_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon", joints: Mapping[str, float]) -> None:
+    """Replace a fixed tendon by a copy without some joints, which rest at given positions [rad or m]."""
     copy = spec.add_tendon()
     own = {"compiler", "default", "id", "name", "path", "signature"}
     for name in {name for name in dir(tendon) if not name.startswith(("_", "wrap_"))} - own:
@@ -68,6 +70,13 @@ def _leave_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon", joints
     for wrap in tendon.path:
         if wrap.target.name not in joints:
             copy.wrap_joint(wrap.target.name, wrap.coef)
+        else:
+            rest = wrap.coef * joints[wrap.target.name]
+            copy.range = copy.range - rest
+            if copy.springlength[0] != -1:
+                copy.springlength = copy.springlength - rest
+            for one in _acting(spec, mujoco.mjtTrn.mjTRN_TENDON, {tendon.name}):
+                one.biasprm[0] += one.biasprm[1] * one.gear[0] * rest
     name = tendon.name
     spec.delete(tendon)
     copy.name = name
@@ -83,9 +92,13 @@ def _delete_tendon(spec: mujoco.MjSpec, tendon: "mujoco._specs.MjsTendon") -> li
     return names
 
 
+def _acting(spec: mujoco.MjSpec, transmission: mujoco.mjtTrn, targets: set[str]) -> list["mujoco._specs.MjsActuator"]:
+    return [one for one in spec.actuators if one.trntype == transmission and one.target in targets]
+
+
 def _delete_drives(spec: mujoco.MjSpec, transmission: mujoco.mjtTrn, kind: mujoco.mjtObj, gone: set[str]) -> list[str]:
     """Delete the actuators of deleted elements, and the sensors of both; return the names of the actuators."""
-    acting = [one for one in spec.actuators if one.trntype == transmission and one.target in gone]
+    acting = _acting(spec, transmission, gone)
     names = [f"actuator {one.name or 'on ' + one.target}" for one in acting]
     lost = {kind: gone, mujoco.mjtObj.mjOBJ_ACTUATOR: {one.name for one in acting}}
     for one in [*acting, *(one for one in spec.sensors if one.objname in lost.get(one.objtype, ()))]:

@@ -320,9 +320,8 @@ def _lock(
     add_universal_joints(spec, model, [j for j in spins if j in locked], qpos)
     gone = {model.joint(j).name for j in locked}
     scalar = [j for j in locked if int(model.jnt_type[j]) in (HINGE, SLIDE)]
-    places = {j: [model.qpos0[k := int(model.jnt_qposadr[j])], qpos[k] if locked[j] is None else locked[j]] for j in scalar}
-    at_zero = {model.joint(j).name for j, place in places.items() if not np.any(place)}
-    acting = delete_users(spec, gone, away, at_zero)
+    ends = {j: (model.qpos0[k := int(model.jnt_qposadr[j])], qpos[k] if locked[j] is None else locked[j]) for j in scalar}
+    acting = delete_users(spec, gone, away, {model.joint(j).name: np.hstack(both) for j, both in ends.items()})
     for name in gone:
         spec.delete(spec.joint(name))
     notes = ["locked: " + "; ".join(f"{listed(names, 12)} {where}" for where, names in said.items())]

@@ -1,4 +1,4 @@
-"""Fingers of which one tendon flexes two joints: a joint that is locked at zero leaves the tendon to the other."""
+"""Fingers of which one tendon flexes two joints: a joint that is locked leaves the tendon to the other."""
 
 import mujoco
 import numpy as np
@@ -18,25 +18,29 @@ FINGER = """<mujoco><compiler angle="degree"/><option timestep="1e-4"/><worldbod
   <sensor><tendonpos name="length" tendon="cord"/></sensor></mujoco>"""
 
 
-def test_a_joint_of_a_tendon_that_is_locked_at_zero_leaves_the_tendon_to_the_others():
+@pytest.mark.parametrize("far_deg", [0.0, 10.0])
+def test_a_joint_of_a_tendon_that_is_locked_leaves_the_tendon_to_the_others(far_deg):
     whole = mujoco.MjModel.from_xml_string(FINGER)
-    finger = load_mechanism(FINGER, selection=Selection(lock={"far": 0.0}))
-    locked = finger.model
+    finger = load_mechanism(FINGER, selection=Selection(lock={"far": far_deg}))
+    locked, far = finger.model, np.radians(far_deg)
     assert [joint.name for joint in finger.joints] == ["near"]
     data, held = mujoco.MjData(whole), mujoco.MjData(locked)
     for angle, speed in ((0.3, 0.0), (-0.2, 1.1)):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = (0.0, angle), (0.0, speed), 0.1
+        data.qpos[:], data.qvel[:], data.ctrl[:] = (far, angle), (0.0, speed), 0.1
         held.qpos[:], held.qvel[:], held.ctrl[:] = angle, speed, 0.1
         mujoco.mj_forward(whole, data)
         mujoco.mj_forward(locked, held)
-        np.testing.assert_allclose(held.ten_length, data.ten_length)
-        np.testing.assert_allclose(held.sensordata, data.sensordata)
+        np.testing.assert_allclose(held.ten_length + 2 * far, data.ten_length)
+        np.testing.assert_allclose(held.sensordata + 2 * far, data.sensordata)
         np.testing.assert_allclose(held.qfrc_passive, data.qfrc_passive[1:])
         np.testing.assert_allclose(held.qfrc_actuator, data.qfrc_actuator[1:])
-    for name in ("tendon_range", "tendon_frictionloss", "tendon_armature", "tendon_limited"):
+    np.testing.assert_allclose(locked.tendon_range + 2 * far, whole.tendon_range)
+    for name in ("tendon_frictionloss", "tendon_armature", "tendon_limited"):
         np.testing.assert_array_equal(getattr(locked, name), getattr(whole, name))
 
 
-def test_a_joint_of_a_tendon_is_not_locked_elsewhere_than_at_zero():
-    with pytest.raises(ModelError, match=r"'far' cannot be locked: tendon 'cord' uses it.*only if the joint is locked at 0"):
-        load_mechanism(FINGER, selection=Selection(lock={"far": 10.0}))
+def test_a_joint_of_a_tendon_whose_spring_rests_at_the_reference_pose_is_locked_at_zero_alone():
+    relaxed = FINGER.replace('springlength="0.2"', "")
+    with pytest.raises(ModelError, match=r"'far' cannot be locked: tendon 'cord' uses it.*or the joint is locked at 0"):
+        load_mechanism(relaxed, selection=Selection(lock={"far": 10.0}))
+    assert load_mechanism(relaxed, selection=Selection(lock={"far": 0.0})).dof == 1
