@@ -42,8 +42,9 @@ def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], places: 
             relaxed = tendon.springlength[0] == -1 and np.any(tendon.stiffness)  # at the reference pose of every joint
             if tendon.name in coupling or (moved and relaxed):
                 raise ModelError(
-                    f"joint '{min(moved or used & joints)}' cannot be locked: tendon '{tendon.name}' uses it; it goes on with"
-                    " the others if it couples nothing and, with a spring, has a springlength or the joint is locked at 0"
+                    f"joint '{min(moved or used & joints)}' cannot be locked: tendon '{tendon.name}' uses it; it goes on"
+                    " with the others if it couples nothing, and if it has no spring, or a springlength, or the joint is"
+                    " locked at 0"
                 )
             _leave_tendon(spec, tendon, {name: places[name][1] for name in used & joints})
         elif used & joints:

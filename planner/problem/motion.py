@@ -8,8 +8,14 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
-from linkplan.models.poses.momentum import coasting_freedoms
+from linkplan.models.poses.equilibrium import (
+    coasting_freedoms,
+    lock_words,
+    rests_on_stops,
+    spring_equilibrium,
+    sprung_freedoms,
+    stop_sentence,
+)
 from linkplan.planner.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole

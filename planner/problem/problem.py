@@ -14,7 +14,7 @@ from linkplan.models.audit import audit
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.momentum import coasting_freedoms
+from linkplan.models.poses.equilibrium import coasting_freedoms
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, toml_text
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose
@@ -274,9 +274,8 @@ class Problem:
     @property
     def adrift(self) -> np.ndarray:
         """A mask (n_s,) of coordinates with a free final state: passive and coasting ones that the goal does not name."""
-        columns = np.arange(self.mechanism.dof)
-        free = ~self.mechanism.steered | np.isin(columns, coasting_freedoms(self.mechanism))
-        return free & ~np.isin(columns, self.motion.goal_named)
+        columns, steered = np.arange(self.mechanism.dof), self.mechanism.steered
+        return ~np.isin(columns, self.motion.goal_named) & (~steered | np.isin(columns, coasting_freedoms(self.mechanism)))
 
     @property
     def free_spins(self) -> np.ndarray:

@@ -18,8 +18,7 @@ import numpy as np
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.equilibrium import sprung_freedoms
-from linkplan.models.poses.momentum import coasting_freedoms
+from linkplan.models.poses.equilibrium import coasting_freedoms, sprung_freedoms
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY, MIN_INTERVAL_SHARE, AtLeastZero, Number, Positive, Section
 from linkplan.planner.keys.reading import checked, read

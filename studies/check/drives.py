@@ -9,8 +9,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import in_loops
-from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
-from linkplan.models.poses.momentum import coasting_freedoms
+from linkplan.models.poses.equilibrium import coasting_freedoms, rests_on_stops, sprung_freedoms, stop_sentence
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint

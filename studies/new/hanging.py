@@ -15,8 +15,7 @@ from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import sprung_freedoms
-from linkplan.models.poses.momentum import coasting_freedoms
+from linkplan.models.poses.equilibrium import coasting_freedoms, sprung_freedoms
 from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.problem.build import mechanism_from_tables
 

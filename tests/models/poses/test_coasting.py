@@ -5,7 +5,7 @@ import pytest
 import scipy
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.momentum import coasting_freedoms
+from linkplan.models.poses.equilibrium import coasting_freedoms
 
 # A leg at the end of a boom that turns about a post.
 BOOM = """<mujoco><worldbody><body><joint name="turn" axis="{axis}" {joint}/><geom size=".03" mass="1"/>
