@@ -258,6 +258,8 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
         values = dynamics.orientation(near, q) if mechanism.projected else dynamics.block_singularity(q)
         return float(values[block]) * np.sign(here[block])
 
+    if fold(0.0) <= 0:  # rounding of the file leaves the loops of `near` too open to tell its side
+        return np.array(near)
     way = 1.0 if fold(0.1) < fold(-0.1) else -1.0
     begin = 0.0
     for end in (0.5, 1.0, 2.0, 4.0):
