@@ -10,6 +10,7 @@ freedom has a single loop, broken at its actuator. Passive spins, which move not
 their own do not count.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -348,6 +349,7 @@ def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kin
     return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A[0], B=B[0], B_late=late[0])
 
 
+@functools.lru_cache(maxsize=32)
 def channel_effort(point: OperatingPoint, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows (n_u,) that measure and apply the effort at which a coordinate's loop is broken.
 
