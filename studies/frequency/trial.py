@@ -56,7 +56,9 @@ def settle_trials(
         decisive = (np.abs(change) > np.log(_DECISIVE_FACTOR)) | ~np.isfinite(change)
         # A loop may decay or grow within the first check interval: compare with the kick itself.
         decayed = speed[active] < kick[active] / _DECISIVE_FACTOR
-        grown = ~(speed[active] < _GROWTH_FACTOR * kick[active])
+        # Soft loops sink under the weight at first, faster than the kick. What does not fall again has grown.
+        falls = np.min(history[-5:], axis=0) < np.min(history[:-5], axis=0, initial=np.inf)
+        grown = ~(speed[active] < _GROWTH_FACTOR * kick[active]) & ~falls[active]
         finished = decisive | decayed | grown | (batch.periods >= most_periods)
         trend = np.where(decisive, change, late_change)
         settles[active[finished]] = (decayed | (~grown & (trend < 0)))[finished]

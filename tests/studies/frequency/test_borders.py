@@ -60,6 +60,28 @@ def test_critical_kd_brackets_mujocos_own_border_at_nine_angles(knee):
     assert not settle_trials(above, knee.effort_limit).any()
 
 
+# A light four-bar that holds a mass on its rocker.
+LIGHT = """<mujoco><option timestep="2e-3"/><worldbody>
+<body><joint name="crank" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .03" size=".002" mass="1e-3"/>
+<body name="coupler" pos="0 0 .03"><joint name="pin" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .06 0 0" size=".002" mass="1e-3"/></body></body>
+<body name="rocker" pos=".06 0 0"><joint name="rock" axis="0 1 0"/><geom size=".005" pos=".04 0 .03" mass=".03"/>
+<geom type="capsule" fromto="0 0 0 0 0 .03" size=".002" mass="1e-3"/></body></worldbody>
+<equality><connect body1="coupler" body2="rocker" anchor=".06 0 0" {solref}/></equality>
+<actuator><motor joint="crank" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("solref", ["", 'solref=".04 1"'])
+def test_a_loop_whose_soft_closures_sink_under_the_weight_settles_all_the_same(solref):
+    """At first the crank moves up to a thousand times as fast as the kick. Beyond the critical gain it never rests."""
+    mechanism = load_mechanism(LIGHT.format(solref=solref))
+    timing, point = sampling(mechanism, 2e-3), operating_point(mechanism, np.zeros(1))
+    inertia, omega = float(point.inertia[0, 0]), 2 * np.pi * 4
+    kp, kd = inertia * omega**2, 2 * inertia * omega
+    loops = [pd_loop(point, kp, kd, timing), pd_loop(point, kp, 1.2 * critical_kd(point, kp, timing)[1], timing)]
+    assert settle_trials(loops, mechanism.effort_limit).tolist() == [True, False]
+
+
 def test_the_documents_gains_are_beyond_the_border_at_every_angle_and_within_it_at_a_tenth_of_the_period(knee):
     points = [at(knee, angle) for angle in NINE_DEG]
     for period, stable in ((1e-4, False), (1e-5, True)):
