@@ -30,6 +30,7 @@ from linkplan.models.closure.initial_assembly import (
 )
 from linkplan.models.closure.mobility import (
     closure_tolerance,
+    find_coasting_dofs,
     find_passive_dofs,
     judge_mobility,
     lost_freedoms,
@@ -64,9 +65,9 @@ class Mechanism:
     loops are closed at `home` (n_q,). They were open by `home_gap_m` at the model's own reference pose, before assembly.
     They count as closed below a gap of `closed_m`, which is larger if the file's numbers are rounded. Overconstrained loops
     are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
-    that no actuator drives and that can move while all other bodies rest, such as the spin of a rod between two ball joints.
-    `notes` are remarks on the assembly, `faults` what a file's rounding takes from it. `source` is the [mechanism] table of
-    a problem file. `equations` has mass matrix, bias, closure, transmission and inverse dynamics, as arrays and by CasADi.
+    that move while all other bodies rest, as the spin of a rod between balls does. On `coasting_dofs` only damping acts, as
+    on a loose cart. `notes` are remarks on the assembly, `faults` what a file's rounding takes from it. `source` is the
+    [mechanism] table. `equations` has mass matrix, bias, closure, transmission and inverse dynamics.
 
     Example:
         knee = linkplan.load_mechanism("optimus-knee")
@@ -97,6 +98,7 @@ class Mechanism:
     friction_transition: float  # transition speed of dry friction, see `models.tree.friction`
     coordinates: Coordinates
     passive_dofs: tuple[int, ...]
+    coasting_dofs: tuple[int, ...]
     notes: tuple[str, ...]
     faults: tuple[str, ...]
     source: Mapping[str, object]
@@ -140,7 +142,7 @@ class Mechanism:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """The indices of the independent joints with a feedback loop: the steered ones."""
+        """The indices of the steered independent joints, each of which has a feedback loop."""
         return tuple(np.flatnonzero(self.steered).tolist())
 
     @property
@@ -150,12 +152,12 @@ class Mechanism:
 
     @property
     def steered(self) -> np.ndarray:
-        """A mask (n_s,) of the coordinates that actuators may move: all but the passive degrees of freedom."""
-        return ~np.isin(self.independent, self.passive_dofs)
+        """A mask (n_s,) of the coordinates that actuators may hold: all but the passive and the coasting ones."""
+        return ~np.isin(self.independent, [*self.passive_dofs, *self.coasting_dofs])
 
     @property
     def cyclic(self) -> np.ndarray:
-        """A mask (n_s,) of the passive degrees of freedom of round bodies, on which the dynamics do not depend."""
+        """A mask (n_s,) of the freedoms without a drive on which the dynamics do not depend."""
         return round_spins(self.dynamics, self.home, ~self.steered)
 
     def fingerprint(self, *, payload_apart: bool = False) -> str:
@@ -319,13 +321,12 @@ def load_mechanism(
     parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, lengths(model, tree, actuators))
     dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
     refuse_singular_inertia(name, joints, free, dynamics, pose)
-    rank = len(dependent)
-    poses = [q for q in (pose, *about) if loop.rank(q) == rank]
-    passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
+    poses = [q for q in (pose, *about) if loop.rank(q) == len(dependent)]
+    passive, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, dynamics, poses, mobility, tolerance)
     idle, faults = idle_drives(joints, actuators, dynamics, poses, mobility, extent)
     notes = [*left_out, *(shift.sentence for shift in moved), *notes, *idle, *friction_notes(model, transition, extent)]
-    notes += _reference_notes(loop, reference, rank)
+    notes += _reference_notes(loop, reference, len(dependent))
     asked = {
         "payload": None if payload is None else payload.table(),
         **home_of([joints[i] for i in held], list(held.values())),
@@ -359,7 +360,8 @@ def load_mechanism(
         parametric=None if payload is None else parametric,
         friction_transition=transition,
         coordinates=tree.coordinates,
-        passive_dofs=passive_dofs,
+        passive_dofs=passive,
+        coasting_dofs=find_coasting_dofs(dynamics, free, passive, poses),
         notes=tuple(notes),
         faults=tuple(faults),
         source={"model": str(source)} | {key: value for key, value in asked.items() if value is not None},

@@ -12,6 +12,7 @@ turns about its own centre of mass, and on which no actuator and no spring acts.
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from random import Random
 
 import mujoco
 import numpy as np
@@ -96,6 +97,37 @@ def _body_rates(
     for body in np.flatnonzero(model.body_mass > 0):
         mujoco.mj_jacBodyCom(model, data, linear[body], angular[body], body)
     return np.linalg.norm(linear @ qvel, axis=1), np.linalg.norm(angular @ qvel, axis=1)
+
+
+def find_coasting_dofs(
+    dynamics, independent: np.ndarray, passive: Sequence[int], poses: Sequence[np.ndarray]
+) -> tuple[int, ...]:
+    """Return the independent coordinates q_k whose momentum p = M_k(q) v obeys p' = -d q_k' in every motion, with d >= 0.
+
+    No actuator, spring, weight or dry friction acts on them, as on a cart on a rail or the vertical axis of a boom. Inverse
+    dynamics at the poses, with random speeds, are compared with this law.
+
+    Args:
+        dynamics: the reduced dynamics.
+        independent: coordinates (n_s,).
+        passive: those that are passive degrees of freedom.
+        poses: closed poses (n_q,) with no common symmetry; with fewer than three of them the law is not judged.
+    """
+    arms = np.array([np.abs(np.array(dynamics.effort_map(q))).max(axis=1, initial=0.0) for q in poses])
+    undriven = [k for k in np.flatnonzero(np.all(arms == 0, axis=0)).tolist() if independent[k] not in passive]
+    if not undriven or len(poses) < 3:
+        return ()
+    random, step, still = Random(0), 1e-4, np.zeros(len(independent))
+    speeds = np.array([[random.uniform(-1.0, 1.0) for _ in independent] for _ in poses])
+    needed, gained = np.empty((2, *speeds.shape))
+    for k, (q, v) in enumerate(zip(poses, speeds, strict=True)):
+        along = step * np.array(dynamics.velocity_map(q)) @ v
+        change = np.array(dynamics.reduced_inertia(q + along)) - np.array(dynamics.reduced_inertia(q - along))
+        needed[k], gained[k] = np.array(dynamics.inverse_dynamics(q, v, still)).ravel(), change @ v / (2 * step)
+    damping = np.sum((needed - gained) * speeds, axis=0) / np.sum(speeds**2, axis=0)
+    apart = np.abs(needed - gained - damping * speeds).max(axis=0)
+    least = FILE_ROUNDING_SHARE * max(np.abs(needed).max(), np.abs(gained).max())
+    return tuple(int(independent[k]) for k in undriven if apart[k] <= least)
 
 
 def round_spins(dynamics, home: np.ndarray, passive: np.ndarray) -> np.ndarray:

@@ -8,14 +8,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import (
-    coasting_freedoms,
-    lock_words,
-    rests_on_stops,
-    spring_equilibrium,
-    sprung_freedoms,
-    stop_sentence,
-)
+from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
 from linkplan.planner.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.reference import Sine, is_whole
@@ -206,10 +199,9 @@ def _state(
     result = []
     if default is None:
         values = _with_rests(values, f"{where}.{key}", mechanism)
-    coasting = mechanism.independent[list(coasting_freedoms(mechanism))]
-    for index in mechanism.independent:
+    for index, steered in zip(mechanism.independent, mechanism.steered, strict=True):
         joint = mechanism.joints[index]
-        if index not in values and default is None and index not in mechanism.passive_dofs and index not in coasting:
+        if index not in values and default is None and steered:
             named = sorted(mechanism.joints[i].name for i in values)
             as_many = len(values) == mechanism.dof
             hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if as_many else ""

@@ -14,7 +14,6 @@ from linkplan.models.audit import audit
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.equilibrium import coasting_freedoms
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, toml_text
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose
@@ -274,8 +273,8 @@ class Problem:
     @property
     def adrift(self) -> np.ndarray:
         """A mask (n_s,) of coordinates with a free final state: passive and coasting ones that the goal does not name."""
-        columns, steered = np.arange(self.mechanism.dof), self.mechanism.steered
-        return ~np.isin(columns, self.motion.goal_named) & (~steered | np.isin(columns, coasting_freedoms(self.mechanism)))
+        named = np.isin(np.arange(self.mechanism.dof), list(self.motion.goal_named))
+        return ~self.mechanism.steered & ~named
 
     @property
     def free_spins(self) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.equilibrium import coasting_freedoms, sprung_freedoms
+from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY, MIN_INTERVAL_SHARE, AtLeastZero, Number, Positive, Section
 from linkplan.planner.keys.reading import checked, read
@@ -119,8 +119,8 @@ def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[
     if "independent" in mechanism.source:
         return None
     named = [joint.name for joint in mechanism.joints if joint.name in set(_named(tables))]
-    unnamed = [*sprung_freedoms(mechanism), *coasting_freedoms(mechanism)]
-    resting = {*mechanism.independent[unnamed].tolist(), *mechanism.passive_dofs}
+    unnamed = [*sprung_freedoms(mechanism), *np.flatnonzero(~mechanism.steered)]
+    resting = set(mechanism.independent[unnamed].tolist())
     missing = [mechanism.joints[i].name for i in mechanism.independent.tolist() if i not in resting]
     missing = [name for name in missing if name not in named]
     others = set(named) - {joint.name for joint in mechanism.independent_joints}

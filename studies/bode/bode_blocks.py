@@ -132,8 +132,9 @@ def contacts_of(study: BodeStudy) -> str | None:
 
 def softness_of(study: BodeStudy) -> str | None:
     """Return the sentence on the closure gap at the poses, or None if it is small."""
-    gaps = [held_gap(study.mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == 0]
-    return gap_sentence(study.mechanism, max(gaps), error=" while the poses are held")
+    mechanism, first = study.mechanism, study.mechanism.channels[0]
+    gaps = [held_gap(mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == first]
+    return gap_sentence(mechanism, max(gaps), error=" while the poses are held")
 
 
 def _name(entry: BodePoint) -> str:

@@ -9,7 +9,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import in_loops
-from linkplan.models.poses.equilibrium import coasting_freedoms, rests_on_stops, sprung_freedoms, stop_sentence
+from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
@@ -92,11 +92,11 @@ def floating_columns(mechanism: Mechanism) -> set[int]:
 def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str, bool]:
     """Return the sentence on an independent joint without an actuator, and True if it is a fault."""
     joint = mechanism.independent_joints[column]
-    if column in coasting_freedoms(mechanism):
-        ends = "a motion that does not name it ends where its momentum takes it"
-        return f"joint {joint.name} has no actuator, and only damping acts on it: {ends}", False
     if steerable:
-        return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)", False
+        coasts = mechanism.independent[column] in mechanism.coasting_dofs
+        ends = ", and only damping acts on it: a motion that does not name it ends where its momentum takes it"
+        moved = ": it is moved through the others only (underactuated)"
+        return f"joint {joint.name} has no actuator{ends if coasts else moved}", False
     if column in sprung_freedoms(mechanism):
         return f"joint {joint.name} has no actuator and is not steered by the others: springs hold it", False
     said = "" if is_damped(mechanism, mechanism.home, column) else " and nothing damps it"

@@ -176,7 +176,7 @@ def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steera
     """Return the problems and notes on an independent joint; `idle` if no actuator acts on it at home."""
     problems, notes, column = [], [], can.coordinate
     passive = not mechanism.steered[column]
-    if idle and not passive:
+    if idle and mechanism.independent[column] not in mechanism.passive_dofs:
         sentence, fault = undriven(mechanism, column, steerable=steerable)
         (problems if fault else notes).append(sentence)
     one_sided = pushed_one_way(mechanism, column)

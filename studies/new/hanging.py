@@ -15,7 +15,7 @@ from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import coasting_freedoms, sprung_freedoms
+from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.problem.build import mechanism_from_tables
 
@@ -30,7 +30,7 @@ def driven_columns(mechanism: Mechanism) -> np.ndarray:
 
 def rests_by_itself(mechanism: Mechanism, column: int) -> bool:
     """Tell if a coordinate is passive, coasts or is held by springs, so that a motion does not name it."""
-    return not mechanism.steered[column] or column in {*sprung_freedoms(mechanism), *coasting_freedoms(mechanism)}
+    return not mechanism.steered[column] or column in sprung_freedoms(mechanism)
 
 
 def hanging_columns(mechanism: Mechanism) -> list[int]:

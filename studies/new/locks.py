@@ -94,7 +94,7 @@ def coupled_with_play(mechanism: Mechanism) -> dict[str, float]:
 def spins(mechanism: Mechanism) -> dict[str, float]:
     """Return the home positions [deg or m] of the independent hinges about which undriven rods spin, by name."""
     swings = [column for column in hanging_columns(mechanism) if _is_spin(mechanism, column)]
-    spins = [*np.flatnonzero(~mechanism.steered).tolist(), *swings]
+    spins = [*np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)).tolist(), *swings]
     joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
     return {
         joint.name: joint.shown(float(mechanism.home[index]))
@@ -111,7 +111,7 @@ def rods_on_balls(mechanism: Mechanism) -> list[str]:
     model, found = mechanism.model, []
     lines = {j: rod_line(model, j) for j in range(model.njnt) if spin_refusal(model, j) is None}
     data = data_at(model, mechanism.qpos_of(mechanism.home))
-    for column in np.flatnonzero(~mechanism.steered):
+    for column in np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)):
         rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
         data.qvel[:] = mechanism.qvel_of(mechanism.home, rates)
         mujoco.mj_comVel(model, data)

@@ -163,16 +163,16 @@ def test_a_command_whose_tracker_ends_or_raises_names_it_and_exits_with_2(comman
     assert "tracker 'mine' fails at control instant" in err.splitlines()[-1]
 
 
-# A wheel without a motor turns on, whatever the arm does.
-FREE_WHEEL = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0" damping="0.1"/>
+# A pendulum without a motor swings on, whatever the arm does.
+PENDULUM = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0" damping="0.1"/>
 <inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body>
-<body pos="1 0 0"><joint name="wheel" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body>
+<body pos="1 0 0"><joint name="rod" axis="0 1 0"/><inertial pos="0 0 -.3" mass="1" diaginertia=".1 .1 .1"/></body>
 </worldbody><actuator><motor name="drive" joint="arm" ctrlrange="-4 4"/></actuator></mujoco>"""
 
 
 def test_a_tracker_without_a_gain_is_left_out_and_named():
-    ends = "start_deg = { arm = 0.0, wheel = 0.0 }\ngoal_deg = { arm = 30.0, wheel = 0.0 }\nduration_s = 1.0\n"
-    plan = body_plan(FREE_WHEEL, f'kind = "reach"\n{ends}')
+    ends = "start_deg = { arm = 0.0, rod = 0.0 }\ngoal_deg = { arm = 30.0, rod = 0.0 }\nduration_s = 1.0\n"
+    plan = body_plan(PENDULUM, f'kind = "reach"\n{ends}')
     found = compare(plan, None)
     assert list(found.nominal) == ["pd", "pd+ff"]
     assert comparison_notes(found)[0].startswith("lqr is left out: LQR has no stabilising gain")

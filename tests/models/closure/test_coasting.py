@@ -5,7 +5,6 @@ import pytest
 import scipy
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.equilibrium import coasting_freedoms
 
 # A leg at the end of a boom that turns about a post.
 BOOM = """<mujoco><worldbody><body><joint name="turn" axis="{axis}" {joint}/><geom size=".03" mass="1"/>
@@ -29,13 +28,13 @@ BOOM = """<mujoco><worldbody><body><joint name="turn" axis="{axis}" {joint}/><ge
 )
 def test_a_boom_coasts_if_nothing_but_damping_acts_on_it(axis, joint, motor, coasts):
     mechanism = load_mechanism(BOOM.format(axis=axis, joint=joint, motor=motor))
-    assert coasting_freedoms(mechanism) == ((0,) if coasts else ())
+    assert mechanism.coasting_dofs == ((0,) if coasts else ())
 
 
 def test_momentum_and_damping_times_angle_stay_together_what_they_were():
     """The motion of a damped boom under jerky efforts on the leg, by integration."""
     mechanism = load_mechanism(BOOM.format(axis="0 0 1", joint='damping=".2"', motor=""))
-    assert coasting_freedoms(mechanism) == (0,)
+    assert mechanism.coasting_dofs == (0,)
 
     def rate(time: float, state: np.ndarray) -> np.ndarray:
         q, v = np.split(state, 2)

@@ -1,0 +1,51 @@
+"""Feedback loops of a leg on a boom that coasts about its post: responses, margins and LQR leave the boom free."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.bode import bode_study
+from linkplan.studies.bode.bode_report import bode_record
+from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.frequency.measure import Setup
+
+BOOM = """<mujoco><option timestep="1e-3"/><worldbody>
+<body><joint name="turn" axis="0 0 1" damping=".2"/><geom size=".03" mass="1"/>
+<body pos=".6 0 0"><joint name="hip" axis="1 0 0" damping=".1"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".3"/>
+<body pos="0 0 -.2"><joint name="knee" axis="1 0 0"/><geom type="capsule" fromto="0 0 0 0 .1 -.2" size=".02" mass=".2"/>
+</body></body></body></worldbody>
+<actuator><motor joint="hip" ctrlrange="-9 9"/><motor joint="knee" ctrlrange="-9 9"/></actuator></mujoco>"""
+GAINS = Tracking(kp={"turn": 0.0, "hip": 60.0, "knee": 20.0}, kd={"turn": 0.0, "hip": 2.0, "knee": 0.5}, period_s=1e-3)
+
+
+@pytest.fixture(scope="module")
+def boom():
+    return load_mechanism(BOOM)
+
+
+def test_responses_of_the_leg_are_measured_as_predicted_while_the_boom_coasts(boom):
+    study = bode_study(
+        boom,
+        np.array([[0.0, 0.3, -0.4]]),
+        GAINS,
+        boom.effort_limit,
+        setup=Setup(),
+        frequency_hz=np.array([3.0, 20.0]),
+        scanned=0,
+    )
+    assert [entry.channel for entry in study.points] == [1, 2]
+    for entry in study.points:
+        assert entry.settles_in_mujoco
+        for quantity, response in entry.measured.items():
+            assert response.gain == pytest.approx(entry.predicted[quantity].gain, rel=1e-5)
+    assert bode_record(study)["softness"] is None
+
+
+def test_lqr_regulates_the_leg_and_leaves_the_boom_alone(boom):
+    law = sampled_law(boom, "lqr", GAINS, boom.effort_limit)
+    loop = law.loop(operating_point(boom, np.array([0.0, 0.3, -0.4])))
+    assert loop.stable
+    assert np.all(loop.gain[:, [0, 3]] == 0)
+    assert np.all(np.diag(loop.gain[:, 1:3]) > 0)
