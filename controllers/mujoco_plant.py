@@ -4,7 +4,6 @@ A command is delayed, clipped to the actuators' limits and held while MuJoCo ste
 any number of machines and threads. Only this file and rigid_plant.py hold simulator state.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -145,9 +144,7 @@ class MujocoStepper:
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
         self._servos = servo_inversion(mechanism)
         self._gains = np.zeros((1, self.n_u)) if gains is None else gains
-        self._batch = Batch(
-            model, nsim=self.n, nthread=threads or min(self.n, os.cpu_count() or 1), persistent=self._servos is not None
-        )
+        self._batch = Batch(model, nsim=self.n, nthread=threads, persistent=self._servos is not None)
         spread(self._batch, model, models)
         bind = self._batch.bind
         self._qpos, self._qvel, self._ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))

@@ -129,11 +129,9 @@ def motion_table(
     """
     mechanism = problem.mechanism
     dense = trajectory.dense_times(10)  # near enough to follow the loops from sample to sample
-    begin, end = trajectory.breaks_s[0], trajectory.breaks_s[-1]
     time = (dense if jumps else _single_valued(dense)) if time_s is None else np.asarray(time_s, dtype=float)
-    within = begin + np.mod(time - begin, end - begin) if trajectory.periodic else np.clip(time, begin, end)
     # Loops are followed along the whole motion, so the order and distance of the given times do not matter.
-    along, back = np.unique(np.concatenate([dense, within]), return_inverse=True)
+    along, back = np.unique(np.concatenate([dense, trajectory.times_within(time)]), return_inverse=True)
     poses = follow(mechanism, trajectory.position_at(along), trajectory.start_pose)
     gone = whole_turns(mechanism, poses[-1] - poses[0]) if np.any(trajectory.advance) else np.zeros(mechanism.n_q)
     q = poses[back[len(dense) :]] + trajectory.periods_at(time)[:, None] * gone

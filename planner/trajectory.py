@@ -87,7 +87,8 @@ class Trajectory(OnIntervals):
         """Return the number of whole periods (n,) passed at times (n,); 0 for a motion that is not periodic."""
         return self.periodic * np.floor_divide(np.asarray(time_s, dtype=float) - self.breaks_s[0], self.duration_s)
 
-    def _times(self, time_s: np.ndarray) -> np.ndarray:
+    def times_within(self, time_s: np.ndarray) -> np.ndarray:
+        """Return times (n,) mapped into the motion: by whole periods where it is periodic, else to the nearer end."""
         time = np.asarray(time_s, dtype=float)
         if self.periodic:
             return self.breaks_s[0] + np.mod(time - self.breaks_s[0], self.duration_s)
@@ -95,26 +96,26 @@ class Trajectory(OnIntervals):
 
     def position_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return s (n, n_s) [rad or m] at times (n,)."""
-        within = PiecewisePolynomial(self.position, self.breaks_s)(self._times(time_s))
+        within = PiecewisePolynomial(self.position, self.breaks_s)(self.times_within(time_s))
         return within + self.periods_at(time_s)[:, None] * self.advance
 
     def velocity_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v (n, n_s) [rad/s or m/s] at times (n,); zero outside a motion that is not periodic."""
-        velocity = PiecewisePolynomial(self.velocity, self.breaks_s)(self._times(time_s))
+        velocity = PiecewisePolynomial(self.velocity, self.breaks_s)(self.times_within(time_s))
         return np.where(self._inside(time_s)[:, None], velocity, 0.0)
 
     def slope_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return s' (n, n_s), the slope of the planned position; it equals v except for first-order schemes."""
-        return PiecewisePolynomial(self.position, self.breaks_s).derivative()(self._times(time_s))
+        return PiecewisePolynomial(self.position, self.breaks_s).derivative()(self.times_within(time_s))
 
     def acceleration_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v' (n, n_s) [rad/s2 or m/s2] at times (n,); zero outside a motion that is not periodic."""
-        acceleration = PiecewisePolynomial(self.velocity, self.breaks_s).derivative()(self._times(time_s))
+        acceleration = PiecewisePolynomial(self.velocity, self.breaks_s).derivative()(self.times_within(time_s))
         return np.where(self._inside(time_s)[:, None], acceleration, 0.0)
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return u (n, n_u) [N.m or N] at times (n,); outside the motion that of the nearer end."""
-        return PiecewisePolynomial(self.effort, self.breaks_s)(self._times(time_s))
+        return PiecewisePolynomial(self.effort, self.breaks_s)(self.times_within(time_s))
 
     def _inside(self, time_s: np.ndarray) -> np.ndarray:
         time = np.asarray(time_s, dtype=float)

@@ -5,10 +5,11 @@
 A_k and B_k come from the reduced dynamics' derivatives at t_k, held over one control period (zero-order hold). Where an
 implicit integrator adds a servo's gain and damping to the inertia of every step, they are those of MuJoCo's steps: the
 effect of an effort may be a fraction of what the continuous motion shows. K_k comes from the backward Riccati recursion
-(Anderson & Moore, Optimal Control, 1990, 2.4). It starts from the stationary solution at the end of the motion. For a
-periodic motion it is repeated until it converges to a periodic solution.
+(Anderson & Moore, Optimal Control, 1990, 2.4). It starts from the stationary solution: of the last instant where a motion
+ends at rest, of all instants in turn where it repeats.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +22,9 @@ from linkplan.controllers.trackers.tracker import StateFeedback
 from linkplan.models.errors import GainError
 from linkplan.models.mechanism import Mechanism
 
-# Relative change over a cycle below which the periodic Riccati recursion has converged.
-_CYCLE_TOLERANCE = 1e-9
+# Matrices A, G = B R^-1 B^T and Q (m, m) of an instant: the cost P after it is Q + A^T P (I + G P)^-1 A before it. Several
+# instants in turn have such matrices, too.
+_Span = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -43,20 +45,16 @@ class Regulator:
     after: np.ndarray
 
 
+@np.errstate(over="ignore", invalid="ignore")  # where no gain exists, the cost grows without bound
 def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repeats: bool) -> Regulator:
     """Return the optimal feedback for the cost sum e^T Q e + w^T R w, over a motion that ends at rest or repeats.
 
     Raises:
         GainError: if no stabilising gain exists.
     """
-    P = _stationary_cost(A[-1], B[-1], Q, R)
-    gains, cost, P_next = _backward(A, B, Q, R, P)
-    cycles = 0
-    while repeats and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
-        if (cycles := cycles + 1) > 200:
-            raise GainError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
-        P = P_next
-        gains, cost, P_next = _backward(A, B, Q, R, P)
+    spans = [(A_k, B_k @ np.linalg.solve(R, B_k.T), Q) for A_k, B_k in zip(A, B, strict=True)]
+    P = _stationary_cost(functools.reduce(_joined, spans) if repeats else spans[-1])
+    gains, cost = _backward(A, B, Q, R, P)
     after = np.arange(1, len(A) + 1)
     after[-1] = 0 if repeats else len(A) - 1
     return Regulator(A=A, B=B, gains=gains, cost=cost, Q=Q, R=R, after=after)
@@ -128,9 +126,16 @@ def lqr(
     return StateFeedback(reference=reference, gains=gains, name="lqr", feedforward=True)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # where no gain exists, the cost grows without bound
-def _stationary_cost(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return the solution P (m, m) of the stationary Riccati equation by doubling: step k has the cost of 2^k periods.
+def _joined(first: _Span, then: _Span) -> _Span:
+    """Return the span of two, one after the other."""
+    (A, G, P), (A_then, G_then, P_then) = first, then
+    A_half, G_half = np.hsplit(np.linalg.solve(np.eye(len(A)) + G @ P_then, np.hstack([A, G])), 2)
+    G, P = G_then + A_then @ G_half @ A_then.T, P + A.T @ P_then @ A_half
+    return A_then @ A_half, 0.5 * (G + G.T), 0.5 * (P + P.T)
+
+
+def _stationary_cost(span: _Span) -> np.ndarray:
+    """Return the cost P (m, m) of a span that repeats for ever, by doubling: step k has the cost of 2^k spans.
 
     The algorithm is structure-preserving doubling (Chu, Fan, Lin & Wang, Int. J. Control 77, 2004). QZ, which scipy uses,
     fails where many eigenvalues of A are next to 1, as those of a robot with slow feedback are.
@@ -138,25 +143,24 @@ def _stationary_cost(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray)
     Raises:
         GainError: if the cost does not converge, because no gain stabilises the system.
     """
-    G, P, eye = B @ np.linalg.solve(R, B.T), Q, np.eye(len(A))
     for _ in range(40):  # a horizon of 2^40 periods of 0.1 ms is three years
-        A_next, AG = np.hsplit(np.linalg.solve(eye + G @ P, np.hstack([A, G])), 2)
-        change = A.T @ P @ A_next
-        P, G, A = P + 0.5 * (change + change.T), G + A @ AG @ A.T, A @ A_next
-        G = 0.5 * (G + G.T)
+        before, span = span[2], _joined(span, span)
+        P = span[2]
         if not np.all(np.isfinite(P)):
             break
-        if np.abs(change).max() <= np.finfo(float).eps * np.abs(P).max():
+        if np.abs(P - before).max() <= np.finfo(float).eps * np.abs(P).max():
             return P
-    raise GainError("LQR has no stabilising gain at the end of the motion: something moves on there that no effort stops")
+    raise GainError(
+        "LQR has no stabilising gain at the end or over a cycle of the motion: something moves that no effort stops"
+    )
 
 
-def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return gains (n, n_u, m), P (n, m, m) and the first P of the backward Riccati recursion from P at the end."""
+def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
+    """Return gains (n, n_u, m) and P (n, m, m) of the backward Riccati recursion from P at the end."""
     gains, cost = np.empty((len(A), B.shape[2], A.shape[1])), np.empty(A.shape)
     for k in range(len(A) - 1, -1, -1):
         BP = B[k].T @ P
         gains[k] = np.linalg.solve(R + BP @ B[k], BP @ A[k])
         P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
         cost[k] = P = 0.5 * (P + P.T)
-    return gains, cost, P
+    return gains, cost

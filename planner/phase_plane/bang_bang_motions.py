@@ -275,7 +275,7 @@ def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: i
         return None
     ahead = np.arange(index[0], goal + way, way)
     braked = max(len(ahead) - len(brake), 0)  # the first place from which the way to the goal is open
-    braking = brake[: len(ahead) - braked][::-1]
+    braking = brake[: len(ahead)][::-1]
     over = push[braked : len(ahead)] >= braking[: max(len(push) - braked, 0)]
     if not over.any():
         return None

@@ -87,9 +87,9 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
     phi = dense(blocks.closure(pose_of(blocks, s, start))[0], n)
     step = -(C * arb_mat(n, 1, phi))  # pyright: ignore[reportArgumentType]  constants, no series
     one = arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
-    radii = [abs(step[i, 0]).upper() * arb(1.25) + arb(2) ** -60 for i in range(n)]
+    moved = step
     for _ in range(_MOST_INFLATIONS):
-        around = [arb(0, r) for r in radii]
+        around = [arb(0, abs(moved[i, 0]).upper() * arb(1.5) + arb(2) ** -60) for i in range(n)]
         region = [x + d for x, d in zip(start, around, strict=True)]
         tangent = blocks.tangent(pose_of(blocks, s, region))[0]
         entries = [tangent.get((i, j), arb(0)) for i in range(n) for j in blocks.dependent]
@@ -99,7 +99,6 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
             return Root(enclosure=[start[i] + moved[i, 0] for i in range(n)], region=region)
         if not all(moved[i, 0].is_finite() for i in range(n)):
             break
-        radii = [abs(moved[i, 0]).upper() * arb(1.5) + arb(2) ** -60 for i in range(n)]
     raise NotSeparatedError("Krawczyk's operator does not map the box into itself")
 
 

@@ -86,11 +86,12 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
 
 
 def nearest_tests(path: Path) -> list[str]:
-    """Return the tests nearest to a file: that of its own name, those that import it, then those of its folder."""
+    """Return the tests nearest to a file: that of its own name, those that import it (its folder's first), its folder."""
     folder = Path("tests") / path.parent
     folder = folder if (ROOT / folder).is_dir() else folder.parent
     module = "linkplan." + ".".join(path.with_suffix("").parts)
     importing = [test for test in sorted((ROOT / "tests").rglob("test_*.py")) if module in test.read_text(encoding="utf-8")]
+    importing.sort(key=lambda test: ROOT / folder not in test.parents)
     own = ROOT / folder / f"test_{path.name}"
     files = [*([own] if own.is_file() else []), *importing]
     return [*dict.fromkeys(str(test.relative_to(ROOT)) for test in files), str(folder)]

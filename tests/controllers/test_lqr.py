@@ -26,28 +26,37 @@ def endless(along: np.ndarray, steered: np.ndarray) -> float:
     return p
 
 
-def test_costs_of_a_cycle_are_those_of_endless_cycles():
-    """A cycle multiplies a change of the cost at its end by a factor c: the rest of the recursion adds c / (1 - c) of it."""
-    found, p = scalar(repeats=True), endless(a, b)
-    c = float(np.prod((a - b * found.gains[:, 0, 0]) ** 2))
-    assert 0.3 < c < 0.9
-    assert found.cost[0, 0, 0] == pytest.approx(p, rel=1e-9 * c / (1 - c))
-    assert abs(scalar(repeats=False).cost[0, 0, 0] / p - 1) > 1e-3  # the end's own cost is another one
+@pytest.mark.parametrize("steered", [b, 0.2 * b, b * [1, 1, 0]], ids=["strong", "weak", "not at its end"])
+def test_costs_of_a_cycle_are_those_of_endless_cycles(steered):
+    found, p = scalar(repeats=True, steered=steered), endless(a, steered)
+    assert found.cost[0, 0, 0] == pytest.approx(p, rel=1e-12)
+    assert found.gains[2, 0, 0] == pytest.approx(a[2] * steered[2] * p / (r + steered[2] ** 2 * p), rel=1e-12)
+
+
+def test_a_cycle_s_cost_is_not_that_of_rest_at_its_end():
+    assert abs(scalar(repeats=False).cost[0, 0, 0] / endless(a, b) - 1) > 1e-3
 
 
 def test_costs_of_states_that_do_not_touch_each_other_are_their_own():
-    """The second one needs some 160 cycles to converge, and more than 200 to the last bit."""
     weak = 0.55 * b
     A, B = (np.array([np.diag([x, y]) for x, y in zip(*pair, strict=True)]) for pair in ((a, a), (b, weak)))
     found = regulate(A, B, q * np.eye(2), r * np.eye(2), repeats=True)
-    assert np.diag(found.cost[0]) == pytest.approx([endless(a, b), endless(a, weak)], rel=1e-8)
+    assert np.diag(found.cost[0]) == pytest.approx([endless(a, b), endless(a, weak)], rel=1e-12)
     assert found.cost[0, 0, 1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_cycle_that_forgets_too_slowly_is_refused():
-    """Feedback as weak as this needs some 500 cycles."""
-    with pytest.raises(GainError, match="no gain that repeats"):
-        scalar(repeats=True, steered=0.2 * b)
+@pytest.mark.parametrize("repeats", [True, False])
+def test_costs_of_states_that_touch_each_other_are_symmetric_and_recur(repeats):
+    """P_k = Q + A^T P_{k+1} (A - B K) all the way around a cycle, with matrices that do not commute."""
+    rng = np.random.default_rng(1)
+    A, B = np.eye(3) + 0.2 * rng.standard_normal((4, 3, 3)), rng.standard_normal((4, 3, 2))
+    Q, R = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 0.5])
+    found = regulate(A, B, Q, R, repeats=repeats)
+    for k, after in enumerate(found.after):
+        later = found.cost[after]
+        K = np.linalg.solve(R + B[k].T @ later @ B[k], B[k].T @ later @ A[k])
+        np.testing.assert_allclose(found.gains[k], K, rtol=1e-9)
+        np.testing.assert_allclose(found.cost[k], Q + A[k].T @ later @ (A[k] - B[k] @ K), rtol=1e-9)
 
 
 def test_a_motion_that_ends_has_the_stationary_cost_at_its_end():

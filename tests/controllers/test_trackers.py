@@ -20,7 +20,7 @@ from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.fourbar import SHANK, knee
 from tests.support.plans import optimal
 from tests.support.references import hinge_reference
-from tests.support.tolerances_planner import CYCLE_GAINS, EXPONENTIAL, GAINS, LINEARISATION, ROUNDING, SAME_FIGURE
+from tests.support.tolerances_planner import EXPONENTIAL, GAINS, LINEARISATION, ROUNDING, SAME_FIGURE
 
 PERIOD = 1e-3
 TRACKERS = ("pd", "pd+ff", "lqr")
@@ -275,7 +275,7 @@ def test_the_gains_of_a_periodic_motion_are_those_of_a_long_recursion():
             closed = B[k].T @ P
             gains[k] = np.linalg.solve(R + closed @ B[k], closed @ A[k])
             P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
-    np.testing.assert_allclose(tracker_of("lqr", "knee-sine-shank").gains, gains, rtol=CYCLE_GAINS)
+    np.testing.assert_allclose(tracker_of("lqr", "knee-sine-shank").gains, gains, rtol=GAINS)
 
 
 def test_the_loop_over_a_cycle_is_stable():

@@ -84,8 +84,6 @@ CSV = 1e-10
 EXPONENTIAL = 1e-13
 # Riccati gains against scipy's own solution, relative: condition of the Riccati equation. Measured 1e-11.
 GAINS = 1e-8
-# Gains of a repeating motion against a long backward recursion, relative: the cycle's own 1e-9.
-CYCLE_GAINS = 1e-6
 # Linearisation against central differences of the acceleration, relative to the largest entry. Measured 1e-9.
 LINEARISATION = 1e-6
 # A loop's gap while MuJoCo tracks [m]: the constraint is soft by design; micrometres are what the model file promises.

@@ -8,8 +8,9 @@ import pytest
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate import certificate as module
 from linkplan.planner.certificate.certificate import Certificate, certify, integration_rtol
-from linkplan.planner.limits.samples import sample_points
+from linkplan.planner.limits.samples import sample_points, samples_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, LIFT, body_problem
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
@@ -235,6 +236,17 @@ def test_certifying_does_not_change_the_motion():
     found(motion())
     for name, value in zip(("breaks_s", "position", "velocity", "effort"), before, strict=True):
         np.testing.assert_array_equal(getattr(motion(), name), value)
+
+
+def test_a_loop_that_opens_at_an_instant_is_named_with_its_gap(monkeypatch):
+    """A rocker that is turned by a microradian moves its pin by its length times that."""
+    poses, turned, instant = samples_of(problem_of("knee-reach"), motion()), 1e-6, 100
+    q = poses.q.copy()
+    q[instant, 2] += turned
+    monkeypatch.setattr(module, "samples_of", lambda *_: replace(poses, q=q))
+    certificate = found(motion())
+    assert certificate.closure_gaps == pytest.approx({"m": turned * knee().rocker}, rel=1e-3)
+    assert sentence(certificate, "a kinematic loop opens by 8.55e-08 m", f"at t = {poses.time[instant]:.4g} s")
 
 
 def test_a_motion_s_poses_close_the_loop():

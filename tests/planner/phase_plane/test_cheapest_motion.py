@@ -17,12 +17,15 @@ from tests.support.even_plane import even_plane
 # A rod of 0.25 kg m2 on a hinge, without gravity; and a pendulum of m g l = 4.905 N.m.
 ROD = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
 <inertial pos="0 0 -0.5" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody>
-<actuator><motor name="m" joint="J" ctrlrange="-{limit} {limit}"/></actuator></mujoco>"""
+<actuator><motor name="m" joint="J" ctrlrange="{low} {high}"/></actuator></mujoco>"""
 
 
-def programmed(duration_s: float, goal_deg: float, gravity: float, limit: float) -> Guess:
+def programmed(duration_s: float, goal_deg: float, gravity: float, high: float, low: float | None = None) -> Guess:
     motion = {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": goal_deg}, "duration_s": duration_s}
-    tables = {"mechanism": {"model": ROD.format(gravity=gravity, limit=limit)}, "motion": motion}
+    tables = {
+        "mechanism": {"model": ROD.format(gravity=gravity, low=-high if low is None else low, high=high)},
+        "motion": motion,
+    }
     problem = Problem.from_tables("rod", tables | {"objective": {"minimize": "effort"}})
     pose = problem.start_pose()
     quickest = least_time_guess(problem, pose)
@@ -49,6 +52,14 @@ def test_a_pendulum_too_weak_to_be_lifted_is_swung_up_within_its_torque():
     torque = 0.25 * a + 4.905 * np.sin(s)
     # As a coarse grid keeps it: 4.9 N.m would lift it.
     assert np.percentile(np.abs(torque), 90) < 1.3 * 1.5
+
+
+def test_a_push_of_one_sign_lifts_a_rod_that_weight_brakes():
+    guess = programmed(1.0, 80.0, -9.81, 8.0, low=0.0)
+    times = np.linspace(0.0, 1.0, 401)
+    torque = 0.25 * guess.acceleration(times)[:, 0] + 4.905 * np.sin(guess.position(times)[:, 0])
+    assert np.percentile(torque, 5) > -0.05 * 8.0  # as a coarse grid keeps it
+    assert 4.0 < np.percentile(torque, 95) < 1.05 * 8.0
 
 
 @pytest.mark.slow

@@ -4,10 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
+from linkplan.planner.closed_chain.guess import guess_along
 from linkplan.planner.search import starts
 from linkplan.planner.search.starts import (
     _better_plan,
+    _of_the_phase_plane,
     _swings_may_be_better,
     along_limits,
     enough_time,
@@ -72,6 +75,30 @@ def test_swings_may_be_better_where_an_effort_is_at_its_limit_to_a_thousandth(mo
     asked.problem.limits = SimpleNamespace(effort=np.array([[-3.0, 5.0], [-7.0, 7.0]]))
     asked.best = SimpleNamespace(certificate=SimpleNamespace(peak_effort=np.array([peak, 0.1])))
     assert _swings_may_be_better(asked) is better
+
+
+@pytest.mark.parametrize(
+    ("swings", "passed_s", "only_time", "given_s", "tried_s"),
+    [
+        (2, None, False, 9.0, [9.0]),
+        (2, None, False, None, [LEAST_S]),  # a duration that is free
+        (1, None, False, 9.0, []),
+        (2, np.array([0.0, LEAST_S]), False, 9.0, []),  # a motion by way of waypoints
+        (2, None, True, 9.0, []),
+    ],
+)
+def test_swings_of_least_time_are_a_start_where_the_objective_is_another(
+    monkeypatch, swings, passed_s, only_time, given_s, tried_s
+):
+    asked = search(given_s, swings=swings)
+    asked.quickest.boundaries_s, asked.only_time_counts, asked.start_pose = passed_s, only_time, None
+    path = CubicHermiteSpline([0.0, LEAST_S], [[0.0], [1.0]], [[0.0], [0.0]])
+    monkeypatch.setattr(starts, "least_time_motion", lambda *_: guess_along(path, LEAST_S, np.zeros(1)))
+    monkeypatch.setattr(starts, "_cheapest", lambda _: None)
+    monkeypatch.setattr(starts, "phase_plane_guess", lambda *_: None)
+    *swung, last = _of_the_phase_plane(asked, None)
+    assert [(guess.duration_s, guess.swings) for _, guess in swung] == [(duration, swings) for duration in tried_s]
+    assert last == ("the phase plane", None)
 
 
 @pytest.mark.parametrize(
