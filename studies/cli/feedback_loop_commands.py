@@ -11,7 +11,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables, tracking_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import Tracking
+from linkplan.planner.problem.settings import Tracking, number, whole
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import Progress, progress
@@ -80,9 +80,7 @@ def _amplitude(arguments: argparse.Namespace, mechanism: Mechanism) -> float | N
     amplitude = arguments.amplitude_deg
     if amplitude is None or arguments.measure == "none":
         return None
-    if not (np.isfinite(amplitude) and amplitude > 0):
-        raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
-    return mechanism.independent_joints[0].read(amplitude)
+    return mechanism.independent_joints[0].read(number(amplitude, "--amplitude-deg", positive=True))
 
 
 def run_tune(arguments: argparse.Namespace) -> int:
@@ -139,13 +137,8 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
 
     asked = {name: getattr(arguments, name, None) for name in ("kp", "kd", "period_s", "delay_periods")}
     asked = {name: value for name, value in asked.items() if value is not None}
-    for name in ("kp", "kd"):
-        if name in asked and not (np.isfinite(asked[name]) and asked[name] >= 0):
-            raise ProblemError(f"--{name} is a number of at least 0, got {asked[name]:g}")
-    if "period_s" in asked and not (np.isfinite(asked["period_s"]) and asked["period_s"] > 0):
-        raise ProblemError(f"--period-s is a positive number, got {asked['period_s']:g}")
-    if "delay_periods" in asked and not (np.isfinite(asked["delay_periods"]) and 0 <= asked["delay_periods"] <= 1000):
-        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {asked['delay_periods']:g}")
+    for name, value in asked.items():
+        number(value, f"--{name.replace('_', '-')}", positive=name == "period_s", at_least_zero=True)
     settings = replace(settings, **asked)
     if not settings.acts:
         raise ProblemError("--kp and --kd are both 0: there is no feedback")
@@ -163,8 +156,7 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
     count = 20 if count is None else count
     if not (np.isfinite(low) and np.isfinite(high) and 0 < low < high):
         raise ProblemError(f"--from-hz is positive and below --to-hz, got {low:g} and {high:g}")
-    if not 2 <= count <= 1000:
-        raise ProblemError(f"--frequencies is from 2 to 1000, got {count}")
+    whole(count, "--frequencies", 2, 1000)
     if high > nyquist:
         raise ProblemError(
             f"--to-hz {high:g} is above the Nyquist frequency, {nyquist:g} Hz at a control period of {settings.period_s:g} s"

@@ -6,10 +6,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from linkplan.models.errors import ProblemError
+from linkplan.planner.keys.kinds import Delay
+from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.settings import number
 from linkplan.studies.cli.common import deliver, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import Progress, progress
@@ -76,15 +77,12 @@ def _refuse_beside_sample(arguments: argparse.Namespace) -> None:
 
 def _plan_and_mismatch(arguments: argparse.Namespace, say: Progress) -> tuple[Plan, "Mismatch | None"]:
     """Return the plan and the mismatch asked for, or None; its numbers are checked before the plan is made."""
-    from linkplan.studies.compare.compare import default_mismatch
+    from linkplan.studies.compare.compare import mismatch_of
 
-    factor, delay = arguments.mass_factor, arguments.delay_periods
-    if not (np.isfinite(factor) and factor > 0):
-        raise ProblemError(f"--mass-factor is a positive number, got {factor:g}")
-    if not 0 <= delay <= 1000:
-        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {delay:g}")
+    factor = number(arguments.mass_factor, "--mass-factor", positive=True)
+    delay = read(Delay, arguments.delay_periods, "--delay-periods")
     plan = plan_asked(arguments, say)
-    return plan, default_mismatch(plan, factor, delay) if factor != 1.0 or delay != 0 else None
+    return plan, mismatch_of(plan, factor, delay)
 
 
 def run_compare(arguments: argparse.Namespace) -> int:

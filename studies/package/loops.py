@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
@@ -161,13 +160,10 @@ def _loop_of(subject: Subject, tracking: object):
 
 def _settings(table: dict, mechanism: Mechanism) -> Tracking:
     """Return the tracking settings of a table; its delay may be a fraction of a period."""
-    delay = number(table.get("delay_periods", 0), "tracking.delay_periods", at_least_zero=True)
-    if delay > MOST_DELAY_PERIODS:
-        raise ProblemError(f"tracking.delay_periods is a number from 0 to {MOST_DELAY_PERIODS}, got {delay:g}")
     settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}}, mechanism)
     if not settings.acts:
         raise ProblemError("tracking.kp and tracking.kd are both 0: there is no loop to look at")
-    return replace(settings, delay_periods=delay)
+    return replace(settings, delay_periods=table.get("delay_periods", 0))
 
 
 def _frequencies(frequency_hz: object) -> np.ndarray | None:

@@ -124,7 +124,7 @@ class Nameless:
         (lambda plan: linkplan.track(plan, Idle(value="much")), "tracker 'idle' gives an array of one effort"),
         (lambda plan: linkplan.track(plan, Idle(value=None)), "shape (1,)"),
         (lambda plan: linkplan.track(plan, mass_factor=0), "mass_factor is a positive number, got 0"),
-        (lambda plan: linkplan.track(plan, delay_periods=2000), "delay_periods is from 0 to 1000 control periods, got 2000"),
+        (lambda plan: linkplan.track(plan, delay_periods=2000), "delay_periods is from 0 to 1000, got 2000"),
         (lambda plan: linkplan.track(plan, tracking={"kq": 1}), "unknown key 'tracking.kq'"),
         (lambda plan: linkplan.track(plan, tracking={"kp": "much"}), "tracking.kp is a number of at least 0"),
         (lambda plan: linkplan.track(plan, tracking=3), "tracking is a table"),
