@@ -24,6 +24,7 @@ from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.poses.felt_inertia import equality_jacobian
+from linkplan.models.tree.joints import where
 
 # Largest accepted residual [m or rad], far below the gap of a soft loop.
 _MAX_RESIDUAL = 1e-9
@@ -40,10 +41,9 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
     residual = float(np.abs(r).max(initial=0.0))
     if residual > _MAX_RESIDUAL:
-        joints = zip(mechanism.independent_joints, q[mechanism.independent], strict=True)
-        where = ", ".join(f"{joint.name} = {joint.said(x, 4)} {joint.unit}" for joint, x in joints)
+        at = where(mechanism.independent_joints, q[mechanism.independent])
         raise AssemblyError(
-            f"the loop does not close at the start, {where}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
+            f"the loop does not close at the start, {at}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
         )
     return q
 

@@ -27,6 +27,7 @@ from linkplan.models.errors import LinkplanError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.tree.joints import where
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.frequency.response import Response
@@ -65,9 +66,8 @@ class OperatingPoint:
     @property
     def name(self) -> str:
         """The positions of the independent joints with a feedback loop, as text."""
-        joints, at = self.mechanism.independent_joints, self.pose[self.mechanism.independent]
-        channels = self.mechanism.channels
-        return ", ".join(f"{joints[k].name} = {joints[k].said(at[k])} {joints[k].unit}" for k in channels)
+        joints, channels = self.mechanism.independent_joints, list(self.mechanism.channels)
+        return where([joints[k] for k in channels], self.state[channels])
 
     @property
     def inertia(self) -> np.ndarray:
