@@ -80,14 +80,13 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
 
 def engine_asked(arguments: argparse.Namespace) -> "Engine":
     """Return the engine for tasks that --workers or --cluster selects."""
-    from linkplan.studies.tasks.cluster import cluster
-    from linkplan.studies.tasks.engine import MOST_WORKERS, processes
+    from linkplan.studies.tasks.cluster import engine_of
+    from linkplan.studies.tasks.engine import MOST_WORKERS
 
-    if arguments.cluster is not None:
-        if arguments.workers is not None:
-            raise ProblemError("--workers are processes of this machine and --cluster has its own; say one of them")
-        return cluster(arguments.cluster)
-    return processes(1 if arguments.workers is None else whole(arguments.workers, "--workers", 1, MOST_WORKERS))
+    if arguments.cluster is not None and arguments.workers is not None:
+        raise ProblemError("--workers are processes of this machine and --cluster has its own; say one of them")
+    workers = 1 if arguments.workers is None else whole(arguments.workers, "--workers", 1, MOST_WORKERS)
+    return engine_of(workers, arguments.cluster)
 
 
 def deliver(

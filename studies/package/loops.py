@@ -15,18 +15,20 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import tracking_from_tables
-from linkplan.planner.problem.settings import Tracking, number, plain
+from linkplan.planner.problem.settings import Tracking, number
 from linkplan.reporting import Progress, listener
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, bode_study
+from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import QUANTITIES, operating_point, sampled_law
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.method_names import METHODS
+from linkplan.studies.output.text import html_of, text_of
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
 from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
-from linkplan.subjects import Subject, poses_of, subject_of, tracking_table
+from linkplan.subjects import Subject, numbers, poses_of, subject_of, tracking_table
 
 if TYPE_CHECKING:
     import control
@@ -73,7 +75,7 @@ def bode(
     setup = None
     if measure is not None:
         method = choose("way to measure", str(measure), METHODS, ProblemError)
-        amplitude = None if amplitude_deg is None else number(plain(amplitude_deg), "amplitude_deg", positive=True)
+        amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
         joint = mechanism.independent_joints[0]
         setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
@@ -85,7 +87,7 @@ def bode(
         say,
         law=tracker,
         setup=setup,
-        frequency_hz=_frequencies(frequency_hz),
+        frequency_hz=None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True)),
         line=looked.line,
     )
     return BodeResult(study=study, note=looked.note)
@@ -132,13 +134,13 @@ def tune(
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
-    peak = np.inf if sensitivity_peak is None else number(plain(sensitivity_peak), "sensitivity_peak", positive=True)
+    peak = np.inf if sensitivity_peak is None else number(sensitivity_peak, "sensitivity_peak", positive=True)
     wanted = Wanted(
-        bandwidth_hz=number(plain(bandwidth_hz), "bandwidth_hz", positive=True),
-        phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", at_least_zero=True),
+        bandwidth_hz=number(bandwidth_hz, "bandwidth_hz", positive=True),
+        phase_margin_deg=number(phase_margin_deg, "phase_margin_deg", at_least_zero=True),
         sensitivity_peak=peak,
-        settling_s=None if settling_s is None else number(plain(settling_s), "settling_s", positive=True),
-        damping_ratio=number(plain(damping_ratio), "damping_ratio", at_least_zero=True),
+        settling_s=None if settling_s is None else number(settling_s, "settling_s", positive=True),
+        damping_ratio=number(damping_ratio, "damping_ratio", at_least_zero=True),
     )
     mechanism, problem, settings, limit = _loop_of(subject, tracking)
     tuning.refuse_weights_of_several(mechanism, tracker)
@@ -164,14 +166,6 @@ def _settings(table: dict, mechanism: Mechanism) -> Tracking:
     if not settings.acts:
         raise ProblemError("tracking.kp and tracking.kd are both 0: there is no loop to look at")
     return replace(settings, delay_periods=table.get("delay_periods", 0))
-
-
-def _frequencies(frequency_hz: object) -> np.ndarray | None:
-    if frequency_hz is None:
-        return None
-    given = plain(frequency_hz)
-    given = given if isinstance(given, list) else [given]
-    return np.array([number(value, "frequency_hz", positive=True) for value in given])
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -239,10 +233,16 @@ class BodeResult:
 
     def _entry(self, pose: str | None, joint: str | None) -> BodePoint:
         """Return the loop of a joint at a pose."""
-        joints = [one.name for one in self.study.mechanism.independent_joints]
-        at = choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError)
-        channel = joints.index(choose("independent joint", joints[0] if joint is None else str(joint), joints, ProblemError))
+        at, channel = (
+            choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError),
+            self._channel(joint),
+        )
         return next(entry for entry in self.study.points if entry.point.name == at and entry.channel == channel)
+
+    def _channel(self, joint: str | None) -> int:
+        """Return the index of an independent joint, by default of the first one."""
+        names = [one.name for one in self.study.mechanism.independent_joints]
+        return names.index(choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError))
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
@@ -262,21 +262,14 @@ class BodeResult:
         """
         from linkplan.studies.bode.bode_report import bode_figure
 
-        names = [one.name for one in self.study.mechanism.independent_joints]
-        name = choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError)
-        entries = [entry for entry in self.study.points if entry.channel == names.index(name)]
+        channel = self._channel(joint)
+        entries = [entry for entry in self.study.points if entry.channel == channel]
         return drawn(path, lambda place: bode_figure(self.study, entries, place))
 
     def _repr_html_(self) -> str:
-        from linkplan.studies.bode.bode_blocks import summary
-        from linkplan.studies.output.text import html_of
-
         return html_of(summary(self.study))
 
     def __str__(self) -> str:
-        from linkplan.studies.bode.bode_blocks import summary
-        from linkplan.studies.output.text import text_of
-
         return text_of(summary(self.study)) + _noted(self.note)
 
     def __repr__(self) -> str:

@@ -128,7 +128,7 @@ class Nameless:
         (lambda plan: linkplan.track(plan, tracking={"kq": 1}), "unknown key 'tracking.kq'"),
         (lambda plan: linkplan.track(plan, tracking={"kp": "much"}), "tracking.kp is a number of at least 0"),
         (lambda plan: linkplan.track(plan, tracking=3), "tracking is a table"),
-        (lambda plan: linkplan.track(plan.problem), "what is tracked is a Plan"),
+        (lambda plan: linkplan.track(plan.problem), "a Plan is needed to track"),
         (lambda plan: linkplan.compare(plan, "lqr"), "trackers are a list"),
         (lambda plan: linkplan.compare(plan, []), "got none"),
         (lambda plan: linkplan.compare(plan, ["lqr", "lqr"]), "trackers with different names, got lqr, lqr"),
