@@ -73,6 +73,7 @@ class BodeStudy:
     method: str | None
     simulated_steps: int
     conditions: dict
+    note: str | None = None  # on the choice of the poses
     contacts: tuple[ContactPair, ...] = ()  # pairs of geoms, with the indices of the operating points where they touch
 
     @property
@@ -168,6 +169,7 @@ def bode_study(
     frequency_hz: np.ndarray | None = None,
     scanned: int = SCAN_POSITIONS,
     line: Line | None = None,
+    note: str | None = None,
 ) -> BodeStudy:
     """Return a tracker's loops at independent positions (n, n_s) [rad or m].
 
@@ -185,6 +187,7 @@ def bode_study(
         frequency_hz: (m,) to measure at; None for twenty around the crossover.
         scanned: positions of the coarse scan of a line; 0 for none.
         line: the motion or reach that the positions sample; None if the user gave the poses.
+        note: on the choice of the positions, for the report.
 
     Raises:
         LinkplanError: for a pose that cannot be held, or frequencies above the Nyquist frequency.
@@ -235,6 +238,7 @@ def bode_study(
         method=None if setup is None else setup.method,
         simulated_steps=steps,
         conditions=conditions,
+        note=note,
         contacts=pairs,
     )
 

@@ -53,10 +53,9 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
         )
         blocks.append(Text(text=text))
     scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
-    notes = [
-        Text(text=note, tone="note") for note in (*crossovers_of(study), contacts_of(study), softness_of(study)) if note
-    ]
-    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *notes]
+    notes = [*crossovers_of(study), contacts_of(study), softness_of(study), study.note]
+    said = [Text(text=note, tone="note") for note in notes if note]
+    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *said]
 
 
 def _measured(study: BodeStudy) -> list[tuple[str, str]]:

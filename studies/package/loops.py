@@ -89,8 +89,9 @@ def bode(
         setup=setup,
         frequency_hz=None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True)),
         line=looked.line,
+        note=looked.note,
     )
-    return BodeResult(study=study, note=looked.note)
+    return BodeResult(study=study)
 
 
 def tune(
@@ -143,12 +144,10 @@ def tune(
         damping_ratio=number(damping_ratio, "damping_ratio", at_least_zero=True),
     )
     mechanism, problem, settings, limit = _loop_of(subject, tracking)
-    tuning.refuse_weights_of_several(mechanism, tracker)
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     law = sampled_law(mechanism, tracker, settings, limit)
-    found = tuning.tune(points, wanted, law, say=say, line=looked.line)
-    return TuneResult(tuning=found, note=looked.note)
+    return TuneResult(tuning=tuning.tune(points, wanted, law, say=say, line=looked.line, note=looked.note))
 
 
 def _loop_of(subject: Subject, tracking: object):
@@ -173,7 +172,6 @@ class BodeResult:
     """A loop's frequency response. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
 
     study: BodeStudy
-    note: str | None
 
     @property
     def stable(self) -> bool:
@@ -248,7 +246,7 @@ class BodeResult:
         """Return all values by name, in JSON types."""
         from linkplan.studies.bode.bode_report import bode_record
 
-        return plain_record(bode_record(self.study) | {"note": self.note})
+        return plain_record(bode_record(self.study))
 
     def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
         """Return the figure of open and closed loop at every pose, saved at `path` if it is given.
@@ -270,7 +268,7 @@ class BodeResult:
         return html_of(summary(self.study))
 
     def __str__(self) -> str:
-        return text_of(summary(self.study)) + _noted(self.note)
+        return text_of(summary(self.study))
 
     def __repr__(self) -> str:
         return f"BodeResult({self.study.mechanism.name!r}: {self.message})"
@@ -281,7 +279,6 @@ class TuneResult:
     """Gains for requirements. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
     tuning: tuning.Tuning
-    note: str | None
 
     @property
     def found(self) -> bool:
@@ -300,18 +297,14 @@ class TuneResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        return plain_record(tune_report.tune_record(self.tuning) | {"note": self.note})
+        return plain_record(tune_report.tune_record(self.tuning))
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""
         return drawn(path, lambda place: tune_report.tune_figure(self.tuning, place))
 
     def __str__(self) -> str:
-        return tune_report.tune_text(self.tuning) + _noted(self.note)
+        return text_of(tune_report.tune_blocks(self.tuning))
 
     def __repr__(self) -> str:
         return f"TuneResult({self.tuning.mechanism.name!r}: {self.message})"
-
-
-def _noted(note: str | None) -> str:
-    return "" if note is None else f"\nnote: {note}"

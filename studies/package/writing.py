@@ -57,8 +57,8 @@ def _document(result: object) -> Report:
     kinds: list[tuple[type, Callable]] = [
         (Plan, reports.plan_report),
         (TrackingResult, lambda one: reports.comparison_report(one.comparison)),
-        (BodeResult, lambda one: reports.bode_report(one.study, note=one.note)),
-        (TuneResult, lambda one: reports.tune_report(one.tuning, one.note)),
+        (BodeResult, lambda one: reports.bode_report(one.study)),
+        (TuneResult, lambda one: reports.tune_report(one.tuning)),
         (ExperimentResult, lambda one: reports.experiment_report(one.outcome)),
         (DecompositionResult, lambda one: reports.decomposition_report(one.decomposition)),
         (CheckResult, lambda one: reports.check_report(one.found)),
