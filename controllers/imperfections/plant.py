@@ -107,7 +107,8 @@ def plant(
     constants = np.broadcast_to(imperfect.drives.constant_factor, (mechanism.n_u,))
     prepare(model, mechanism, timestep_s, np.maximum(1.0, constants)[:, None] * loop.effort_limit)
     model.dof_damping[:] += machine.viscous
-    _add_dry_friction(model, machine)
+    model.dof_frictionloss[:] += machine.coulomb
+    make_dry(model, np.broadcast_to(machine.coulomb, (model.nv,)) > 0)
     _set_loop_softness(model, machine)
     if machine.com_shift_m is not None or machine.length_factor:
         _change_geometry(model, data, machine)
@@ -206,11 +207,6 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
 def _force_range(low: float, high: float) -> tuple[float, float]:
     """Return a force range for MuJoCo, which has no infinite ranges."""
     return (low, high) if np.isfinite(low) and np.isfinite(high) else (-1e30, 1e30)
-
-
-def _add_dry_friction(model: mujoco.MjModel, machine: Machine) -> None:
-    model.dof_frictionloss[:] += machine.coulomb
-    make_dry(model, np.broadcast_to(machine.coulomb, (model.nv,)) > 0)
 
 
 def _set_loop_softness(model: mujoco.MjModel, machine: Machine) -> None:

@@ -126,17 +126,6 @@ def _pd(plan: Plan, reference: SampledReference) -> StateFeedback:
     return pd(mechanism, reference, *plan.problem.tracking.gains(mechanism.independent_joints))
 
 
-def _lqr(plan: Plan, reference: SampledReference) -> StateFeedback:
-    errors = _errors(plan, reference)
-    return lqr(
-        plan.problem.mechanism,
-        reference,
-        position_weight=errors.position,
-        velocity_weight=errors.velocity,
-        effort_weight=errors.effort,
-    )
-
-
 def _errors(plan: Plan, reference: SampledReference) -> Errors:
     position, velocity = lqr_settings(plan, reference).lqr_errors(plan.problem.mechanism.independent_joints)
     return Errors(position=position, velocity=velocity, effort=_unit_effort(plan))
@@ -160,7 +149,7 @@ def _frequency(plan: Plan) -> tuple[float, float]:
 BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
     "pd": _pd,
     "pd+ff": lambda plan, reference: with_feedforward(_pd(plan, reference)),
-    "lqr": _lqr,
+    "lqr": lambda plan, reference: lqr(plan.problem.mechanism, reference, _errors(plan, reference)),
     "lqi": lambda plan, reference: integral_lqr(
         plan.problem.mechanism,
         reference,

@@ -19,7 +19,7 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
-from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.trackers.lqr import Errors, lqr
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.deadline import check
@@ -158,14 +158,8 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     reference = point.constant(settings.period_s)
     if law == "lqr":
         position, velocity = settings.lqr_errors(point.mechanism.independent_joints)
-        tracker = lqr(
-            point.mechanism,
-            reference,
-            position_weight=position,
-            velocity_weight=velocity,
-            effort_weight=unit_effort(effort_limit, np.abs(point.hold)),
-        )
-        return tracker.gains[0]
+        errors = Errors(position=position, velocity=velocity, effort=unit_effort(effort_limit, np.abs(point.hold)))
+        return lqr(point.mechanism, reference, errors).gains[0]
     kp, kd = settings.gains(point.mechanism.independent_joints)
     return pd(point.mechanism, reference, kp, kd).gains[0]
 
