@@ -90,7 +90,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.compare import compare
     from linkplan.studies.compare.comparison_blocks import document_blocks
     from linkplan.studies.compare.comparison_notes import comparison_record
-    from linkplan.studies.compare.document import DOCUMENT_KP, document_record, is_the_documents, mended_runs
+    from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
     from linkplan.studies.compare.user_tracker import trackers_named
 
     asked = trackers_named(arguments.trackers)
@@ -102,7 +102,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     if is_the_documents(plan):
         runs = mended_runs(plan, say)
         said["document"] = document_record(runs)
-        document = document_blocks(runs, said["document"], DOCUMENT_KP)
+        document = document_blocks(runs)
     _deliver(arguments, target, comparison, said, document=document)
     return DONE if plan.passed and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
