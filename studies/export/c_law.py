@@ -139,7 +139,7 @@ def _header(tables: LawTables) -> str:
         "",
         "/* The effort at time t [s] since the motion's start. The nearest control instant counts: the first one before",
         "   the motion, the last one after it. */",
-        f"{_prototype(tables, '')};",
+        f"{_prototype(tables)};",
         "",
         "/* The effort cut to the limits of the drives. */",
         f"void {prefix}_limited({prefix}_real effort[{n_u}]);",
@@ -147,12 +147,11 @@ def _header(tables: LawTables) -> str:
     return "\n".join([*lines, "\n#ifdef __cplusplus\n}\n#endif", "", f"#endif /* {upper}_H */", ""])
 
 
-def _prototype(tables: LawTables, suffix: str) -> str:
+def _prototype(tables: LawTables) -> str:
     real, (n_u, n_x) = f"{tables.prefix}_real", tables.gains.shape[1:]
     n_s = n_x // 2
     return (
-        f"void {tables.prefix}{suffix}({real} t, const {real} position[{n_s}], const {real} velocity[{n_s}],"
-        f" {real} effort[{n_u}])"
+        f"void {tables.prefix}({real} t, const {real} position[{n_s}], const {real} velocity[{n_s}], {real} effort[{n_u}])"
     )
 
 
@@ -164,7 +163,7 @@ def _source(tables: LawTables) -> str:
     limit = np.where(np.isfinite(tables.limit), tables.limit, np.sign(tables.limit) * 1e30)
     arrays.append(declared_array(f"static const {real} limit", limit, real))
     code = f"""
-{_prototype(tables, "")}
+{_prototype(tables)}
 {{
   const {real} at = t * ({real})({1.0 / tables.period_s!r});
   int k = 0, i, j;
