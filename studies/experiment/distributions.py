@@ -14,18 +14,21 @@ from linkplan.studies.output.numbers import rounded
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from linkplan.studies.experiment.study import Outcome
+
 # The first words of the metrics in the figure, in this order; a page folds the distributions of the others.
 SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
 
 
-def experiment_figure(
-    results: Mapping[str, np.ndarray], trackers: Sequence[str], metrics: Mapping[str, Metric], title: str, path: Path | None
-) -> "Figure":
+def experiment_figure(outcome: "Outcome", path: Path | None) -> "Figure":
     """Return the figure of an experiment's distributions, saved at `path` if given."""
     from linkplan.studies.output.figure import figure_of
 
+    one, metrics = outcome.experiment, outcome.summary.metrics
     names = [name for start in SHOWN for name in metrics if name.startswith(start)]
-    return figure_of(distributions(results, trackers, names, metrics), path, title=title, columns=3, panel_in=(4.0, 3.0))
+    drawn = distributions(outcome.population, one.settings.trackers, names, metrics)
+    title = f"{one.plan.problem.name}: {outcome.summary.samples} machines"
+    return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
 def distributions(

@@ -132,13 +132,10 @@ def _save(outcome: Outcome, folder: Path, place: Path) -> None:
     read_asked(place)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
-    settings, summary = outcome.experiment.settings, outcome.summary
-    name = outcome.experiment.plan.problem.name
     if outcome.sensitivity is not None:
-        save_tornados(name, outcome.record["sensitivity"], place)
+        save_tornados(outcome.experiment.plan.problem.name, outcome.record["sensitivity"], place)
     if outcome.distributed:
-        title = f"{name}: {summary.samples} machines"
-        experiment_figure(outcome.population, settings.trackers, summary.metrics, title, place / "experiment.png")
+        experiment_figure(outcome, place / "experiment.png")
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: dict) -> Outcome:

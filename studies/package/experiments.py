@@ -133,10 +133,7 @@ class ExperimentResult:
         """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
         from linkplan.studies.experiment.distributions import experiment_figure
 
-        one, summary = self.outcome.experiment, self.outcome.summary
-        title = f"{one.plan.problem.name}: {summary.samples} machines"
-        names, found = one.settings.trackers, self.outcome.population
-        return drawn(path, lambda place: experiment_figure(found, names, summary.metrics, title, place))
+        return drawn(path, lambda place: experiment_figure(self.outcome, place))
 
     def _repr_html_(self) -> str:
         return html_of(outcome_blocks(self.outcome))

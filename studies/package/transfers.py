@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn, path_of
 from linkplan.planner.files.folders import plain_record, write_json, write_whole
@@ -126,9 +126,7 @@ class TransferResult:
         """
         grid = self.found.table.grid
         names = [key for key in grid.values if key not in ("pose", "status")]
-        if name not in names:
-            raise ProblemError(f"unknown quantity '{name}'; legal: {', '.join(names)}")
-        return grid.at(name, np.atleast_2d(np.asarray(positions_rad, dtype=float)))
+        return grid.at(choose("quantity", name, names, ProblemError), np.atleast_2d(np.asarray(positions_rad, dtype=float)))
 
     @property
     def serial_mjcf(self) -> str:
