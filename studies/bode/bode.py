@@ -7,12 +7,12 @@ import numpy as np
 
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.contacts import ContactPair
+from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.scan import Line, Scan, coordinate_line, scan_line
-from linkplan.studies.bode.touching import touched, touching
+from linkplan.studies.bode.touching import touched
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
@@ -204,7 +204,7 @@ def bode_study(
     if line is not None:
         positions = _with_worst(positions, scans)
     loops, ideal = _predicted(mechanism, positions, chosen, say)
-    pairs = touching(mechanism, loops)
+    pairs = contact_pairs(mechanism, np.array([loop.point.pose for loop in loops]))
     in_contact = touched(pairs, len(loops))
     trials = _settles(loops, in_contact, effort_limit)
     stable = [i for i, loop in enumerate(loops) if loop.stable and not in_contact[i]]
