@@ -1,8 +1,6 @@
 """The distributions of an experiment's metrics over the machines, as plots and as a figure."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,24 +9,8 @@ from linkplan.studies.output.document import Axis, Plot, Series
 from linkplan.studies.output.lines import overlaid_width, tracker_colour
 from linkplan.studies.output.numbers import rounded
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from linkplan.studies.experiment.study import Outcome
-
 # The first words of the metrics in the figure, in this order; a page folds the distributions of the others.
 SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
-
-
-def experiment_figure(outcome: "Outcome", path: Path | None) -> "Figure":
-    """Return the figure of an experiment's distributions, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of
-
-    one, metrics = outcome.experiment, outcome.summary.metrics
-    names = [name for start in SHOWN for name in metrics if name.startswith(start)]
-    drawn = distributions(outcome.population, one.settings.trackers, names, metrics)
-    title = f"{one.plan.problem.name}: {outcome.summary.samples} machines"
-    return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
 def distributions(

@@ -23,7 +23,7 @@ from linkplan.studies.experiment.experiment import Settings, plan_digest
 from linkplan.studies.experiment.experiment_blocks import outcome_blocks, sensitivity
 from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.statistics import Estimate
-from linkplan.studies.experiment.study import Outcome, run_experiment
+from linkplan.studies.experiment.study import Outcome, experiment_figure, run_experiment
 from linkplan.studies.output.text import html_of, text_of
 from linkplan.studies.tasks.cluster import engine_of
 from linkplan.subjects import listed, with_imperfections, with_motion
@@ -131,8 +131,6 @@ class ExperimentResult:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
-        from linkplan.studies.experiment.distributions import experiment_figure
-
         return drawn(path, lambda place: experiment_figure(self.outcome, place))
 
     def _repr_html_(self) -> str:
