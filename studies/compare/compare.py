@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -81,8 +82,14 @@ def mismatch_of(plan: Plan, mass_factor: object, delay_periods: object) -> Misma
         ProblemError: if the factor is not positive, or the delay is not a number of control periods from 0 to 1000.
     """
     factor = number(mass_factor, "mass_factor", positive=True)
-    delay = read(Delay, plain(delay_periods), "delay_periods")
+    delay = delay_of(delay_periods, "delay_periods")
     return None if factor == 1.0 and delay == 0 else default_mismatch(plan, factor, delay)
+
+
+def delay_of(value: object, key: str) -> float:
+    """Return a delay [control periods], checked; a refusal names the key."""
+    kind: Any = Delay
+    return read(kind, plain(value), key)
 
 
 def tracking_reference(plan: Plan) -> SampledReference:

@@ -173,7 +173,8 @@ def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
 
     The verdict is left out where the page's header shows it.
     """
-    joints, blocks = tuned_joints(tuning), [Text(text=tuning.message)] if verdict else []
+    joints = tuned_joints(tuning)
+    blocks: list[Block] = [Text(text=tuning.message)] if verdict else []
     if tuning.best.law.name == "lqr":
         (position_key, position), (velocity_key, velocity) = list(tracking_values(tuning).items())[:2]
         weights = f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g}"
