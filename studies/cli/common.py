@@ -156,7 +156,7 @@ def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dic
 
 def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
     """Return the keys of the [mechanism] table that --keep, --fix-base, --lock, --keyframe and --drive set."""
-    table: dict[str, object] = {key: _names(key, getattr(arguments, key)) for key in ("keep", "drive")}
+    table: dict[str, object] = {key: names_asked(getattr(arguments, key), f"--{key}") for key in ("keep", "drive")}
     locks = {}
     for text in arguments.lock:
         name, _, value = text.rpartition("=")
@@ -168,13 +168,12 @@ def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
     return {key: value for key, value in table.items() if value}
 
 
-def _names(key: str, text: str | None) -> list[str]:
-    """Return the names of --keep or --drive, with commas between them."""
-    names = [name.strip() for name in (text or "").split(",")]
-    if text is not None and not all(names):
-        of = "joints" if key == "drive" else "bodies or joints"
-        raise ProblemError(f"--{key} takes names of {of} with commas between them, got '{text}'")
-    return [] if text is None else names
+def names_asked(text: str | None, option: str) -> list[str]:
+    """Return the names of an option, with commas between them; none if it is not given."""
+    found = [] if text is None else [name.strip() for name in text.split(",")]
+    if not all(found):
+        raise ProblemError(f"{option} takes names with commas between them, got '{text}'")
+    return found
 
 
 def tables_of(

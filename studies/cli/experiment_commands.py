@@ -12,7 +12,16 @@ from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import whole
-from linkplan.studies.cli.common import deliver, engine_asked, output_folder, plan_asked, sample_again, set_all, with_motion
+from linkplan.studies.cli.common import (
+    deliver,
+    engine_asked,
+    names_asked,
+    output_folder,
+    plan_asked,
+    sample_again,
+    set_all,
+    with_motion,
+)
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -28,7 +37,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.studies.experiment.experiment_blocks import outcome_blocks
 
     settings = Settings(
-        trackers=TRACKERS if arguments.trackers.strip() == "all" else tuple(map(str.strip, arguments.trackers.split(","))),
+        trackers=TRACKERS if arguments.trackers.strip() == "all" else tuple(names_asked(arguments.trackers, "--trackers")),
         samples=arguments.samples,
         seed=arguments.seed,
         design=arguments.design,

@@ -126,7 +126,6 @@ def _loop_of(arguments: argparse.Namespace) -> tuple[Problem | None, Mechanism, 
 
 
 def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
-    """Return the tracking settings with the values of the command line."""
     from dataclasses import replace
 
     asked = {name: getattr(arguments, name, None) for name in ("kp", "kd", "period_s", "delay_periods")}
