@@ -74,7 +74,6 @@ def _sites(found: Inspection) -> list[Table]:
 
 
 def _poses(found: Inspection) -> list[Table]:
-    """Return the table of the poses given with the command."""
     if not found.points:
         return []
     mechanism = found.mechanism

@@ -192,7 +192,6 @@ def _plots(
     extra: Sequence[Line] = (),
     limits: tuple[float, float] = (-np.inf, np.inf),
 ) -> list[Plot]:
-    """Return the plots of a quantity of every run over time."""
     time = _longest(runs).time_s
     lines = [
         Line(

@@ -230,7 +230,6 @@ class BodeResult:
         return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()
 
     def _entry(self, pose: str | None, joint: str | None) -> BodePoint:
-        """Return the loop of a joint at a pose."""
         at, channel = (
             choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError),
             self._channel(joint),

@@ -49,7 +49,6 @@ def report(result: Result | str | Path, path: str | Path) -> Path:
 
 
 def _document(result: object) -> Report:
-    """Return the document of a result or of a folder of results."""
     from linkplan.studies.report import reading, reports
 
     if isinstance(result, str | Path):

@@ -130,7 +130,6 @@ def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Wanted) ->
 
 
 def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGains, found: bool, line: Line | None) -> str:
-    """Return the verdict as a sentence."""
     timing, words = best.law.timing, LAW_NAMES[best.law.name]
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if np.isfinite(wanted.sensitivity_peak):
