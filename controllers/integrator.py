@@ -68,7 +68,7 @@ def simulator_step(
         gamma = sampled(mechanism.dynamics.velocity_map, pose)
         rates = joint_rates(mechanism, pose, velocity)
         inertia = sampled(mechanism.dynamics.reduced_inertia, pose)
-        D, K = (_reduced(gamma, of_all) for of_all in _discrete_terms(mechanism, pose, rates))
+        D, K = (gamma.swapaxes(1, 2) @ of_all @ gamma for of_all in _discrete_terms(mechanism, pose, rates))
         metric = inertia + h * D + h**2 * K
         by_s, by_u = np.linalg.solve(metric, inertia @ by_s), np.linalg.solve(metric, inertia @ by_u)
         by_v = np.linalg.solve(metric, inertia @ by_v - h * K)
@@ -126,10 +126,6 @@ def _implicit_factor(mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarra
     gamma = sampled(mechanism.dynamics.velocity_map, pose)
     kept = M @ np.linalg.solve(M + h * D, M)
     return np.linalg.solve(gamma.swapaxes(1, 2) @ M @ gamma, gamma.swapaxes(1, 2) @ kept @ gamma)
-
-
-def _reduced(gamma: np.ndarray, of_all: np.ndarray) -> np.ndarray:
-    return gamma.swapaxes(1, 2) @ of_all @ gamma
 
 
 @functools.lru_cache(maxsize=64)

@@ -105,11 +105,9 @@ def simulate(
     )
 
 
-def simulate_one(
-    plant: MujocoPlant | PlantAsItStands, law: AnyTracker, reference: SampledReference, machine: Imperfections | None = None
-) -> Rollout:
-    """Return the log of a tracker on one machine in MuJoCo, by default as modelled; the tracker's exception is re-raised."""
-    ensemble = simulate(plant, law, reference, [machine or Imperfections()])
+def simulate_one(plant: MujocoPlant | PlantAsItStands, law: AnyTracker, reference: SampledReference) -> Rollout:
+    """Return the log of a tracker on one machine in MuJoCo as modelled; the tracker's exception is re-raised."""
+    ensemble = simulate(plant, law, reference)
     if ensemble.error[0] is not None:
         raise ensemble.error[0]
     return rollout_of(plant, ensemble, reference)

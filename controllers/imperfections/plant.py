@@ -24,6 +24,7 @@ from linkplan.models.payload import BODY_NAME
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.poses.felt_inertia import equality_jacobian
+from linkplan.models.tree.joints import where
 
 # Largest accepted residual [m or rad], far below the gap of a soft loop.
 _MAX_RESIDUAL = 1e-9
@@ -40,10 +41,9 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
     residual = float(np.abs(r).max(initial=0.0))
     if residual > _MAX_RESIDUAL:
-        joints = zip(mechanism.independent_joints, q[mechanism.independent], strict=True)
-        where = ", ".join(f"{joint.name} = {joint.said(x, 4)} {joint.unit}" for joint, x in joints)
+        at = where(mechanism.independent_joints, q[mechanism.independent])
         raise AssemblyError(
-            f"the loop does not close at the start, {where}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
+            f"the loop does not close at the start, {at}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
         )
     return q
 
@@ -107,7 +107,8 @@ def plant(
     constants = np.broadcast_to(imperfect.drives.constant_factor, (mechanism.n_u,))
     prepare(model, mechanism, timestep_s, np.maximum(1.0, constants)[:, None] * loop.effort_limit)
     model.dof_damping[:] += machine.viscous
-    _add_dry_friction(model, machine)
+    model.dof_frictionloss[:] += machine.coulomb
+    make_dry(model, np.broadcast_to(machine.coulomb, (model.nv,)) > 0)
     _set_loop_softness(model, machine)
     if machine.com_shift_m is not None or machine.length_factor:
         _change_geometry(model, data, machine)
@@ -206,11 +207,6 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
 def _force_range(low: float, high: float) -> tuple[float, float]:
     """Return a force range for MuJoCo, which has no infinite ranges."""
     return (low, high) if np.isfinite(low) and np.isfinite(high) else (-1e30, 1e30)
-
-
-def _add_dry_friction(model: mujoco.MjModel, machine: Machine) -> None:
-    model.dof_frictionloss[:] += machine.coulomb
-    make_dry(model, np.broadcast_to(machine.coulomb, (model.nv,)) > 0)
 
 
 def _set_loop_softness(model: mujoco.MjModel, machine: Machine) -> None:

@@ -98,27 +98,12 @@ def repeated(reference: SampledReference) -> int:
     return reference.n if reference.cycle is None else min(reference.cycle, reference.n)
 
 
-def lqr(
-    mechanism: Mechanism,
-    reference: SampledReference,
-    *,
-    position_weight: float | np.ndarray,
-    velocity_weight: float | np.ndarray,
-    effort_weight: np.ndarray,
-) -> StateFeedback:
-    """Return the LQR tracker of a reference.
-
-    Args:
-        mechanism: its reduced dynamics are linearised.
-        reference: the sampled motion.
-        position_weight: position error [rad or m] of unit cost, one for all joints or (n_s,).
-        velocity_weight: velocity error [rad/s or m/s] of unit cost, one for all joints or (n_s,).
-        effort_weight: effort (n_u,) of unit cost, usually the effort limit.
+def lqr(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> StateFeedback:
+    """Return the LQR tracker of a reference, by the reduced dynamics linearised along it and the errors of unit cost.
 
     Raises:
         GainError: if no stabilising gain exists.
     """
-    errors = Errors(position=position_weight, velocity=velocity_weight, effort=effort_weight)
     found, kept = regulator(mechanism, reference, errors)
     full = np.zeros((len(found.gains), mechanism.n_u, 2 * mechanism.dof))
     full[:, :, kept] = found.gains

@@ -297,9 +297,8 @@ def _assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float
         if gap <= loop.closed_m and away <= HOME_TOLERANCE:
             return pose
     gap = min(newton.least_gap(loop, trial, unnamed)[0] for trial in starts) if measured else np.inf
-    raise AssemblyError(
-        f"mechanism '{loop.name}' does not close at {where(loop.joints, asked)}: the loop stays open by {1e3 * gap:.3g} mm"
-    )
+    at = where([loop.joints[i] for i in asked], asked.values(), 6)
+    raise AssemblyError(f"mechanism '{loop.name}' does not close at {at}: the loop stays open by {1e3 * gap:.3g} mm")
 
 
 def _trial_poses(

@@ -230,7 +230,7 @@ def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = Non
 
 
 def _where(mechanism: Mechanism, s: np.ndarray) -> str:
-    return where(mechanism.joints, dict(zip(mechanism.independent.tolist(), s.tolist(), strict=True)))
+    return where(mechanism.independent_joints, s, 6)
 
 
 def step_sizes(mechanism: Mechanism) -> np.ndarray:

@@ -21,7 +21,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import InertiaError
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree, site_places
-from linkplan.models.tree.joints import Joint, ball_turns
+from linkplan.models.tree.joints import Joint, ball_turns, where
 from linkplan.models.tree.tendons import limited_tendons
 
 # M_r, scaled to a unit diagonal, is singular if its least eigenvalue is below this. Accelerations would have less than four
@@ -73,11 +73,11 @@ def refuse_singular_inertia(name: str, joints: Sequence[Joint], independent: np.
     if len(inertia) == 0 or is_regular(inertia):
         return
     of = [joints[index] for index in independent]
-    at = ", ".join(f"{joint.name} = {joint.said(x, 4)} {joint.unit}" for joint, x in zip(of, pose[independent], strict=True))
     raise InertiaError(
-        f"mechanism '{name}' has a singular inertia at home ({at}): {singular_inertia_text(of, inertia)}, so that no effort"
-        " fixes their acceleration. Give a joint an armature or its bodies mass off its axis; of joints on one axis keep"
-        " one; or choose another home pose, where axes coincide at this one only",
+        f"mechanism '{name}' has a singular inertia at home ({where(of, pose[independent])}):"
+        f" {singular_inertia_text(of, inertia)}, so that no effort fixes their acceleration. Give a joint an armature or its"
+        " bodies mass off its axis; of joints on one axis keep one; or choose another home pose, where axes coincide at this"
+        " one only",
         len(inertia),
     )
 

@@ -4,7 +4,7 @@ A ball joint's range bounds the angle alpha of its rotation, which MuJoCo measur
 has no derivative at zero, so limits use sin^2(alpha / 2) = 1 - w^2 of the unit quaternion (w, x, y, z).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -165,6 +165,7 @@ def index_of(
     return names.index(name)
 
 
-def where(joints: tuple[Joint, ...], positions: Mapping[int, float]) -> str:
-    """Return positions [rad or m] by joint index as text: "O = 10 deg, B = 0.2 m"."""
-    return ", ".join(f"{joints[i].name} = {joints[i].said(x, 6)} {joints[i].unit}" for i, x in positions.items())
+def where(joints: Iterable[Joint], positions: Iterable[float], digits: int = 4) -> str:
+    """Return the positions [rad or m] of joints as text, rounded to `digits` digits: "O = 10 deg, B = 0.2 m"."""
+    placed = zip(joints, positions, strict=True)
+    return ", ".join(f"{joint.name} = {joint.said(x, digits)} {joint.unit}" for joint, x in placed)

@@ -7,12 +7,12 @@ import numpy as np
 
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.contacts import ContactPair
+from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.scan import Line, Scan, coordinate_line, scan_line
-from linkplan.studies.bode.touching import touched, touching
+from linkplan.studies.bode.touching import touched
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
@@ -73,6 +73,7 @@ class BodeStudy:
     method: str | None
     simulated_steps: int
     conditions: dict
+    note: str | None = None  # on the choice of the poses
     contacts: tuple[ContactPair, ...] = ()  # pairs of geoms, with the indices of the operating points where they touch
 
     @property
@@ -168,6 +169,7 @@ def bode_study(
     frequency_hz: np.ndarray | None = None,
     scanned: int = SCAN_POSITIONS,
     line: Line | None = None,
+    note: str | None = None,
 ) -> BodeStudy:
     """Return a tracker's loops at independent positions (n, n_s) [rad or m].
 
@@ -185,6 +187,7 @@ def bode_study(
         frequency_hz: (m,) to measure at; None for twenty around the crossover.
         scanned: positions of the coarse scan of a line; 0 for none.
         line: the motion or reach that the positions sample; None if the user gave the poses.
+        note: on the choice of the positions, for the report.
 
     Raises:
         LinkplanError: for a pose that cannot be held, or frequencies above the Nyquist frequency.
@@ -201,7 +204,7 @@ def bode_study(
     if line is not None:
         positions = _with_worst(positions, scans)
     loops, ideal = _predicted(mechanism, positions, chosen, say)
-    pairs = touching(mechanism, loops)
+    pairs = contact_pairs(mechanism, np.array([loop.point.pose for loop in loops]))
     in_contact = touched(pairs, len(loops))
     trials = _settles(loops, in_contact, effort_limit)
     stable = [i for i, loop in enumerate(loops) if loop.stable and not in_contact[i]]
@@ -235,6 +238,7 @@ def bode_study(
         method=None if setup is None else setup.method,
         simulated_steps=steps,
         conditions=conditions,
+        note=note,
         contacts=pairs,
     )
 

@@ -53,10 +53,9 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
         )
         blocks.append(Text(text=text))
     scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
-    notes = [
-        Text(text=note, tone="note") for note in (*crossovers_of(study), contacts_of(study), softness_of(study)) if note
-    ]
-    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *notes]
+    notes = [*crossovers_of(study), contacts_of(study), softness_of(study), study.note]
+    said = [Text(text=note, tone="note") for note in notes if note]
+    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *said]
 
 
 def _measured(study: BodeStudy) -> list[tuple[str, str]]:
@@ -78,7 +77,6 @@ def _measured(study: BodeStudy) -> list[tuple[str, str]]:
 
 
 def _margins(study: BodeStudy) -> Table:
-    """Return the table of margins, a row for each loop and pose."""
     mechanism = study.mechanism
     several = len(mechanism.channels) > 1
     inertias = " or ".join(dict.fromkeys(joint.inertia_unit for joint in mechanism.independent_joints))
@@ -99,7 +97,6 @@ def _margins(study: BodeStudy) -> Table:
 
 
 def _worst_of(study: BodeStudy, scan: Scan) -> str:
-    """Return the worst margins along a line."""
     line, joints = scan.line, study.mechanism.independent_joints
     ends = f"{line.said(scan.positions[0], 4)} to {line.said(scan.positions[-1], 4)} {line.unit}"
     of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
@@ -307,7 +304,6 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
 
 
 def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
-    """Return the map of the sensitivity over position and frequency."""
     grid, heat = sensitivity_along(study, scan)
     return Plane(
         title="Sensitivity |S| over position and frequency",

@@ -40,6 +40,7 @@ def bode_record(study: BodeStudy) -> dict:
         "points": list(by_pose.values()),
         "worst": {mechanism.independent_joints[scan.channel].name: _scan_record(study, scan) for scan in study.scans},
         "measurement": _measurement_record(study),
+        "note": study.note,
     }
 
 

@@ -5,14 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.models.errors import listed
-from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.contacts import ContactPair, contact_pairs, exclusion
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop
-
-
-def touching(mechanism: Mechanism, loops: Sequence[FeedbackLoop]) -> tuple[ContactPair, ...]:
-    """Return the pairs of geoms in contact at the loops' poses, each with the indices of those loops."""
-    return contact_pairs(mechanism, np.array([loop.point.pose for loop in loops]))
+from linkplan.models.poses.contacts import ContactPair, exclusion
 
 
 def touched(pairs: Sequence[ContactPair], n: int) -> np.ndarray:

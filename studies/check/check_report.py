@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.joints import Joint, where
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 
@@ -154,8 +154,7 @@ def _same(own: np.ndarray, reflected: np.ndarray) -> list[int | None]:
 def _pose(path: KinematicLoopPath, k: int) -> str:
     """Return the position of the swept coordinate or, for a motion, of all coordinates."""
     leading = slice(None) if path.coordinate is None else slice(path.coordinate, path.coordinate + 1)
-    joints = zip(path.mechanism.independent_joints[leading], path.positions[k][leading], strict=True)
-    return ", ".join(f"{joint.name} = {joint.said(x)} {joint.unit}" for joint, x in joints)
+    return where(path.mechanism.independent_joints[leading], path.positions[k][leading])
 
 
 def weight_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list[str]:

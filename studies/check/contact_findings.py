@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair, Meeting, exclusion, meetings
+from linkplan.models.tree.joints import where
 from linkplan.planner.certificate.further_checks import contact_notes, geom_names
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 
@@ -83,6 +84,5 @@ def _meet_at_an_end(pair: ContactPair, sweeps: Sequence[int]) -> bool:
 
 def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: KinematicLoopPath, position_at) -> str:
     at = position_at(np.array([meeting.since]))[0]
-    where = ", ".join(f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.independent_joints, at, strict=True))
-    depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
-    return f"{geom_names(meeting)} collide at {where} on {path.title}, {depth}"
+    place, depth = where(mechanism.independent_joints, at, 5), f"up to {1e3 * meeting.depth_m:.2g} mm deep"
+    return f"{geom_names(meeting)} collide at {place} on {path.title}, {depth}"

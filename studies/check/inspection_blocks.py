@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.models.poses.reach import Reach
+from linkplan.models.tree.joints import where
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.plan_blocks import figure
@@ -38,10 +39,9 @@ def _facts(found: Inspection) -> Facts:
     n_rows = mechanism.n_closure_rows
     rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
     gaps = " and ".join(f"{figure(gap, 2)} {unit}" for unit, gap in found.closure_gaps.items())
-    home = [f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)]
     rows = [
         ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {gaps}"),
-        ("home", ", ".join(home)),
+        ("home", where(mechanism.joints, mechanism.home, 5)),
     ]
     if mechanism.closures:
         rows.append(("branch", f"that of home, where det J_z is {', '.join(f'{x:.4g}' for x in branch(mechanism))}"))
@@ -74,7 +74,6 @@ def _sites(found: Inspection) -> list[Table]:
 
 
 def _poses(found: Inspection) -> list[Table]:
-    """Return the table of the poses given with the command."""
     if not found.points:
         return []
     mechanism = found.mechanism

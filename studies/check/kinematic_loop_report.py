@@ -23,6 +23,7 @@ from linkplan.models.poses.along import least_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics, is_regular, singular_inertia_text
+from linkplan.models.tree.joints import where
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, poses_along
 from linkplan.planner.problem.problem import Problem
 
@@ -224,8 +225,8 @@ def inertia_notes(path: Sweep) -> list[str]:
     if not len(singular):
         return []
     k, joints = int(singular[0]), path.mechanism.independent_joints
-    of = range(len(joints)) if path.coordinate is None else [path.coordinate]
-    at = ", ".join(f"{joints[i].name} = {joints[i].said(path.positions[k, i], 4)} {joints[i].unit}" for i in of)
+    of = list(range(len(joints))) if path.coordinate is None else [path.coordinate]
+    at = where([joints[i] for i in of], path.positions[k, of])
     return [
         f"singular inertia at {at}, in {len(singular)} of {len(path.poses)} poses along {path.title}:"
         f" {singular_inertia_text(joints, path.reduced_inertia[k])} there, and no effort fixes their acceleration"

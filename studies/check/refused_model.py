@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from linkplan.models.closure.initial_assembly import home_text
 from linkplan.models.errors import InertiaError, LockedError, UnassembledError
 from linkplan.studies.output.document import Block, Code, Facts, Text
-from linkplan.studies.output.text import text_of
 
 # The errors of a model that `check` reports as problems instead of bad input.
 REFUSED = (InertiaError, LockedError, UnassembledError)
@@ -57,7 +56,3 @@ class RefusedModel:
             found.append(Code(title="into the model, in place of a keyframe home", text=self.error.keyframe))
             found.append(Code(title="or into the problem file", text=home))
         return found
-
-    def text(self) -> str:
-        """Return the findings as text."""
-        return text_of(self.blocks())

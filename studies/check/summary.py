@@ -52,7 +52,6 @@ def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
 
 
 def _names(mechanism: Mechanism) -> set[str]:
-    """Return every name in a model."""
     model = mechanism.model
     sizes = {
         mujoco.mjtObj.mjOBJ_BODY: model.nbody,

@@ -26,7 +26,6 @@ from linkplan.studies.check.kinematic_loop_report import (
 from linkplan.studies.check.refused_model import REFUSED
 from linkplan.studies.check.summary import summary_blocks
 from linkplan.studies.output.document import Block, Text
-from linkplan.studies.output.text import text_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)  # without slots: the paths are measured once, when they are asked for
@@ -79,10 +78,6 @@ class WholeCheck:
         """Return the findings in less than thirty lines; first the notes on actuators too weak for weight and springs."""
         weak = [] if self.brief else [text for path in self.paths for text in weight_sentences(path)]
         return summary_blocks(replace(self.found, notes=(*weak, *self.found.notes)))
-
-    def text(self) -> str:
-        """Return the findings as text."""
-        return text_of(self.blocks())
 
 
 def mechanism_and_problem(

@@ -53,7 +53,6 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace, is_problem: bool) -> Facts:
-    """Return the commands to go on with."""
     subject = shlex.join([arguments.model, *_selection_options(arguments)])
     from linkplan.studies.check.drives import joints_to_drive
 

@@ -1,9 +1,10 @@
 """Functions shared by the commands: they read arguments, and refuse them by their names on the command line."""
 
 import argparse
+import contextlib
 import os
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables, r
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import whole
 from linkplan.studies.cli.exit_codes import NoMotionError
 from linkplan.studies.cli.printing import Progress, show
 
@@ -32,6 +34,15 @@ _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps"
 
 # What a command says while a whole proof is made.
 PROVING = "proving the limits, then looking for the model's own motion for at most a minute"
+
+
+@contextlib.contextmanager
+def naming(option: str) -> Iterator[None]:
+    """Put the name of an option before the text of a refusal of its value."""
+    try:
+        yield
+    except (PlanFileError, ProblemError) as error:
+        raise type(error)(f"{option}: {error}") from error
 
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
@@ -48,10 +59,8 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
     from linkplan.planner.files.folders import check_target
 
     target = Path(arguments.output)
-    try:
+    with naming("-o"):
         check_target(target, f"{arguments.command}.json")
-    except PlanFileError as error:
-        raise PlanFileError(f"-o: {error}") from error
     return target
 
 
@@ -64,26 +73,20 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
     from linkplan.planner.files.single_file import check_new
 
     target = Path(arguments.output)
-    try:
+    with naming("-o"):
         check_new(target)
-    except PlanFileError as error:
-        raise PlanFileError(f"-o: {error}") from error
     return target
 
 
 def engine_asked(arguments: argparse.Namespace) -> "Engine":
     """Return the engine for tasks that --workers or --cluster selects."""
-    from linkplan.studies.tasks.cluster import cluster
-    from linkplan.studies.tasks.engine import MOST_WORKERS, processes
+    from linkplan.studies.tasks.cluster import engine_of
+    from linkplan.studies.tasks.engine import MOST_WORKERS
 
-    if arguments.cluster is not None:
-        if arguments.workers is not None:
-            raise ProblemError("--workers are processes of this machine and --cluster has its own; say one of them")
-        return cluster(arguments.cluster)
-    workers = 1 if arguments.workers is None else arguments.workers
-    if not 1 <= workers <= MOST_WORKERS:
-        raise ProblemError(f"--workers is a whole number from 1 to {MOST_WORKERS}, got {workers}")
-    return processes(workers)
+    if arguments.cluster is not None and arguments.workers is not None:
+        raise ProblemError("--workers are processes of this machine and --cluster has its own; say one of them")
+    workers = 1 if arguments.workers is None else whole(arguments.workers, "--workers", 1, MOST_WORKERS)
+    return engine_of(workers, arguments.cluster)
 
 
 def deliver(
@@ -123,10 +126,8 @@ def sample_again(folder: Path, tracker: str, sample: int) -> str:
 def set_all(tables: Tables, settings: Sequence[str]) -> None:
     """Set the keys of --set in a problem's tables."""
     for setting in settings:
-        try:
+        with naming("--set"):
             apply_override(tables, setting)
-        except ProblemError as error:
-            raise ProblemError(f"--set: {error}") from error
 
 
 def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dict[str, float]]:
@@ -155,7 +156,7 @@ def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dic
 
 def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
     """Return the keys of the [mechanism] table that --keep, --fix-base, --lock, --keyframe and --drive set."""
-    table: dict[str, object] = {key: _names(key, getattr(arguments, key)) for key in ("keep", "drive")}
+    table: dict[str, object] = {key: names_asked(getattr(arguments, key), f"--{key}") for key in ("keep", "drive")}
     locks = {}
     for text in arguments.lock:
         name, _, value = text.rpartition("=")
@@ -167,13 +168,12 @@ def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
     return {key: value for key, value in table.items() if value}
 
 
-def _names(key: str, text: str | None) -> list[str]:
-    """Return the names of --keep or --drive, with commas between them."""
-    names = [name.strip() for name in (text or "").split(",")]
-    if text is not None and not all(names):
-        of = "joints" if key == "drive" else "bodies or joints"
-        raise ProblemError(f"--{key} takes names of {of} with commas between them, got '{text}'")
-    return [] if text is None else names
+def names_asked(text: str | None, option: str) -> list[str]:
+    """Return the names of an option, with commas between them; none if it is not given."""
+    found = [] if text is None else [name.strip() for name in text.split(",")]
+    if not all(found):
+        raise ProblemError(f"{option} takes names with commas between them, got '{text}'")
+    return found
 
 
 def tables_of(

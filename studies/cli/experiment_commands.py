@@ -8,11 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.common import deliver, engine_asked, output_folder, plan_asked, sample_again, set_all, with_motion
+from linkplan.planner.problem.settings import whole
+from linkplan.studies.cli.common import (
+    deliver,
+    engine_asked,
+    names_asked,
+    output_folder,
+    plan_asked,
+    sample_again,
+    set_all,
+    with_motion,
+)
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -28,7 +37,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.studies.experiment.experiment_blocks import outcome_blocks
 
     settings = Settings(
-        trackers=TRACKERS if arguments.trackers.strip() == "all" else tuple(map(str.strip, arguments.trackers.split(","))),
+        trackers=TRACKERS if arguments.trackers.strip() == "all" else tuple(names_asked(arguments.trackers, "--trackers")),
         samples=arguments.samples,
         seed=arguments.seed,
         design=arguments.design,
@@ -36,8 +45,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         tube_deg=arguments.tube_deg,
         tube_m=arguments.tube_m,
     )
-    if arguments.threads < 0:
-        raise ProblemError(f"--threads is a whole number of at least 0, got {arguments.threads}")
+    whole(arguments.threads, "--threads", 0, 10_000)
     engine = engine_asked(arguments)
     target = output_folder(arguments)
     say, source = progress(arguments), arguments.plan

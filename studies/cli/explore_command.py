@@ -7,6 +7,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import whole
 from linkplan.studies.cli.common import new_file, refuse_no_model, selection_asked, set_all
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import flush_streams, progress, show
@@ -18,8 +19,7 @@ def run_explore(arguments: argparse.Namespace) -> int:
     from linkplan.studies.explore.session import Session
 
     target, say = new_file(arguments), progress(arguments)
-    if not 0 <= arguments.port <= 65535:
-        raise ProblemError(f"--port is from 0 to 65535, got {arguments.port}")
+    whole(arguments.port, "--port", 0, 65535)
     session = Session(first=_problem(arguments, say))
     saved: list[str] = []
 

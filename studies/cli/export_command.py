@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from linkplan.models.errors import ProblemError, choose
-from linkplan.studies.cli.common import new_file, output_folder, plan_asked, selection_asked, tables_of
+from linkplan.studies.cli.common import names_asked, new_file, output_folder, plan_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
@@ -21,7 +21,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     target, say = new_file(arguments), progress(arguments)
     assert target is not None  # -o is required
     plan = plan_asked(arguments, say)
-    content = exported(plan, arguments.to, arguments.every_s, _joints(arguments))
+    content = exported(plan, arguments.to, arguments.every_s, names_asked(arguments.joints, "--joints"))
     write_new(target, content)
     said = {"file": str(target), "format": arguments.to, "bytes": len(content), "plan": plan.problem.name}
     show(arguments, said, f"{target}: {plan.problem.name}, {FORMATS[arguments.to]}")
@@ -60,7 +60,7 @@ def _export_c(arguments: argparse.Namespace) -> int:
         _, tables, folder, _ = tables_of(arguments.plan, arguments.set, selection_asked(arguments))
         mechanism = mechanism_from_tables(tables, folder)
         if arguments.joints is not None:
-            mechanism = with_outputs(mechanism, _joints(arguments))
+            mechanism = with_outputs(mechanism, names_asked(arguments.joints, "--joints"))
         code = model_code(mechanism)
         say(f"{code.mechanism.name}: C code")
 
@@ -71,7 +71,3 @@ def _export_c(arguments: argparse.Namespace) -> int:
     write_whole(target, write, "export.json")
     show(arguments, said, cost_blocks(said, target))
     return DONE if passed else NO
-
-
-def _joints(arguments: argparse.Namespace) -> list[str]:
-    return [] if arguments.joints is None else [name.strip() for name in arguments.joints.split(",")]

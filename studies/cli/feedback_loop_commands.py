@@ -11,12 +11,12 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables, tracking_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import Tracking
+from linkplan.planner.problem.settings import Tracking, number, whole
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import Progress, progress
 from linkplan.studies.frequency.method_names import METHODS
-from linkplan.studies.output.document import Block, Section, Text
+from linkplan.studies.output.document import Block, Section
 
 _EXTRA_TITLES = {"map": "Stability map", "large": "Large signals", "along": "Along the motion"}
 
@@ -42,7 +42,6 @@ def run_bode(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name):
             refuse_several_freedoms(mechanism, what)
     looked = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
-    note = looked.note
     study = bode_study(
         mechanism,
         looked.positions,
@@ -53,9 +52,9 @@ def run_bode(arguments: argparse.Namespace) -> int:
         setup=setup,
         frequency_hz=_frequencies(arguments, settings),
         line=looked.line,
+        note=looked.note,
     )
-    said, blocks, extras = bode_record(study) | {"note": note}, summary(study), {}
-    blocks += [Text(text=note, tone="note")] if note else []
+    said, blocks, extras = bode_record(study), summary(study), {}
     for name, title in _EXTRA_TITLES.items():
         if getattr(arguments, name):
             said[name], drawn = _extra(name, study, problem, say)
@@ -71,7 +70,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
             figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3, panel_in=(6.0, 4.6))
 
     sections = list(extras.values())
-    deliver(arguments, target, said, blocks, lambda reports: reports.bode_report(study, sections, note), draw)
+    deliver(arguments, target, said, blocks, lambda reports: reports.bode_report(study, sections), draw)
     return DONE if study.stable else NO
 
 
@@ -80,9 +79,7 @@ def _amplitude(arguments: argparse.Namespace, mechanism: Mechanism) -> float | N
     amplitude = arguments.amplitude_deg
     if amplitude is None or arguments.measure == "none":
         return None
-    if not (np.isfinite(amplitude) and amplitude > 0):
-        raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
-    return mechanism.independent_joints[0].read(amplitude)
+    return mechanism.independent_joints[0].read(number(amplitude, "--amplitude-deg", positive=True))
 
 
 def run_tune(arguments: argparse.Namespace) -> int:
@@ -90,8 +87,8 @@ def run_tune(arguments: argparse.Namespace) -> int:
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
     from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
-    from linkplan.studies.tune.tune import refuse_weights_of_several, tune
-    from linkplan.studies.tune.tune_report import tune_record, tune_text
+    from linkplan.studies.tune.tune import tune
+    from linkplan.studies.tune.tune_report import tracking_table, tune_blocks, tune_figure, tune_record
 
     choose("tracker", arguments.tracker, LINEAR, ProblemError)
     target, say = output_folder(arguments), progress(arguments)
@@ -103,21 +100,16 @@ def run_tune(arguments: argparse.Namespace) -> int:
         phase_margin_deg=arguments.phase_margin_deg,
         sensitivity_peak=np.inf if arguments.sensitivity_peak is None else arguments.sensitivity_peak,
     )
-    refuse_weights_of_several(mechanism, arguments.tracker)
     looked = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
-    note = looked.note
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     law = sampled_law(mechanism, arguments.tracker, settings, limit)
-    found = tune(points, wanted, law, say=say, line=looked.line)
-    said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
+    found = tune(points, wanted, law, say=say, line=looked.line, note=looked.note)
 
     def draw(place: Path) -> None:
-        from linkplan.studies.tune.tune_report import tracking_table, tune_figure
-
         (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
         tune_figure(found, place / "tune.png")
 
-    deliver(arguments, target, said, text, lambda reports: reports.tune_report(found, note), draw)
+    deliver(arguments, target, tune_record(found), tune_blocks(found), lambda reports: reports.tune_report(found), draw)
     return DONE if found.found else NO
 
 
@@ -134,18 +126,12 @@ def _loop_of(arguments: argparse.Namespace) -> tuple[Problem | None, Mechanism, 
 
 
 def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
-    """Return the tracking settings with the values of the command line."""
     from dataclasses import replace
 
     asked = {name: getattr(arguments, name, None) for name in ("kp", "kd", "period_s", "delay_periods")}
     asked = {name: value for name, value in asked.items() if value is not None}
-    for name in ("kp", "kd"):
-        if name in asked and not (np.isfinite(asked[name]) and asked[name] >= 0):
-            raise ProblemError(f"--{name} is a number of at least 0, got {asked[name]:g}")
-    if "period_s" in asked and not (np.isfinite(asked["period_s"]) and asked["period_s"] > 0):
-        raise ProblemError(f"--period-s is a positive number, got {asked['period_s']:g}")
-    if "delay_periods" in asked and not (np.isfinite(asked["delay_periods"]) and 0 <= asked["delay_periods"] <= 1000):
-        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {asked['delay_periods']:g}")
+    for name, value in asked.items():
+        number(value, f"--{name.replace('_', '-')}", positive=name == "period_s", at_least_zero=True)
     settings = replace(settings, **asked)
     if not settings.acts:
         raise ProblemError("--kp and --kd are both 0: there is no feedback")
@@ -163,8 +149,7 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
     count = 20 if count is None else count
     if not (np.isfinite(low) and np.isfinite(high) and 0 < low < high):
         raise ProblemError(f"--from-hz is positive and below --to-hz, got {low:g} and {high:g}")
-    if not 2 <= count <= 1000:
-        raise ProblemError(f"--frequencies is from 2 to 1000, got {count}")
+    whole(count, "--frequencies", 2, 1000)
     if high > nyquist:
         raise ProblemError(
             f"--to-hz {high:g} is above the Nyquist frequency, {nyquist:g} Hz at a control period of {settings.period_s:g} s"

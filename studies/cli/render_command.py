@@ -5,9 +5,9 @@ import dataclasses
 from pathlib import Path
 
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import PlanFileError, ProblemError, choose
+from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.files.single_file import check_file_target
-from linkplan.studies.cli.common import plan_asked
+from linkplan.studies.cli.common import naming, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.render.gl import find_gl
@@ -18,10 +18,8 @@ def run_render(arguments: argparse.Namespace) -> int:
     """Draw a tracked plan as a film or a picture; 1 if the plan has no motion."""
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     target, say = Path(arguments.output), progress(arguments)
-    try:
+    with naming("-o"):
         check_file_target(target, SUFFIXES)
-    except PlanFileError as error:
-        raise PlanFileError(f"-o: {error}") from error
     settings = RenderSettings(
         suffix=target.suffix.lower(),
         tracker=arguments.tracker,

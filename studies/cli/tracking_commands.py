@@ -1,15 +1,14 @@
 """The commands `track` and `compare`."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.settings import number
 from linkplan.studies.cli.common import deliver, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import Progress, progress
@@ -33,7 +32,8 @@ def run_track(arguments: argparse.Namespace) -> int:
     run = track(plan, asked, mismatch)
     title, stem = ("nominal", "nominal") if mismatch is None else (mismatch.name, "mismatch")
     comparison = Comparison(plan=plan, nominal={run.tracker: run}, title=title, stem=stem)
-    _deliver(arguments, target, comparison, comparison_record(comparison) | {"tracker": run.tracker})
+    said = comparison_record(comparison) | {"tracker": run.tracker}
+    _deliver(arguments, target, comparison, said, lambda made: made.comparison_report(comparison))
     return DONE if plan.passed and run.stable else NO
 
 
@@ -55,7 +55,8 @@ def _run_sample(arguments: argparse.Namespace) -> int:
     comparison = Comparison(plan=experiment.plan, nominal={tracker: run}, title=title, stem=stem)
     record = comparison_record(comparison) | {"tracker": tracker, "sample": said}
     failure = [Text(text=said["failure"], tone="bad")] if said["failure"] else []
-    _deliver(arguments, target, comparison, record, [*failure, *machine_section(said).blocks], said)
+    further = [*failure, *machine_section(said).blocks]
+    _deliver(arguments, target, comparison, record, lambda made: made.replay_report(comparison, said), further)
     return DONE if said["failure"] is None and run.stable else NO
 
 
@@ -76,15 +77,12 @@ def _refuse_beside_sample(arguments: argparse.Namespace) -> None:
 
 def _plan_and_mismatch(arguments: argparse.Namespace, say: Progress) -> tuple[Plan, "Mismatch | None"]:
     """Return the plan and the mismatch asked for, or None; its numbers are checked before the plan is made."""
-    from linkplan.studies.compare.compare import default_mismatch
+    from linkplan.studies.compare.compare import delay_of, mismatch_of
 
-    factor, delay = arguments.mass_factor, arguments.delay_periods
-    if not (np.isfinite(factor) and factor > 0):
-        raise ProblemError(f"--mass-factor is a positive number, got {factor:g}")
-    if not 0 <= delay <= 1000:
-        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {delay:g}")
+    factor = number(arguments.mass_factor, "--mass-factor", positive=True)
+    delay = delay_of(arguments.delay_periods, "--delay-periods")
     plan = plan_asked(arguments, say)
-    return plan, default_mismatch(plan, factor, delay) if factor != 1.0 or delay != 0 else None
+    return plan, mismatch_of(plan, factor, delay)
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
@@ -92,7 +90,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.compare import compare
     from linkplan.studies.compare.comparison_blocks import document_blocks
     from linkplan.studies.compare.comparison_notes import comparison_record
-    from linkplan.studies.compare.document import DOCUMENT_KP, document_record, is_the_documents, mended_runs
+    from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
     from linkplan.studies.compare.user_tracker import trackers_named
 
     asked = trackers_named(arguments.trackers)
@@ -100,12 +98,13 @@ def run_compare(arguments: argparse.Namespace) -> int:
     plan, mismatch = _plan_and_mismatch(arguments, say)
     comparison = compare(plan, mismatch, say, asked)
     said = comparison_record(comparison)
-    document: list[Block] = []
+    document, section = [], None
     if is_the_documents(plan):
         runs = mended_runs(plan, say)
         said["document"] = document_record(runs)
-        document = document_blocks(runs, said["document"], DOCUMENT_KP)
-    _deliver(arguments, target, comparison, said, document=document)
+        document = document_blocks(runs)
+        section = Section(title="The source document, as printed and mended", blocks=document)
+    _deliver(arguments, target, comparison, said, lambda made: made.comparison_report(comparison, section), (), document)
     return DONE if plan.passed and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
 
@@ -114,11 +113,11 @@ def _deliver(
     target: Path | None,
     comparison: "Comparison",
     said: dict,
+    report: Callable[[ModuleType], Report],
     further: Sequence[Block] = (),
-    sample: dict | None = None,
     document: Sequence[Block] = (),
 ) -> None:
-    """Save and show runs: of a `sample` of an experiment by its record, or with the source document's experiment."""
+    """Save and show runs, with `further` blocks on a terminal and the figure of the source `document`."""
     from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_figure
     from linkplan.studies.compare.time_series import save_time_series
 
@@ -127,11 +126,5 @@ def _deliver(
         comparison_figure(comparison, place / f"{arguments.command}.png")
         if document:
             document_figure(document, place / "desired_and_actual.png")
-
-    def report(reports: ModuleType) -> Report:
-        if sample is not None:
-            return reports.replay_report(comparison, sample)
-        title = "The source document, as printed and mended"
-        return reports.comparison_report(comparison, Section(title=title, blocks=document) if document else None)
 
     deliver(arguments, target, said, [*comparison_blocks(comparison), *further], report, draw)

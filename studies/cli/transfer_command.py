@@ -7,7 +7,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.common import deliver, output_folder, plan_of, selection_asked, tables_of
+from linkplan.studies.cli.common import deliver, names_asked, output_folder, plan_of, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress
 
@@ -25,7 +25,7 @@ def run_transfer(arguments: argparse.Namespace) -> int:
     gains = {key: numbers(getattr(arguments, key), key) for key in GAINS if getattr(arguments, key) is not None}
     found = transfer_study(
         mechanism,
-        [joint.strip() for joint in arguments.joints.split(",")],
+        names_asked(arguments.joints, "--joints"),
         tolerance=arguments.tolerance,
         ends=_ends(arguments.range, mechanism),
         problem=problem,

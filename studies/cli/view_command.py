@@ -1,13 +1,13 @@
 """The command `view`."""
 
 import argparse
-import math
 import os
 
 from linkplan.controllers.controls import Controls, keys_said
 from linkplan.controllers.playback import has_screen, play
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError, choose
+from linkplan.planner.problem.settings import number
 from linkplan.studies.cli.common import plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
@@ -20,9 +20,8 @@ def run_view(arguments: argparse.Namespace) -> int:
     """Play a tracked plan in the viewer; 1 if the plan has no motion."""
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     for name in ("slow", "seconds"):
-        value = getattr(arguments, name)
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ProblemError(f"--{name} is a positive number, got {value:g}")
+        if (value := getattr(arguments, name)) is not None:
+            number(value, f"--{name}", positive=True)
     _refuse_without_screen()
     say = progress(arguments)
     plan = plan_asked(arguments, say)

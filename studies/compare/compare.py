@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
-from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.controllers.simulate import simulate_one
 from linkplan.controllers.trackers.computed_torque import computed_torque
 from linkplan.controllers.trackers.integral_lqr import integral_lqr
@@ -19,9 +19,11 @@ from linkplan.controllers.trackers.pd import pd, scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, with_feedforward
 from linkplan.models.errors import GainError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.keys.kinds import Delay
+from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.settings import Tracking, number
+from linkplan.planner.problem.settings import Tracking, number, plain
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time
 from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
@@ -80,10 +82,14 @@ def mismatch_of(plan: Plan, mass_factor: object, delay_periods: object) -> Misma
         ProblemError: if the factor is not positive, or the delay is not a number of control periods from 0 to 1000.
     """
     factor = number(mass_factor, "mass_factor", positive=True)
-    delay = number(delay_periods, "delay_periods", at_least_zero=True)
-    if delay > MOST_DELAY_PERIODS:
-        raise ProblemError(f"delay_periods is from 0 to {MOST_DELAY_PERIODS} control periods, got {delay:g}")
+    delay = delay_of(delay_periods, "delay_periods")
     return None if factor == 1.0 and delay == 0 else default_mismatch(plan, factor, delay)
+
+
+def delay_of(value: object, key: str) -> float:
+    """Return a delay [control periods], checked; a refusal names the key."""
+    kind: Any = Delay
+    return read(kind, plain(value), key)
 
 
 def tracking_reference(plan: Plan) -> SampledReference:
@@ -127,17 +133,6 @@ def _pd(plan: Plan, reference: SampledReference) -> StateFeedback:
     return pd(mechanism, reference, *plan.problem.tracking.gains(mechanism.independent_joints))
 
 
-def _lqr(plan: Plan, reference: SampledReference) -> StateFeedback:
-    errors = _errors(plan, reference)
-    return lqr(
-        plan.problem.mechanism,
-        reference,
-        position_weight=errors.position,
-        velocity_weight=errors.velocity,
-        effort_weight=errors.effort,
-    )
-
-
 def _errors(plan: Plan, reference: SampledReference) -> Errors:
     position, velocity = lqr_settings(plan, reference).lqr_errors(plan.problem.mechanism.independent_joints)
     return Errors(position=position, velocity=velocity, effort=_unit_effort(plan))
@@ -161,7 +156,7 @@ def _frequency(plan: Plan) -> tuple[float, float]:
 BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
     "pd": _pd,
     "pd+ff": lambda plan, reference: with_feedforward(_pd(plan, reference)),
-    "lqr": _lqr,
+    "lqr": lambda plan, reference: lqr(plan.problem.mechanism, reference, _errors(plan, reference)),
     "lqi": lambda plan, reference: integral_lqr(
         plan.problem.mechanism,
         reference,

@@ -10,6 +10,7 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import Comparison, gap_units, rollout_record, steered_by_unit, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
+from linkplan.studies.compare.document import DOCUMENT_KP, document_record
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
@@ -191,7 +192,6 @@ def _plots(
     extra: Sequence[Line] = (),
     limits: tuple[float, float] = (-np.inf, np.inf),
 ) -> list[Plot]:
-    """Return the plots of a quantity of every run over time."""
     time = _longest(runs).time_s
     lines = [
         Line(
@@ -220,24 +220,18 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> int:
     return tracker_colour(name, left[others.index(name) % len(left)] if name in others else 0)
 
 
-def document_blocks(runs: Mapping[tuple[str, float], Rollout], rows: Sequence[Mapping], kp: float) -> list[Block]:
-    """Return the source document's experiment: a table, and the desired and actual angles.
-
-    Args:
-        runs: by (model, KD).
-        rows: their figures, from `document_record`.
-        kp: the common gain [N.m/rad].
-    """
+def document_blocks(runs: Mapping[tuple[str, float], Rollout]) -> list[Block]:
+    """Return the source document's experiment, with runs by (model, KD): a table, and the desired and actual angles."""
     heads = ["model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "closure gap, mean [um]"]
     heads += ["closure gap, largest [um]", "contacts", "at the limit [%]", "stable"]
     cells = []
-    for row in rows:
+    for row in document_record(runs):
         gaps = [1e6 * row["steady_gap_mean_m"], 1e6 * row["steady_gap_max_m"]]
         at_limit = 100 * row["at_limit_fraction"]
         error = row["rms_error_deg"]
         cells.append([row["model"], row["kp"], row["kd"], error, *gaps, row["contacts"], at_limit, row["stable"]])
     table = table_of("The source document's experiment, as printed and on the mended model", heads, cells)
-    return [table, *_document_plots(runs, kp)]
+    return [table, *_document_plots(runs)]
 
 
 def document_figure(blocks: Sequence[Block], path: Path) -> None:
@@ -250,13 +244,13 @@ def document_figure(blocks: Sequence[Block], path: Path) -> None:
     figure_of(side_by_side(*columns), path, columns=len(columns))
 
 
-def _document_plots(runs: Mapping[tuple[str, float], Rollout], kp: float) -> list[Plot]:
+def _document_plots(runs: Mapping[tuple[str, float], Rollout]) -> list[Plot]:
     found = []
     for (model, kd), run in runs.items():
         lines = [
             Line(name="actual", values=np.degrees(run.position_rad[:, 0]), unit="deg", look="line", colour=1),
             Line(name="desired", values=np.degrees(run.reference_rad[:, 0]), unit="deg", look="dash", colour=0),
         ]
-        title = f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad"
+        title = f"{model}: KP = {DOCUMENT_KP:g} N.m/rad, KD = {kd:g} N.m.s/rad"
         found += plots(title, "joint O", TIME, run.time_s, lines, group="time:document")
     return found

@@ -1,6 +1,6 @@
 """The source document's experiment: a sinusoid under PD with two gain sets, on the printed and on the corrected model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, floa
     return runs
 
 
-def document_record(runs: dict[tuple[str, float], Rollout]) -> list[dict]:
+def document_record(runs: Mapping[tuple[str, float], Rollout]) -> list[dict]:
     """Return the runs' metrics: error, loop gap over the second half, contacts, share of the time at the limit."""
     rows = []
     for (model, kd), rollout in runs.items():

@@ -35,12 +35,11 @@ def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]
     return found | {"closure_gap_m": rollout.gap_m} | angles
 
 
-def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = False) -> list[str]:
-    """Write every run of a comparison into a folder and return the file names: nominal-pd.csv, mismatch-pd.npz, ...
+def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = False) -> None:
+    """Write every run of a comparison into a folder: nominal-pd.csv, mismatch-pd.npz, ...
 
     With `parquet`, Parquet files are written too.
     """
-    names = []
     for side, runs in ((comparison.stem, comparison.nominal), ("mismatch", comparison.mismatched)):
         for number, (tracker, rollout) in enumerate(runs.items()):
             plain = "".join(letter if letter.isalnum() or letter in "+-_" else "_" for letter in tracker)
@@ -48,9 +47,6 @@ def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = Fa
             columns = run_columns(comparison.plan.problem.mechanism, rollout)
             np.savez(folder / f"{stem}.npz", **columns)  # pyright: ignore[reportArgumentType]  arrays by name
             (folder / f"{stem}.csv").write_bytes(csv_bytes(columns))
-            names += [f"{stem}.csv", f"{stem}.npz"]
             if parquet:
                 about = {"plan": comparison.plan.problem.name, "tracker": tracker, "run": side}
                 (folder / f"{stem}.parquet").write_bytes(parquet_bytes(columns, about))
-                names.append(f"{stem}.parquet")
-    return names

@@ -77,9 +77,4 @@ def whole_column(values: list[float]) -> list[str]:
     whole = abs(values[-1])
     decimals = max(0, _TOTAL_DIGITS - 1 - math.floor(math.log10(whole))) if whole > 0 else 0
     form = f".{_TOTAL_DIGITS - 2}e" if decimals > 2 * _TOTAL_DIGITS else f".{decimals}f"
-    return ["0" if value == 0 else _unsigned_zero(f"{value:{form}}") for value in values]
-
-
-def _unsigned_zero(text: str) -> str:
-    """Return a number's text without the minus sign of a rounded zero."""
-    return text.lstrip("-") if float(text) == 0 else text
+    return ["0" if value == 0 else f"{value:z{form}}" for value in values]  # z: no minus sign of a rounded zero

@@ -146,7 +146,6 @@ def _mean_increment(name: str, acting: Sequence[str], ran: Mapping[frozenset[str
 
 
 def _words_of(ran: Mapping[frozenset[str], "_Found"]) -> list[tuple[str, "_Found"]]:
-    """Return each combination's runs with the words on its causes."""
     return [(" and ".join(RUNGS[name].partition(":")[0] for name in names), ran[names]) for names in ran if names]
 
 

@@ -236,6 +236,6 @@ def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
     assert plan.problem.reference is not None  # the document's sinusoid
     runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
     said["document"] = document_record(runs)
-    blocks = document_blocks(runs, said["document"], DOCUMENT_KP)
+    blocks = document_blocks(runs)
     document_figure(blocks, place / "desired_and_actual.png")
     return blocks

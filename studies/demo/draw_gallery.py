@@ -33,7 +33,7 @@ def gallery_figure(plan: Plan, path: Path) -> None:
     poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
     with page(path, size=(4.6, 4.2)) as axes:
         draw_poses(axes[0, 0], mechanism, poses[::40])
-        outside_legend(axes[0, 0], narrow=True, fontsize=8)
+        outside_legend(axes[0, 0], fontsize=8)
 
 
 def main() -> int:

@@ -1,8 +1,6 @@
 """The distributions of an experiment's metrics over the machines, as plots and as a figure."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,21 +9,8 @@ from linkplan.studies.output.document import Axis, Plot, Series
 from linkplan.studies.output.lines import overlaid_width, tracker_colour
 from linkplan.studies.output.numbers import rounded
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 # The first words of the metrics in the figure, in this order; a page folds the distributions of the others.
 SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
-
-
-def experiment_figure(
-    results: Mapping[str, np.ndarray], trackers: Sequence[str], metrics: Mapping[str, Metric], title: str, path: Path | None
-) -> "Figure":
-    """Return the figure of an experiment's distributions, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of
-
-    names = [name for start in SHOWN for name in metrics if name.startswith(start)]
-    return figure_of(distributions(results, trackers, names, metrics), path, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
 def distributions(

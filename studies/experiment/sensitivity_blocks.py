@@ -219,7 +219,6 @@ def _about(effect: Mapping) -> tuple[float | None, float | None]:
 
 
 def _named(record: Mapping, label: str) -> str:
-    """Return an imperfection's name with its range."""
     one = record["imperfections"][label]
     if one["range"] is None:
         return label

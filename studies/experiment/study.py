@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -36,6 +37,9 @@ from linkplan.studies.experiment.summary import Summary, chatter_notes, summaris
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.tasks.engine import Engine, Say, here
 from linkplan.studies.tasks.unfinished import PLAN, finish, refuse_other, remove_left, unfinished, working
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RECORD, RESULTS = "experiment.json", "results.parquet"
 
@@ -121,9 +125,20 @@ def run_experiment(
     return carried_out(unfinished(target))
 
 
+def experiment_figure(outcome: Outcome, path: Path | None) -> "Figure":
+    """Return the figure of an experiment's distributions, saved at `path` if given."""
+    from linkplan.studies.experiment.distributions import SHOWN, distributions
+    from linkplan.studies.output.figure import figure_of
+
+    one, metrics = outcome.experiment, outcome.summary.metrics
+    names = [name for start in SHOWN for name in metrics if name.startswith(start)]
+    drawn = distributions(outcome.population, one.settings.trackers, names, metrics)
+    title = f"{one.plan.problem.name}: {outcome.summary.samples} machines"
+    return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
+
+
 def _save(outcome: Outcome, folder: Path, place: Path) -> None:
     """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
-    from linkplan.studies.experiment.distributions import experiment_figure
     from linkplan.studies.experiment.sensitivity_blocks import save_tornados
 
     write_results(folder, place / RESULTS, outcome.experiment)
@@ -132,13 +147,10 @@ def _save(outcome: Outcome, folder: Path, place: Path) -> None:
     read_asked(place)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
-    settings, summary = outcome.experiment.settings, outcome.summary
-    name = outcome.experiment.plan.problem.name
     if outcome.sensitivity is not None:
-        save_tornados(name, outcome.record["sensitivity"], place)
+        save_tornados(outcome.experiment.plan.problem.name, outcome.record["sensitivity"], place)
     if outcome.distributed:
-        title = f"{name}: {summary.samples} machines"
-        experiment_figure(outcome.population, settings.trackers, summary.metrics, title, place / "experiment.png")
+        experiment_figure(outcome, place / "experiment.png")
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: dict) -> Outcome:

@@ -15,7 +15,7 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
 from linkplan.studies.export.c_files import sizes
 from linkplan.studies.export.c_source import identifier
-from linkplan.studies.export.c_text import MATH, block_comment, cmake_text, declared_array
+from linkplan.studies.export.c_text import MATH, cmake_text, declared_array, header_of
 from linkplan.studies.export.formats import C_TRACKERS
 from linkplan.studies.frequency.floquet import linear_law
 
@@ -115,44 +115,35 @@ def _header(tables: LawTables) -> str:
     ]
     joints += [f"  effort[{k}] {a.name} [{a.unit}], limits {low:g} to {high:g}"
                for k, (a, (low, high)) in enumerate(zip(mechanism.actuators, tables.limit, strict=True))]  # fmt: skip
-    lines = [
-        block_comment(
-            [
-                f"The control law '{tables.tracker}' of a plan of {mechanism.name}, at {len(tables.position)} instants.",
-                "",
-                "effort = feedforward + gains (reference - state), state = (position, velocity) of the independent joints.",
-                "The law keeps no state and does not saturate: limit the effort by the drive, or by the function below.",
-                f"Numbers are double, or float where {upper}_FLOAT is defined (for this header and the source file).",
-                "",
-                *joints,
-            ]
-        ),
-        f"#ifndef {upper}_H",
-        f"#define {upper}_H",
+    about = [
+        f"The control law '{tables.tracker}' of a plan of {mechanism.name}, at {len(tables.position)} instants.",
         "",
-        '#ifdef __cplusplus\nextern "C" {\n#endif',
+        "effort = feedforward + gains (reference - state), state = (position, velocity) of the independent joints.",
+        "The law keeps no state and does not saturate: limit the effort by the drive, or by the function below.",
+        f"Numbers are double, or float where {upper}_FLOAT is defined (for this header and the source file).",
         "",
-        f"#ifdef {upper}_FLOAT\ntypedef float {prefix}_real;\n#else\ntypedef double {prefix}_real;\n#endif",
-        "",
+        *joints,
+    ]
+    declared = [
         f"#define {upper}_N_S {n_x // 2}\n#define {upper}_N_U {n_u}\n#define {upper}_INSTANTS {len(tables.position)}",
         f"#define {upper}_PERIOD_S {tables.period_s!r}",
         "",
         "/* The effort at time t [s] since the motion's start. The nearest control instant counts: the first one before",
         "   the motion, the last one after it. */",
-        f"{_prototype(tables, '')};",
+        f"{_prototype(tables)};",
         "",
         "/* The effort cut to the limits of the drives. */",
         f"void {prefix}_limited({prefix}_real effort[{n_u}]);",
+        "",
     ]
-    return "\n".join([*lines, "\n#ifdef __cplusplus\n}\n#endif", "", f"#endif /* {upper}_H */", ""])
+    return header_of(prefix, about, declared)
 
 
-def _prototype(tables: LawTables, suffix: str) -> str:
+def _prototype(tables: LawTables) -> str:
     real, (n_u, n_x) = f"{tables.prefix}_real", tables.gains.shape[1:]
     n_s = n_x // 2
     return (
-        f"void {tables.prefix}{suffix}({real} t, const {real} position[{n_s}], const {real} velocity[{n_s}],"
-        f" {real} effort[{n_u}])"
+        f"void {tables.prefix}({real} t, const {real} position[{n_s}], const {real} velocity[{n_s}], {real} effort[{n_u}])"
     )
 
 
@@ -164,7 +155,7 @@ def _source(tables: LawTables) -> str:
     limit = np.where(np.isfinite(tables.limit), tables.limit, np.sign(tables.limit) * 1e30)
     arrays.append(declared_array(f"static const {real} limit", limit, real))
     code = f"""
-{_prototype(tables, "")}
+{_prototype(tables)}
 {{
   const {real} at = t * ({real})({1.0 / tables.period_s!r});
   int k = 0, i, j;

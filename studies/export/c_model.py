@@ -10,7 +10,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import continue_to
 from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.export.c_source import CFunction, function_of, helpers, identifier
-from linkplan.studies.export.c_text import MATH, block_comment, declared_array, tests_text
+from linkplan.studies.export.c_text import MATH, block_comment, declared_array, header_of, tests_text
 
 # Newton steps of a closure from the last pose: two leave 1e-9 after a stride of two degrees, three leave rounding.
 NEWTON_STEPS = 3
@@ -97,24 +97,20 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
         for k, joint in enumerate(mechanism.independent_joints)
     ]
     joints += [f"  u[{k}] {motor.name} [{motor.unit}]" for k, motor in enumerate(mechanism.actuators)]
-    comment = block_comment(
-        [
-            f"{mechanism.name}: the reduced dynamics of a closed chain.",
-            "",
-            "q: positions of all joints, s: of the independent ones, v = ds/dt, a = dv/dt, u: efforts of the actuators.",
-            "Matrices are stored row by row. Arrays must not overlap. SI units. Nothing is allocated, no state is kept.",
-            f"Numbers are double, or float where {upper}_FLOAT is defined (for this header and the source file).",
-            f"{code.prefix}_{DERIVATIVES} is left out where {upper}_WITHOUT_DERIVATIVES is defined.",
-            "",
-            *joints,
-            "",
-            *about,
-        ]
-    )
+    comment = [
+        f"{mechanism.name}: the reduced dynamics of a closed chain.",
+        "",
+        "q: positions of all joints, s: of the independent ones, v = ds/dt, a = dv/dt, u: efforts of the actuators.",
+        "Matrices are stored row by row. Arrays must not overlap. SI units. Nothing is allocated, no state is kept.",
+        f"Numbers are double, or float where {upper}_FLOAT is defined (for this header and the source file).",
+        f"{code.prefix}_{DERIVATIVES} is left out where {upper}_WITHOUT_DERIVATIVES is defined.",
+        "",
+        *joints,
+        "",
+        *about,
+    ]
     sizes = {"N_Q": mechanism.n_q, "N_S": mechanism.dof, "N_U": mechanism.n_u, "NEWTON_STEPS": NEWTON_STEPS}
-    lines = [comment, f"#ifndef {upper}_H", f"#define {upper}_H", "", '#ifdef __cplusplus\nextern "C" {\n#endif', ""]
-    lines += [f"#ifdef {upper}_FLOAT", f"typedef float {code.real};", "#else", f"typedef double {code.real};", "#endif", ""]
-    lines += [f"#define {upper}_{name} {value}" for name, value in sizes.items()]
+    lines = [f"#define {upper}_{name} {value}" for name, value in sizes.items()]
     lines += ["", "/* a closed pose to start from */", f"extern const {code.real} {code.prefix}_home[{mechanism.n_q}];", ""]
     lines += [
         block_comment(
@@ -129,7 +125,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
     ]
     for function in code.interface:
         lines += [f"/* {function.about} */", f"{function.prototype(code.real)};", ""]
-    return "\n".join([*lines, "#ifdef __cplusplus\n}\n#endif", "", f"#endif /* {upper}_H */", ""])
+    return header_of(code.prefix, comment, lines)
 
 
 def source_text(code: ModelCode) -> str:

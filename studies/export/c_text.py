@@ -24,6 +24,32 @@ def block_comment(lines: Sequence[str]) -> str:
     return f"/* {text.strip()} */"
 
 
+def header_of(prefix: str, about: Sequence[str], declared: Sequence[str]) -> str:
+    """Return a header for C and C++: a comment, the type of numbers, and declarations."""
+    upper, real, text = prefix.upper(), f"{prefix}_real", "\n".join(declared)
+    return f"""{block_comment(about)}
+#ifndef {upper}_H
+#define {upper}_H
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+#ifdef {upper}_FLOAT
+typedef float {real};
+#else
+typedef double {real};
+#endif
+
+{text}
+#ifdef __cplusplus
+}}
+#endif
+
+#endif /* {upper}_H */
+"""
+
+
 def declared_array(declaration: str, values: np.ndarray, real: str) -> str:
     """Return the definition of an array of numbers, exact to the last digit, each cast to the precision.
 

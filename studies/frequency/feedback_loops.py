@@ -20,7 +20,7 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
-from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.trackers.lqr import Errors, lqr
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.deadline import check
@@ -28,6 +28,7 @@ from linkplan.models.errors import LinkplanError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.tree.joints import where
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.frequency.response import Response
@@ -66,9 +67,8 @@ class OperatingPoint:
     @property
     def name(self) -> str:
         """The positions of the independent joints with a feedback loop, as text."""
-        joints, at = self.mechanism.independent_joints, self.pose[self.mechanism.independent]
-        channels = self.mechanism.channels
-        return ", ".join(f"{joints[k].name} = {joints[k].said(at[k])} {joints[k].unit}" for k in channels)
+        joints, channels = self.mechanism.independent_joints, list(self.mechanism.channels)
+        return where([joints[k] for k in channels], self.state[channels])
 
     @property
     def inertia(self) -> np.ndarray:
@@ -159,14 +159,8 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     reference = point.constant(settings.period_s)
     if law == "lqr":
         position, velocity = settings.lqr_errors(point.mechanism.independent_joints)
-        tracker = lqr(
-            point.mechanism,
-            reference,
-            position_weight=position,
-            velocity_weight=velocity,
-            effort_weight=unit_effort(effort_limit, np.abs(point.hold)),
-        )
-        return tracker.gains[0]
+        errors = Errors(position=position, velocity=velocity, effort=unit_effort(effort_limit, np.abs(point.hold)))
+        return lqr(point.mechanism, reference, errors).gains[0]
     kp, kd = settings.gains(point.mechanism.independent_joints)
     return pd(point.mechanism, reference, kp, kd).gains[0]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, spectral_radius
+from linkplan.controllers.sampling import Sampling, closed, sampling, spectral_radius
 from linkplan.controllers.trackers.pd import pd, pd_gain
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop
@@ -56,8 +56,7 @@ def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling, kind:
 def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Sampling) -> np.ndarray:
     """Return the largest pole's size (...,) of PD loops of gains kp, kd (...,) about a point."""
     loop = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing)
-    A, B = augmented(loop.A, loop.B, loop.B_late, timing)
-    return spectral_radius(closed(A, B, pd_gains(point, kp, kd)))
+    return spectral_radius(closed(*loop.steered_matrices(), pd_gains(point, kp, kd)))
 
 
 def pd_gains(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
@@ -76,13 +75,10 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
     inside = np.flatnonzero(stable)
 
     def border(good: float, bad: float) -> float:
-        while abs(bad - good) > _BORDER_TOLERANCE * max(good, bad):
-            middle = 0.5 * (good + bad)
-            if radii(point, np.array(kp), np.array(middle), timing) < 1.0:
-                good = middle
-            else:
-                bad = middle
-        return good
+        return last_good(unstable, good, bad, True, _BORDER_TOLERANCE)[0]
+
+    def unstable(kd: float) -> bool | None:
+        return bool(radii(point, np.array(kp), np.array(kd), timing) >= 1.0) or None
 
     first, last = int(inside[0]), int(inside[-1])
     kd = kd.tolist()

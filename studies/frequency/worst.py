@@ -14,11 +14,11 @@ Broken = TypeVar("Broken")
 def last_good(
     broken: Callable[[float], Broken | None], good: float, bad: float, why: Broken, tolerance: float
 ) -> tuple[float, Broken]:
-    """Return the largest good argument below a bad one, to a relative tolerance, and what breaks just above it.
+    """Return the good argument that is nearest to a bad one, to a relative tolerance, and what breaks just beyond it.
 
-    `broken` returns None at good arguments; `why` is its value at `bad`.
+    `broken` returns None at good arguments; `why` is its value at `bad`. All arguments are zero or positive.
     """
-    while bad - good > tolerance * good:
+    while abs(bad - good) > tolerance * good:
         middle = 0.5 * (good + bad)
         there = broken(middle)
         if there is None:

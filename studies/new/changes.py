@@ -121,7 +121,7 @@ def _filters_left_out(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
 
 
 def _overlaps_excluded(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
-    pairs = _overlapping_at_home(mechanism) if mechanism.dof else []
+    pairs = _not_on_ground(contact_pairs(mechanism, mechanism.home[None])) if mechanism.dof else []
     return (with_exclusions(table, pairs), overlap_sentence(pairs)) if pairs else None
 
 
@@ -241,11 +241,6 @@ def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
         "links overlap at home, or on a pin that they share, and would push each other off in simulation: the contacts of"
         f" {', '.join(f'{first} and {second}' for first, second in pairs)} are excluded (mechanism.exclude_contacts)"
     )
-
-
-def _overlapping_at_home(mechanism: Mechanism) -> list[list[str]]:
-    """Return the pairs of bodies that overlap at home, where a motion may begin; contacts with the ground are kept."""
-    return _not_on_ground(contact_pairs(mechanism, mechanism.home[None]))
 
 
 def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> Mechanism:

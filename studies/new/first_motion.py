@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.closure.initial_assembly import home_of
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import LinkplanError, ModelError, ProblemError, listed, one_line
 from linkplan.models.mechanism import Mechanism
@@ -48,6 +47,7 @@ from linkplan.studies.new.hanging import (
     driven_columns,
     is_equilibrium,
     rests_by_itself,
+    with_home,
 )
 from linkplan.studies.new.pace import critical_gains, is_large, many_hang, moderate_duration
 
@@ -228,10 +228,7 @@ def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
             joint = mechanism.independent_joints[column]
             middle[column] = _rounded(joint, 0.5 * (low + high), low, high)
     try:
-        pose = close_at(mechanism, middle)
-        home = home_of(mechanism.joints, pose)
-        source = {key: value for key, value in mechanism.source.items() if key not in ("home_deg", "home_m")}
-        return mechanism_from_tables({"mechanism": source | home})
+        return with_home(mechanism, close_at(mechanism, middle))
     except LinkplanError:
         return None
 

@@ -53,7 +53,11 @@ def at_gravity_equilibrium(mechanism: Mechanism) -> Mechanism | None:
     same = 2 * off if is_equilibrium(mechanism, mechanism.home) else 1e-6
     if pose is None or np.abs(pose - mechanism.home).max() < same:
         return None
-    pose = np.array([_rounded(joint, x) for joint, x in zip(mechanism.joints, pose, strict=True)])
+    return with_home(mechanism, np.array([_rounded(joint, x) for joint, x in zip(mechanism.joints, pose, strict=True)]))
+
+
+def with_home(mechanism: Mechanism, pose: np.ndarray) -> Mechanism | None:
+    """Return a mechanism with another home pose (n_q,), None if it cannot be assembled there."""
     source = {key: value for key, value in mechanism.source.items() if key not in ("home_deg", "home_m")}
     try:
         return mechanism_from_tables({"mechanism": source | home_of(mechanism.joints, pose)})

@@ -83,7 +83,6 @@ def table_of(
 
 
 def _cell(value: Any, digits: int) -> Cell:
-    """Return a cell in JSON types."""
     if value is None or isinstance(value, bool | int | str):
         return value
     kind = getattr(value, "dtype", None)

@@ -142,7 +142,7 @@ def draw_sites(axes, plan: Plan) -> None:
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlabel(f"{direction_name(right)} [m]")
     axes.set_ylabel(f"{direction_name(up)} [m]")
-    outside_legend(axes, narrow=True)
+    outside_legend(axes)
 
 
 def _passed(motion: Motion, name: str, path: np.ndarray) -> np.ndarray:

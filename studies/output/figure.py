@@ -99,14 +99,10 @@ def wrapped(text: str, most: int) -> str:
     return textwrap.fill(text, min(most, len(text) // lines + 8))
 
 
-def outside_legend(axes, *, narrow: bool = False, row_letters: int | None = None, **options) -> int:
-    """Put a legend above the axes, where it hides no data, and return how many rows it needs.
-
-    A row has `row_letters`; by default 76 letters over the width of a page, or 56 over half of a wide page if `narrow`.
-    """
+def outside_legend(axes, row_letters: int = 56, **options) -> int:
+    """Put a legend above the axes, where it hides no data, and return how many rows of `row_letters` it needs."""
     handles, labels = axes.get_legend_handles_labels()
     columns = max(1, len(labels))
-    row_letters = row_letters or (56 if narrow else 76)
     if sum(len(label) + _LEGEND_MARK_LETTERS for label in labels) > row_letters:
         columns = max(1, row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
@@ -179,7 +175,7 @@ def _legend(axis, title: str, named: list[list], width_in: float) -> None:
     looks = [(label, line.get_color(), line.get_linestyle()) for line, label in zip(handles, labels, strict=True)
              if hasattr(line, "get_color")]  # fmt: skip
     own = any(label not in title for label in labels) and looks not in named and axis.get_legend() is None
-    rows = outside_legend(axis, row_letters=int(_LEGEND_LETTERS_PER_INCH * width_in), fontsize=8) if own else 0
+    rows = outside_legend(axis, int(_LEGEND_LETTERS_PER_INCH * width_in), fontsize=8) if own else 0
     named.append(looks)
     if title:
         axis.set_title(wrapped(title, int(_PANEL_LETTERS_PER_INCH * width_in)), fontsize=9.5, pad=6 + 14 * rows)

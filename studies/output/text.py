@@ -184,8 +184,4 @@ def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence]) -> str:
 
 
 def _cell(value: object) -> str:
-    if value is None:
-        return "<td>-</td>"
-    if isinstance(value, bool):
-        return f"<td>{'yes' if value else '<b>NO</b>'}</td>"
-    return f"<td>{escape(f'{value:.6g}' if isinstance(value, float) else str(value))}</td>"
+    return f"<td>{'<b>NO</b>' if value is False else escape(said(value, 6))}</td>"

@@ -16,7 +16,7 @@ from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose import decompose as study
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
 from linkplan.studies.output.text import html_of, text_of
-from linkplan.subjects import listed, plan_to_track, with_imperfections
+from linkplan.subjects import listed, with_imperfections, with_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,7 +52,7 @@ def decompose(
     Example:
         print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], samples=4))
     """
-    plan_to_track(plan)
+    with_motion(plan, "track")
     listed(trackers, "names or functions")
     whole(seed, "seed", 0, 2**63 - 1)
     given = with_imperfections(plan, imperfections)

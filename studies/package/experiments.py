@@ -23,11 +23,10 @@ from linkplan.studies.experiment.experiment import Settings, plan_digest
 from linkplan.studies.experiment.experiment_blocks import outcome_blocks, sensitivity
 from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.statistics import Estimate
-from linkplan.studies.experiment.study import Outcome, run_experiment
+from linkplan.studies.experiment.study import Outcome, experiment_figure, run_experiment
 from linkplan.studies.output.text import html_of, text_of
-from linkplan.studies.tasks.cluster import cluster as at_address
-from linkplan.studies.tasks.engine import MOST_WORKERS, processes
-from linkplan.subjects import listed, plan_to_track, with_imperfections
+from linkplan.studies.tasks.cluster import engine_of
+from linkplan.subjects import listed, with_imperfections, with_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,14 +77,12 @@ def experiment(
     Example:
         print(linkplan.experiment(linkplan.plan("knee-reach"), ["pd+ff"], samples=8))
     """
-    plan_to_track(plan)
+    with_motion(plan, "track")
     listed(trackers, "names, objects, classes or functions")
     own = {name_of(one): one for one in trackers if not isinstance(one, str)}
     names = tuple(one if isinstance(one, str) else name_of(one) for one in trackers)
-    whole(workers, "workers", 1, MOST_WORKERS)
+    engine = engine_of(workers, cluster)
     whole(threads, "threads", 0, 10_000)
-    if cluster is not None and workers != 1:
-        raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
     if own and (workers > 1 or cluster is not None):
         refuse_unpicklable(own)
     given = with_imperfections(plan, imperfections)
@@ -101,7 +98,6 @@ def experiment(
     source = {"name": given.problem.name, **given.problem.source}
     target = None if folder is None else path_of(folder, "folder")
     say = listener(progress)
-    engine = processes(workers) if cluster is None else at_address(cluster)
     outcome = run_experiment(
         source, plan_digest(given), lambda: given, settings, target, say, engine=engine, threads=threads, own=own
     )
@@ -135,12 +131,7 @@ class ExperimentResult:
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
-        from linkplan.studies.experiment.distributions import experiment_figure
-
-        one, summary = self.outcome.experiment, self.outcome.summary
-        title = f"{one.plan.problem.name}: {summary.samples} machines"
-        names, found = one.settings.trackers, self.outcome.population
-        return drawn(path, lambda place: experiment_figure(found, names, summary.metrics, title, place))
+        return drawn(path, lambda place: experiment_figure(self.outcome, place))
 
     def _repr_html_(self) -> str:
         return html_of(outcome_blocks(self.outcome))

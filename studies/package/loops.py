@@ -9,25 +9,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import tracking_from_tables
-from linkplan.planner.problem.settings import Tracking, number, plain
+from linkplan.planner.problem.settings import Tracking, number
 from linkplan.reporting import Progress, listener
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, bode_study
+from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import QUANTITIES, operating_point, sampled_law
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.method_names import METHODS
+from linkplan.studies.output.text import html_of, text_of
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
 from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
-from linkplan.subjects import Subject, poses_of, subject_of, tracking_table
+from linkplan.subjects import Subject, numbers, poses_of, subject_of, tracking_table
 
 if TYPE_CHECKING:
     import control
@@ -74,7 +75,7 @@ def bode(
     setup = None
     if measure is not None:
         method = choose("way to measure", str(measure), METHODS, ProblemError)
-        amplitude = None if amplitude_deg is None else number(plain(amplitude_deg), "amplitude_deg", positive=True)
+        amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
         joint = mechanism.independent_joints[0]
         setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
@@ -86,10 +87,11 @@ def bode(
         say,
         law=tracker,
         setup=setup,
-        frequency_hz=_frequencies(frequency_hz),
+        frequency_hz=None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True)),
         line=looked.line,
+        note=looked.note,
     )
-    return BodeResult(study=study, note=looked.note)
+    return BodeResult(study=study)
 
 
 def tune(
@@ -133,21 +135,19 @@ def tune(
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
-    peak = np.inf if sensitivity_peak is None else number(plain(sensitivity_peak), "sensitivity_peak", positive=True)
+    peak = np.inf if sensitivity_peak is None else number(sensitivity_peak, "sensitivity_peak", positive=True)
     wanted = Wanted(
-        bandwidth_hz=number(plain(bandwidth_hz), "bandwidth_hz", positive=True),
-        phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", at_least_zero=True),
+        bandwidth_hz=number(bandwidth_hz, "bandwidth_hz", positive=True),
+        phase_margin_deg=number(phase_margin_deg, "phase_margin_deg", at_least_zero=True),
         sensitivity_peak=peak,
-        settling_s=None if settling_s is None else number(plain(settling_s), "settling_s", positive=True),
-        damping_ratio=number(plain(damping_ratio), "damping_ratio", at_least_zero=True),
+        settling_s=None if settling_s is None else number(settling_s, "settling_s", positive=True),
+        damping_ratio=number(damping_ratio, "damping_ratio", at_least_zero=True),
     )
     mechanism, problem, settings, limit = _loop_of(subject, tracking)
-    tuning.refuse_weights_of_several(mechanism, tracker)
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     law = sampled_law(mechanism, tracker, settings, limit)
-    found = tuning.tune(points, wanted, law, say=say, line=looked.line)
-    return TuneResult(tuning=found, note=looked.note)
+    return TuneResult(tuning=tuning.tune(points, wanted, law, say=say, line=looked.line, note=looked.note))
 
 
 def _loop_of(subject: Subject, tracking: object):
@@ -161,21 +161,10 @@ def _loop_of(subject: Subject, tracking: object):
 
 def _settings(table: dict, mechanism: Mechanism) -> Tracking:
     """Return the tracking settings of a table; its delay may be a fraction of a period."""
-    delay = number(table.get("delay_periods", 0), "tracking.delay_periods", at_least_zero=True)
-    if delay > MOST_DELAY_PERIODS:
-        raise ProblemError(f"tracking.delay_periods is a number from 0 to {MOST_DELAY_PERIODS}, got {delay:g}")
     settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}}, mechanism)
     if not settings.acts:
         raise ProblemError("tracking.kp and tracking.kd are both 0: there is no loop to look at")
-    return replace(settings, delay_periods=delay)
-
-
-def _frequencies(frequency_hz: object) -> np.ndarray | None:
-    if frequency_hz is None:
-        return None
-    given = plain(frequency_hz)
-    given = given if isinstance(given, list) else [given]
-    return np.array([number(value, "frequency_hz", positive=True) for value in given])
+    return replace(settings, delay_periods=table.get("delay_periods", 0))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -183,7 +172,6 @@ class BodeResult:
     """A loop's frequency response. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
 
     study: BodeStudy
-    note: str | None
 
     @property
     def stable(self) -> bool:
@@ -242,17 +230,22 @@ class BodeResult:
         return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()
 
     def _entry(self, pose: str | None, joint: str | None) -> BodePoint:
-        """Return the loop of a joint at a pose."""
-        joints = [one.name for one in self.study.mechanism.independent_joints]
-        at = choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError)
-        channel = joints.index(choose("independent joint", joints[0] if joint is None else str(joint), joints, ProblemError))
+        at, channel = (
+            choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError),
+            self._channel(joint),
+        )
         return next(entry for entry in self.study.points if entry.point.name == at and entry.channel == channel)
+
+    def _channel(self, joint: str | None) -> int:
+        """Return the index of an independent joint, by default of the first one."""
+        names = [one.name for one in self.study.mechanism.independent_joints]
+        return names.index(choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError))
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
         from linkplan.studies.bode.bode_report import bode_record
 
-        return plain_record(bode_record(self.study) | {"note": self.note})
+        return plain_record(bode_record(self.study))
 
     def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
         """Return the figure of open and closed loop at every pose, saved at `path` if it is given.
@@ -266,22 +259,15 @@ class BodeResult:
         """
         from linkplan.studies.bode.bode_report import bode_figure
 
-        names = [one.name for one in self.study.mechanism.independent_joints]
-        name = choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError)
-        entries = [entry for entry in self.study.points if entry.channel == names.index(name)]
+        channel = self._channel(joint)
+        entries = [entry for entry in self.study.points if entry.channel == channel]
         return drawn(path, lambda place: bode_figure(self.study, entries, place))
 
     def _repr_html_(self) -> str:
-        from linkplan.studies.bode.bode_blocks import summary
-        from linkplan.studies.output.text import html_of
-
         return html_of(summary(self.study))
 
     def __str__(self) -> str:
-        from linkplan.studies.bode.bode_blocks import summary
-        from linkplan.studies.output.text import text_of
-
-        return text_of(summary(self.study)) + _noted(self.note)
+        return text_of(summary(self.study))
 
     def __repr__(self) -> str:
         return f"BodeResult({self.study.mechanism.name!r}: {self.message})"
@@ -292,7 +278,6 @@ class TuneResult:
     """Gains for requirements. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
     tuning: tuning.Tuning
-    note: str | None
 
     @property
     def found(self) -> bool:
@@ -311,18 +296,14 @@ class TuneResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        return plain_record(tune_report.tune_record(self.tuning) | {"note": self.note})
+        return plain_record(tune_report.tune_record(self.tuning))
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""
         return drawn(path, lambda place: tune_report.tune_figure(self.tuning, place))
 
     def __str__(self) -> str:
-        return tune_report.tune_text(self.tuning) + _noted(self.note)
+        return text_of(tune_report.tune_blocks(self.tuning))
 
     def __repr__(self) -> str:
         return f"TuneResult({self.tuning.mechanism.name!r}: {self.message})"
-
-
-def _noted(note: str | None) -> str:
-    return "" if note is None else f"\nnote: {note}"

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from linkplan.models.errors import ProblemError
 from linkplan.paths import path_of
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.problem.settings import plain, whole
+from linkplan.planner.problem.settings import plain
 from linkplan.reporting import Progress, listener
 from linkplan.studies.batch.study import Outcome, run_batch
 from linkplan.studies.output.batch_table import batch_blocks
 from linkplan.studies.output.text import html_of, text_of
-from linkplan.studies.tasks.cluster import cluster as at_address
-from linkplan.studies.tasks.engine import MOST_WORKERS, processes
+from linkplan.studies.tasks.cluster import engine_of
 
 
 def batch(
@@ -47,12 +45,9 @@ def batch(
     """
     from linkplan.planner.files.batch_file import batch_from, read_batch
 
-    whole(workers, "workers", 1, MOST_WORKERS)
-    if cluster is not None and workers != 1:
-        raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
+    engine = engine_of(workers, cluster)
     asked = batch_from(plain(cases), Path()) if isinstance(cases, Mapping) else read_batch(path_of(cases, "cases"))
     target = None if folder is None else path_of(folder, "folder")
-    engine = processes(workers) if cluster is None else at_address(cluster)
     return BatchResult(outcome=run_batch(asked, target, listener(progress), engine=engine, parquet=parquet))
 
 

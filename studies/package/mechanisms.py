@@ -164,7 +164,9 @@ class CheckResult:
         return html_of(self.found.blocks())
 
     def __str__(self) -> str:
-        return self.found.text()
+        from linkplan.studies.output.text import text_of
+
+        return text_of(self.found.blocks())
 
     def __repr__(self) -> str:
         return f"CheckResult({self.found.name!r}, {len(self.problems)} problems, {len(self.notes)} notes)"

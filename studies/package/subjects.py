@@ -13,7 +13,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import joint_values, plain
+from linkplan.planner.problem.settings import joint_values, number, plain
 
 Subject = Mechanism | Problem | str | Path
 
@@ -40,15 +40,15 @@ def is_problem(name: str | Path) -> bool:
     return str(name) in PROBLEMS or Path(str(name)[:255]).suffix == ".toml"
 
 
-def plan_to_track(plan: object) -> Plan:
-    """Return a plan if it has a motion.
+def with_motion(plan: object, doing: str) -> Plan:
+    """Return a plan if it has a motion; `doing` says what for.
 
     Raises:
         LinkplanError: if it is no plan, or has no motion.
     """
     if not isinstance(plan, Plan):
-        raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
-    plan.require_motion("track")
+        raise ProblemError(f"a Plan is needed to {doing}, got {plan!r}")
+    plan.require_motion(doing)
     return plan
 
 
@@ -103,6 +103,16 @@ def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[di
         values = joint_values(read(WaypointSection, given, where), "at", where, mechanism)
         poses.append({mechanism.joints[i].name: mechanism.joints[i].read(value) for i, value in values.items()})
     return poses
+
+
+def numbers(values: object, key: str, *, positive: bool = False) -> list[float]:
+    """Return one number or several as a list; `key` names them in refusals.
+
+    Raises:
+        ProblemError: for something else, or a number that is not positive if it should be.
+    """
+    given = plain(values)
+    return [number(value, key, positive=positive) for value in (given if isinstance(given, list) else [given])]
 
 
 def _tables(key: str, value: object) -> list[dict]:

@@ -18,7 +18,7 @@ from linkplan.studies.compare.comparison_blocks import comparison_blocks
 from linkplan.studies.compare.comparison_notes import comparison_record
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.output.text import html_of, in_brief, text_of
-from linkplan.subjects import listed, plan_to_track, tracking_table
+from linkplan.subjects import listed, tracking_table, with_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,7 +95,7 @@ def compare(
 
 def _to_track(plan: Plan, tracking: object) -> Plan:
     """Return a plan with a motion, with new tracking settings if any are given."""
-    problem = plan_to_track(plan).problem
+    problem = with_motion(plan, "track").problem
     table = tracking_table(problem, tracking)
     if tracking is None:
         return plan

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn, path_of
 from linkplan.planner.files.folders import plain_record, write_json, write_whole
@@ -19,7 +19,7 @@ from linkplan.reporting import Progress, listener
 from linkplan.studies.transfer.columns import arrays_of
 from linkplan.studies.transfer.serial_study import Serial
 from linkplan.studies.transfer.study import Transfer, transfer_study
-from linkplan.subjects import Subject, plan_to_track, subject_of
+from linkplan.subjects import Subject, numbers, subject_of, with_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,7 +78,7 @@ def transfer(
     for key, table in (("range_deg", range_deg), ("range_m", range_m)):
         for name, both in plain(table or {}).items():
             joint = mechanism.joints[mechanism.joint_index(name, ProblemError)]
-            values = _listed(both, f"{key}.{name}")
+            values = numbers(both, f"{key}.{name}")
             if len(values) != 2 or joint.unit != key.removeprefix("range_"):
                 raise ProblemError(f"{key}.{name} is [low, high] of a joint in {joint.unit}, got {both!r}")
             ends[name] = (joint.read(values[0]), joint.read(values[1]))
@@ -88,21 +88,12 @@ def transfer(
         tolerance=tolerance,
         ends=ends,
         problem=problem,
-        motor_speeds=() if motor_speed is None else _listed(motor_speed, "motor_speed"),
-        along=None if along is None else plan_to_track(along),
-        gains={name: _listed(values, name) for name, values in gains.items() if values is not None},
+        motor_speeds=() if motor_speed is None else numbers(motor_speed, "motor_speed"),
+        along=None if along is None else with_motion(along, "compare with"),
+        gains={name: numbers(values, name) for name, values in gains.items() if values is not None},
         say=listener(progress),
     )
     return TransferResult(found=found)
-
-
-def _listed(values: object, key: str) -> list[float]:
-    """Return one number or several as a list."""
-    given = plain(values)
-    given = given if isinstance(given, list) else [given]
-    if not given or any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
-        raise ProblemError(f"{key} is a number or a list of numbers, got {values!r}")
-    return [float(x) for x in given]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -135,9 +126,7 @@ class TransferResult:
         """
         grid = self.found.table.grid
         names = [key for key in grid.values if key not in ("pose", "status")]
-        if name not in names:
-            raise ProblemError(f"unknown quantity '{name}'; legal: {', '.join(names)}")
-        return grid.at(name, np.atleast_2d(np.asarray(positions_rad, dtype=float)))
+        return grid.at(choose("quantity", name, names, ProblemError), np.atleast_2d(np.asarray(positions_rad, dtype=float)))
 
     @property
     def serial_mjcf(self) -> str:

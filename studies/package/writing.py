@@ -14,6 +14,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.paths import path_of
 from linkplan.planner.plan import Plan
 from linkplan.reporting import Progress, listener
+from linkplan.subjects import with_motion
 from linkplan.tracking import TrackingResult
 from linkplan.transfers import TransferResult
 
@@ -48,7 +49,6 @@ def report(result: Result | str | Path, path: str | Path) -> Path:
 
 
 def _document(result: object) -> Report:
-    """Return the document of a result or of a folder of results."""
     from linkplan.studies.report import reading, reports
 
     if isinstance(result, str | Path):
@@ -56,8 +56,8 @@ def _document(result: object) -> Report:
     kinds: list[tuple[type, Callable]] = [
         (Plan, reports.plan_report),
         (TrackingResult, lambda one: reports.comparison_report(one.comparison)),
-        (BodeResult, lambda one: reports.bode_report(one.study, note=one.note)),
-        (TuneResult, lambda one: reports.tune_report(one.tuning, one.note)),
+        (BodeResult, lambda one: reports.bode_report(one.study)),
+        (TuneResult, lambda one: reports.tune_report(one.tuning)),
         (ExperimentResult, lambda one: reports.experiment_report(one.outcome)),
         (DecompositionResult, lambda one: reports.decomposition_report(one.decomposition)),
         (CheckResult, lambda one: reports.check_report(one.found)),
@@ -124,7 +124,7 @@ def render(
         instants=instants,
         there_and_back=there_and_back,
     )
-    return drawn(_with_motion(plan, "draw"), place, settings, find_gl(mujoco_gl), listener(progress))
+    return drawn(with_motion(plan, "draw"), place, settings, find_gl(mujoco_gl), listener(progress))
 
 
 def export(plan: Plan, path: str | Path, to: str, *, every_s: float | None = None) -> Path:
@@ -147,12 +147,5 @@ def export(plan: Plan, path: str | Path, to: str, *, every_s: float | None = Non
     from linkplan.studies.export.export import exported
 
     place = path_of(path, "path")
-    write_new(place, exported(_with_motion(plan, "export"), str(to), every_s))
+    write_new(place, exported(with_motion(plan, "export"), str(to), every_s))
     return place
-
-
-def _with_motion(plan: object, doing: str) -> Plan:
-    if not isinstance(plan, Plan):
-        raise ProblemError(f"a Plan is needed to {doing}, got {plan!r}")
-    plan.require_motion(doing)
-    return plan

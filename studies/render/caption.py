@@ -15,7 +15,7 @@ from linkplan.studies.render.shapes import load_colour
 _MIN_LETTERS_PX = 11
 # The lines of further efforts are left out.
 _MAX_EFFORT_LINES = 6
-_INK = (30, 30, 30)
+INK = (30, 30, 30)
 
 Line = tuple[str, tuple[int, int, int]]
 
@@ -24,7 +24,7 @@ def frame_lines(motion: Motion, k: int, slow: float) -> list[Line]:
     """Return the lines on a frame at control instant k: time and slowness, then each effort in its load's colour."""
     decimals = max(0, int(np.ceil(-np.log10(motion.duration_s))) + 2)
     pace = f"  {slow:g}x slower" if slow > 1 else f"  {1 / slow:g}x faster" if slow < 1 else ""
-    return [(f"t = {motion.time_s[k]:.{decimals}f} s{pace}", _INK), *effort_lines(motion, k)]
+    return [(f"t = {motion.time_s[k]:.{decimals}f} s{pace}", INK), *effort_lines(motion, k)]
 
 
 def head_share(motion: Motion, size: tuple[int, int]) -> float:
@@ -47,7 +47,7 @@ def effort_lines(motion: Motion, k: int) -> list[Line]:
         shown = 0.0 if abs(effort) < 5e-3 * abs(end) and np.isfinite(end) else effort
         lines.append((f"{actuator.name}: {shown:.4g}{most} {actuator.unit}", darker))
     more = len(lines) - _MAX_EFFORT_LINES
-    return lines if more <= 0 else [*lines[:_MAX_EFFORT_LINES], (f"and {more} more", _INK)]
+    return lines if more <= 0 else [*lines[:_MAX_EFFORT_LINES], (f"and {more} more", INK)]
 
 
 def written(image: np.ndarray, lines: Sequence[Line], foot: str = "") -> np.ndarray:

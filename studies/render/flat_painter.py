@@ -28,7 +28,7 @@ class FlatPainter:
     middle: np.ndarray
     scale: float
     size: tuple[int, int]
-    mechanism: Mechanism | None = None  # whose geoms are drawn
+    mechanism: Mechanism  # whose geoms are drawn
 
     def paint(self, picture: Scene) -> np.ndarray:
         """Return a scene as an image (height, width, 3) of bytes."""
@@ -61,8 +61,6 @@ class FlatPainter:
     def _add_geoms(self, axes, figure: Figure, layer: int) -> None:
         """Draw the outlines of the geoms, those that are far first and all behind the skeleton."""
         mechanism = self.mechanism
-        if mechanism is None:
-            return
         data, colours = mujoco.MjData(mechanism.model), body_colours(mechanism)
         place_bodies(mechanism.model, data, figure.qpos)
         found = []
@@ -85,8 +83,8 @@ def flat_painter(
     points: np.ndarray,
     direction: tuple[float, float],
     size: tuple[int, int],
-    head: float = FOOT_MARGIN,
-    mechanism: Mechanism | None = None,
+    head: float,
+    mechanism: Mechanism,
 ) -> FlatPainter:
     """Return the painter that sees all points (n, 3) [m] along an azimuth and elevation [rad].
 
@@ -95,7 +93,7 @@ def flat_painter(
         direction: azimuth and elevation.
         size: of the pictures, width and height [px].
         head: the free share of the picture's height at the top.
-        mechanism: whose geoms are drawn; without it, pictures have skeletons only.
+        mechanism: whose geoms are drawn.
     """
     right, up, sight = axes_of(*direction)
     flat = np.stack([points @ right, points @ up], axis=1)

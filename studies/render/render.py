@@ -13,7 +13,7 @@ from linkplan.planner.files.single_file import write_file_whole
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.studies.render.camera import Camera, camera_from
-from linkplan.studies.render.caption import effort_lines, frame_lines, head_share, written
+from linkplan.studies.render.caption import INK, effort_lines, frame_lines, head_share, written
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
 from linkplan.studies.render.flat_painter import flat_painter
 from linkplan.studies.render.framing import framed
@@ -116,9 +116,8 @@ def picture(motion: Motion, camera: Camera, settings: RenderSettings, paint: Pai
     shown = np.linspace(0.0, motion.time_s[-1], settings.instants if settings.instants > 1 else 2)[-settings.instants :]
     instants = np.array([motion.index_at(time) for time in shown])
     image = paint(stroboscopic_scene(motion, instants, camera.direction))
-    ink = (30, 30, 30)
     said = f"{settings.instants} instants from 0 to {motion.time_s[-1]:.3g} s; efforts at the last"
-    return written(image, [(said, ink), *effort_lines(motion, int(instants[-1]))], _foot(motion, ghost=False))
+    return written(image, [(said, INK), *effort_lines(motion, int(instants[-1]))], _foot(motion, ghost=False))
 
 
 def _write_film(path: Path, motion: Motion, instants, camera: Camera, settings: RenderSettings, slow, paint, say) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.colors import to_rgba
 
 from linkplan.studies.output.figure import SERIES
 
@@ -69,6 +70,4 @@ def load_colour(share: float) -> tuple[float, ...]:
 
 def series_colour(k: int) -> tuple[float, ...]:
     """Return the rgba of the k-th body of a mechanism without colours."""
-    digits = SERIES[k % len(SERIES)].removeprefix("#")
-    red, green, blue = (int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4))
-    return red, green, blue, 1.0
+    return to_rgba(SERIES[k % len(SERIES)])

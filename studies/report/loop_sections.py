@@ -4,9 +4,9 @@ import numpy as np
 
 from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.bode.bode_blocks import margins_along, nyquist, responses, sensitivities, summary
-from linkplan.studies.output.document import Block, Code, Facts, Section, table_of
+from linkplan.studies.output.document import Block, Code, Facts, Section
 from linkplan.studies.tune.tune import Tuning
-from linkplan.studies.tune.tune_report import gain_lines, tracking_table, tune_plots, tuned_joints
+from linkplan.studies.tune.tune_report import tracking_table, tune_blocks
 
 
 def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[Section]:
@@ -33,7 +33,7 @@ def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[
 
 def tune_sections(found: Tuning) -> list[Section]:
     """Return the sections of gains for requirements."""
-    mechanism, wanted, law, joints = found.mechanism, found.wanted, found.best.law, tuned_joints(found)
+    mechanism, wanted, law = found.mechanism, found.wanted, found.best.law
     rows = [
         ("mechanism", mechanism.name),
         ("tracker", law.name),
@@ -43,30 +43,9 @@ def tune_sections(found: Tuning) -> list[Section]:
     ]
     if np.isfinite(wanted.sensitivity_peak):
         rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
-    if law.name != "lqr":
-        rows += [(f"gains {where}", gains) for where, gains in gain_lines(found)]
     blocks: list[Block] = [
         Facts(rows=rows),
         Code(title="Gains as the [tracking] table of a problem file", text=tracking_table(found)),
+        *tune_blocks(found, verdict=False),
     ]
-    heads = ["stable", "bandwidth [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
-    for channel, joint in zip(mechanism.channels, joints, strict=True):
-        loops = [loop for loop in found.best.loops if loop.channel == channel]
-        of = "" if len(joints) == 1 else f", loop of {joint.name}"
-        cells = [
-            [
-                *(one.shown(loop.point.state[k]) for k, one in zip(mechanism.channels, joints, strict=True)),
-                loop.margins.stable,
-                loop.margins.bandwidth_hz,
-                loop.margins.phase_margin_deg,
-                loop.margins.gain_margin_db,
-                loop.margins.sensitivity_peak,
-            ]
-            for loop in loops
-        ]
-        positions = [(one.name, one.unit) for one in joints]
-        blocks += [
-            table_of(f"At every position looked at{of}", [*positions, *heads], cells),
-            *tune_plots(found, loops, of),
-        ]
     return [Section(title=f"Gains for {mechanism.name}", blocks=blocks)]

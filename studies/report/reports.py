@@ -98,17 +98,15 @@ def decomposition_report(found: Decomposition) -> Report:
     return report_of(first.title, verdict, found.found, [first, *plan_sections(found.plan)])
 
 
-def bode_report(study: BodeStudy, extras: Sequence[Section] = (), note: str | None = None) -> Report:
+def bode_report(study: BodeStudy, extras: Sequence[Section] = ()) -> Report:
     """Return the report of a feedback loop; `extras` are the sections of further studies of it."""
     sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law.name}", verdict=False), *extras]
-    verdict = study.message if note is None else f"{study.message}; {note}"
-    return report_of(f"Feedback loop of {study.mechanism.name}", verdict, study.stable, sections)
+    return report_of(f"Feedback loop of {study.mechanism.name}", study.message, study.stable, sections)
 
 
-def tune_report(found: Tuning, note: str | None = None) -> Report:
+def tune_report(found: Tuning) -> Report:
     """Return the report of gains for requirements."""
-    verdict = found.message if note is None else f"{found.message}; {note}"
-    return report_of(f"Gains for {found.mechanism.name}", verdict, found.found, tune_sections(found))
+    return report_of(f"Gains for {found.mechanism.name}", found.message, found.found, tune_sections(found))
 
 
 def transfer_report(found: Transfer) -> Report:

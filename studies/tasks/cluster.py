@@ -10,13 +10,28 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 
-from linkplan.models.errors import LinkplanError, one_line
+from linkplan.models.errors import LinkplanError, ProblemError, one_line
 from linkplan.models.extras import load_extra
 from linkplan.planner.plan_folder import versions
-from linkplan.studies.tasks.engine import Engine, Pool, Say
+from linkplan.planner.problem.settings import whole
+from linkplan.studies.tasks.engine import MOST_WORKERS, Engine, Pool, Say, processes
 
 # A running scheduler answers within milliseconds.
 _PATIENCE_S = 10
+
+
+def engine_of(workers: int, address: str | None) -> Engine:
+    """Return the engine of a number of processes on this machine or, if its address is given, of a cluster.
+
+    Raises:
+        ProblemError: for an invalid number of processes, or a number beside an address.
+    """
+    whole(workers, "workers", 1, MOST_WORKERS)
+    if address is None:
+        return processes(workers)
+    if workers != 1:
+        raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
+    return cluster(address)
 
 
 def cluster(address: str) -> Engine:

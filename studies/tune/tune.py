@@ -34,6 +34,7 @@ class Tuning:
     best: EvaluatedGains
     found: bool
     message: str
+    note: str | None  # on the choice of the points
 
 
 def tune(
@@ -43,6 +44,7 @@ def tune(
     *,
     say: Callable[[str], None] = silent,
     line: Line | None = None,
+    note: str | None = None,
 ) -> Tuning:
     """Return gains that meet the requirements at every point, or the closest gains and the reason.
 
@@ -55,6 +57,7 @@ def tune(
         law: pd, pd+ff or lqr with its timing; its gains and weights are replaced.
         say: receives progress messages.
         line: the line that the points sample; None if the user gave the poses.
+        note: on the choice of the points, for the report.
 
     Raises:
         LinkplanError: for a bandwidth from the Nyquist frequency on, an unknown law, or LQR with several degrees of freedom.
@@ -62,7 +65,11 @@ def tune(
     mechanism, timing = points[0].mechanism, law.timing
     if law.name not in LINEAR:
         raise LinkplanError(f"unknown tracker '{law.name}'; trackers are {', '.join(LINEAR)}")
-    refuse_weights_of_several(mechanism, law.name)
+    if law.name == "lqr" and len(mechanism.channels) > 1:
+        raise LinkplanError(
+            f"tune finds LQR weights for one degree of freedom, and '{mechanism.name}' has {len(mechanism.channels)}: pd and"
+            " pd+ff get gains for each joint, and bode shows the margins of given LQR weights"
+        )
     if wanted.bandwidth_hz >= timing.nyquist_hz:
         raise LinkplanError(
             f"a bandwidth of {wanted.bandwidth_hz:g} Hz is not below the Nyquist frequency, {timing.nyquist_hz:g} Hz at a"
@@ -88,17 +95,15 @@ def tune(
         points = _along(points, worst)
         best = evaluated(points, wanted, law)
     found = best.shortfall == 0.0
-    message = _message(points, wanted, best, found, line)
-    return Tuning(mechanism=mechanism, wanted=wanted, points=tuple(points), best=best, found=found, message=message)
-
-
-def refuse_weights_of_several(mechanism: Mechanism, law: str) -> None:
-    """Refuse LQR for a mechanism with several loops: its weights act on all joints, gains are found joint by joint."""
-    if law == "lqr" and len(mechanism.channels) > 1:
-        raise LinkplanError(
-            f"tune finds LQR weights for one degree of freedom, and '{mechanism.name}' has {len(mechanism.channels)}: pd and"
-            " pd+ff get gains for each joint, and bode shows the margins of given LQR weights"
-        )
+    return Tuning(
+        mechanism=mechanism,
+        wanted=wanted,
+        points=tuple(points),
+        best=best,
+        found=found,
+        message=_message(points, wanted, best, found, line),
+        note=note,
+    )
 
 
 def _along(points: Sequence[OperatingPoint], added: Sequence[OperatingPoint]) -> list[OperatingPoint]:
@@ -125,7 +130,6 @@ def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Wanted) ->
 
 
 def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGains, found: bool, line: Line | None) -> str:
-    """Return the verdict as a sentence."""
     timing, words = best.law.timing, LAW_NAMES[best.law.name]
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if np.isfinite(wanted.sensitivity_peak):

@@ -1,4 +1,4 @@
-"""The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, a text table, and plots."""
+"""The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, and the result as a document."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -10,9 +10,8 @@ import numpy as np
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.tables import inline
 from linkplan.studies.bode.scan import figures
-from linkplan.studies.output.document import Axis, Limit, Plot, Series
+from linkplan.studies.output.document import Axis, Block, Facts, Limit, Plot, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import rounded
-from linkplan.studies.output.text import table
 from linkplan.studies.tune.judged import JudgedLoop
 from linkplan.studies.tune.tune import Tuning
 
@@ -129,6 +128,7 @@ def tune_record(tuning: Tuning) -> dict:
             "settling_s": wanted.longest_settling_s,
         },
         "gains": gains,
+        "note": tuning.note,
         "points": [
             _place(loop, joints) | asdict(loop.margins) | {"stiffness_at_rest": loop.stiffness} for loop in tuning.best.loops
         ],
@@ -168,27 +168,31 @@ def tracking_table(tuning: Tuning) -> str:
     return "\n".join(lines) + "\n"
 
 
-def tune_text(tuning: Tuning) -> str:
-    """Return the gains in the joints' and the motor's units, and the margins of every loop at every pose, as text."""
-    joints, lines = tuned_joints(tuning), [tuning.message, ""]
+def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
+    """Return the gains in the joints' and the motor's units, and the margins of every loop at every pose.
+
+    The verdict is left out where the page's header shows it.
+    """
+    joints = tuned_joints(tuning)
+    blocks: list[Block] = [Text(text=tuning.message)] if verdict else []
     if tuning.best.law.name == "lqr":
         (position_key, position), (velocity_key, velocity) = list(tracking_values(tuning).items())[:2]
-        lines.append(
-            f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g} (errors weighted like the full effort limit)"
-        )
+        weights = f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g}"
+        blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))
     else:
-        lines += [f"{where}: {gains}" for where, gains in gain_lines(tuning)]
-    if len(joints) == 1:
-        return "\n".join([*lines, "", _table(tuning.best.loops, joints[0], [*joints])])
-    shared = "settling and damping belong to the poles that all loops share"
-    tables = []
+        blocks.append(Facts(rows=gain_lines(tuning)))
     for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
         loops = [loop for loop in tuning.best.loops if loop.channel == channel]
-        tables += ["", f"the loop of {joint.name}, the others closed", _table(loops, joint, joints)]
-    return "\n".join([*lines, *tables, "", shared])
+        blocks += [
+            _table(loops, joint, joints),
+            *tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"),
+        ]
+    if len(joints) > 1:
+        blocks.append(Text(text="settling and damping belong to the poles that all loops share"))
+    return blocks if tuning.note is None else [*blocks, Text(text=tuning.note, tone="note")]
 
 
-def _table(loops: Sequence[JudgedLoop], joint: Joint, joints: Sequence[Joint]) -> str:
+def _table(loops: Sequence[JudgedLoop], joint: Joint, joints: Sequence[Joint]) -> Table:
     """Return the margins of one joint's loop at every pose as a table, with the positions of all joints."""
     channels = loops[0].point.mechanism.channels
     rows = [
@@ -205,7 +209,8 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, joints: Sequence[Joint]) -
         ]
         for loop in loops
     ]
-    head = [f"{one.name} [{one.unit}]" for one in joints]
-    head += ["stable", "bandwidth -3 dB [Hz]", "PM [deg]", "GM [dB]", "max |S|", "settling [s]", "damping"]
-    head += [f"stiffness [{joint.gain_units[0]}]"]
-    return table(head, rows)
+    heads: list = [(one.name, one.unit) for one in joints]
+    heads += ["stable", "bandwidth -3 dB [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
+    heads += ["settling [s]", "damping", f"stiffness [{joint.gain_units[0]}]"]
+    of = "" if len(joints) == 1 else f", the loop of {joint.name}, the others closed"
+    return table_of(f"At every position looked at{of}", heads, rows)

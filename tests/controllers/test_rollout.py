@@ -14,7 +14,7 @@ from linkplan.controllers.imperfections.plant import scale_masses
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
-from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.trackers.lqr import Errors, lqr
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker, with_feedforward
 from linkplan.models.mechanism import Mechanism, load_mechanism
@@ -76,9 +76,7 @@ def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | No
         return lqr(
             problem.mechanism,
             reference,
-            position_weight=position,
-            velocity_weight=velocity,
-            effort_weight=problem.limits.effort[:, 1],
+            Errors(position=position, velocity=velocity, effort=problem.limits.effort[:, 1]),
         )
     feedback = pd(problem.mechanism, reference, tracking.kp, tracking.kd if kd is None else kd)
     return feedback if kind == "pd" else with_feedforward(feedback)

@@ -9,6 +9,7 @@ from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import most_poses, path_record, reach_paths, reach_sweeps, thinned
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.document import Animation
+from linkplan.studies.output.text import text_of
 from linkplan.studies.report.check_sections import check_sections
 
 
@@ -29,13 +30,13 @@ def wholes():
 
 
 def test_of_few_coordinates_all_quantities_are_said(wholes):
-    text = wholes[3].text()
+    text = text_of(wholes[3].blocks())
     assert text.count("the same at every pose") == 3
     assert "the JSON record has all of them" not in text
 
 
 def test_of_many_each_has_its_own(wholes):
-    text = wholes[9].text()
+    text = text_of(wholes[9].blocks())
     assert "the same at every pose" not in text
     assert "of 9 coordinates each has its own quantities above" in text
     own = next(part for part in text.split("\n\n") if part.startswith("along the reach of j7"))
@@ -48,7 +49,7 @@ def test_of_many_each_has_its_own(wholes):
 
 def test_what_it_says_is_what_the_whole_record_has(wholes):
     path = next(p for p in wholes[9].paths if p.coordinate == 7)
-    own = wholes[9].text().split("along the reach of j7")[1].splitlines()
+    own = text_of(wholes[9].blocks()).split("along the reach of j7")[1].splitlines()
     assert f"{path.holding_effort[0, 7]:.4g}" in next(line for line in own if line.startswith("-60 "))
     assert np.abs(path.holding_effort[0, 7]) > 0
 

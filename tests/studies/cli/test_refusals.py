@@ -93,7 +93,7 @@ REFUSALS = [
     ),
     (["track", "{a_plan}", "--set", "tracking.kp=-1"], ["with tracking.kp=-1: tracking.kp is a number of at least 0"]),
     (["track", "{a_plan}", "--set", "motion.duration_s=1"], ["a saved plan is fixed; only tracking.* and imperfections.*"]),
-    (["compare", "{a_plan}", "--delay-periods", "2000"], ["--delay-periods is a number from 0 to 1000, got 2000"]),
+    (["compare", "{a_plan}", "--delay-periods", "2000"], ["--delay-periods is from 0 to 1000, got 2000"]),
     (["compare", "{a_plan}", "--mass-factor", "abc"], ["argument --mass-factor: invalid float value: 'abc'"]),
     (["compare", "{a_plan}", "--trackers"], ["argument --trackers: expected one argument"]),
     (["export", "{a_plan}", "--to", "csv", "-o"], ["argument -o"]),

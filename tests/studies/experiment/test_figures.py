@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from linkplan.studies.experiment.distributions import experiment_figure
+from linkplan.studies.experiment.distributions import distributions
 from linkplan.studies.experiment.metrics import Metric
+from linkplan.studies.output.figure import figure_of
 
 
 @pytest.mark.parametrize("slowest", [600.0, 9e5])
@@ -14,7 +15,7 @@ def test_a_logarithmic_axis_has_several_labelled_ticks_within_it_however_short(s
     results["chatter"][:100] = np.linspace(25.0, 60.0, 100)
     results["chatter"][100:] = np.linspace(0.5, 1.0, 100) * slowest
     metrics = {"chatter": Metric(text="total variation of the effort", unit="N.m")}
-    figure = experiment_figure(results, ["pd", "ct"], metrics, "machines", None)
+    figure = figure_of(distributions(results, ["pd", "ct"], list(metrics), metrics), None)
     axes = figure.axes[0]
     assert axes.get_xscale() == "log"
     figure.draw_without_rendering()

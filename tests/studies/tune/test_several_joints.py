@@ -14,9 +14,10 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.output.text import text_of
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import tracking_table, tracking_values, tune_figure, tune_record, tune_text
+from linkplan.studies.tune.tune_report import tracking_table, tracking_values, tune_blocks, tune_figure, tune_record
 from tests.support.parallel_ankle import ankle
 from tests.support.tolerances_loops import MARGIN
 
@@ -127,7 +128,7 @@ def test_the_tracking_table_gives_a_problem_its_gains_by_joint(tmp_path):
     assert kp == pytest.approx([values["kp"]["O1"], values["kp"]["O2"]], rel=1e-5)
     assert kd == pytest.approx([values["kd"]["O1"], values["kd"]["O2"]], rel=1e-5)
     assert [entry["joint"] for entry in tune_record(found)["points"]] == ["O1", "O2"]
-    text = tune_text(found)
+    text = text_of(tune_blocks(found))
     assert "the loop of O2, the others closed" in text
     assert f"at O1: kp = {values['kp']['O1']:.5g} N.m/rad" in text
     figure = tune_figure(found, tmp_path / "tune.png")

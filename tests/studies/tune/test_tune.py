@@ -9,9 +9,10 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import damping_ratio, margins, settling_time_s
+from linkplan.studies.output.text import text_of
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import motor_gains, tune_figure, tune_record, tune_text
+from linkplan.studies.tune.tune_report import motor_gains, tune_blocks, tune_figure, tune_record
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
 
@@ -89,7 +90,7 @@ def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
     # The effort of the actuator at a joint's error e is kp e / gear, at the motor's own motion gear e: kp / gear^2.
     gain = law_gain(point, "pd", found.best.law.settings, mechanism.effort_limit)
     assert gain[0, 0] / 5.0 == pytest.approx(motor["kp"])
-    assert "N/m" in tune_text(found)
+    assert "N/m" in text_of(tune_blocks(found))
     assert tune_record(found)["gains"]["motor_side"]["gear"] == 5.0
 
 
@@ -161,7 +162,7 @@ def test_the_message_states_the_level_of_the_bandwidth_and_the_stiffness():
     found = tune([operating_point(mechanism, np.zeros(1))], wanted, law)
     assert "bandwidth (-3 dB)" in found.message
     assert f"stiffness at rest {found.best.law.settings.kp:.4g} N.m/rad" in found.message
-    assert "-3 dB [Hz]" in " ".join(tune_text(found).split()) or "-3 dB" in tune_text(found)
+    assert "-3 dB [Hz]" in " ".join(text_of(tune_blocks(found)).split()) or "-3 dB" in text_of(tune_blocks(found))
 
 
 def test_poles_of_a_second_order_system_have_its_damping_ratio_and_settle_with_its_slowest():
