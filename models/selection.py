@@ -212,6 +212,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         *_drop(spec, model, dropped),
         *(leave_the_ground(spec) if hangs else ()),
     ]
+    for first, second in _filtered_pairs(model, set(locked), set(dropped)):
+        spec.add_exclude(bodyname1=first, bodyname2=second)
     notes += _exclude(spec, asked.exclude_contacts)
     still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
@@ -363,6 +365,24 @@ def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) ->
     mass = float(sum(model.body_mass[body] for body in dropped))
     names = listed([model.body(body).name for body in roots], 12)
     return [f"dropped with all that hangs on them ({len(dropped)} bodies, {mass:.4g} kg): {names}"]
+
+
+def _filtered_pairs(model: mujoco.MjModel, locked: set[int], dropped: set[int]) -> list[tuple[str, str]]:
+    """Return the pairs of a fixed body and one that hangs on it: MuJoCo filters their contacts only while both move."""
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+        return []
+    still = {0}
+    for body in range(1, model.nbody):
+        if int(model.body_parentid[body]) in still and locked.issuperset(joints_of(model, body)):
+            still.add(body)
+    solid = {int(b) for b in model.geom_bodyid[(model.geom_contype | model.geom_conaffinity) != 0]} - dropped
+    weld = model.body_weldid
+    return [
+        (model.body(fixed).name, model.body(hanging).name)
+        for fixed in sorted(solid & still)
+        for hanging in sorted(solid - still)
+        if weld[fixed] and weld[fixed] == weld[model.body_parentid[weld[hanging]]]
+    ]
 
 
 def _exclude(spec: mujoco.MjSpec, pairs: Sequence[Sequence[str]]) -> list[str]:

@@ -19,7 +19,7 @@ import numpy as np
 from linkplan.models.catalogue import is_text
 from linkplan.models.conversion import CLOSING, GazeboJoint, gazebo_joints
 from linkplan.models.deletion import delete_geoms
-from linkplan.models.errors import ModelError, choose
+from linkplan.models.errors import ModelError, choose, listed
 from linkplan.models.extras import load_extra
 from linkplan.models.kinematics import data_at, in_body, rotation_of_rpy
 from linkplan.models.reading import read_file
@@ -129,7 +129,7 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     named, cut = (None, None) if path is None else (beside(path), loop_closures(path))
     named, cut = named or Beside(), cut or LoopClosures(closures=[])
     notes = _settle_meshes(spec, None if path is None else path.parent)
-    notes += _weigh(spec, root)
+    notes += [*_weigh(spec, root), *_settle_inertias(spec)]
     notes += _close_loops(spec, root, named, cut.closures)
     _retype(spec, dict(zip(named.joint_name, named.joint_type, strict=True)))
     transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
@@ -201,6 +201,37 @@ def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
         f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, without which MuJoCo moves none:"
         f" {', '.join(sorted(light))}"
     ]
+
+
+def _settle_inertias(spec: mujoco.MjSpec) -> list[str]:
+    """Give links the nearest inertia that a body has, and return notes on those that had another, which MuJoCo refuses.
+
+    Principal moments are positive, and none exceeds the sum of the others. To the nearest, by least squares, each moment
+    contributes a third of what the largest has too much.
+    """
+    points, changes = [], []
+    for body in spec.bodies:
+        if not body.explicitinertial or body.mass < LEAST_MASS_KG:
+            continue
+        xx, yy, zz, xy, xz, yz = (*body.inertia, 0, 0, 0) if np.isnan(body.fullinertia[0]) else body.fullinertia
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        settled = np.maximum(moments, LEAST_INERTIA_KGM2)
+        settled += max(0.0, settled[2] * (1 + 1e-9) - settled[:2].sum()) / 3 * np.array([1, 1, -1])  # rounding stays within
+        change = float(np.abs(settled - moments).max())
+        if change:
+            full = axes @ np.diag(settled) @ axes.T
+            body.fullinertia = [*np.diag(full), full[0, 1], full[0, 2], full[1, 2]]
+        if not moments.any():
+            points.append(body.name)
+        elif change > 1e-6 * settled[2]:
+            changes.append(f"{body.name} ({100 * change / settled[2]:.2g} %)")
+    notes = [f"links without inertia get {LEAST_INERTIA_KGM2:g} kg.m^2: {', '.join(points)}"] if points else []
+    if changes:
+        notes.append(
+            "links of which one principal moment is not positive, or larger than the sum of the others, get the nearest"
+            f" inertia that a body has (change, of the largest moment): {listed(changes, 8)}"
+        )
+    return notes
 
 
 def _links(root: ET.Element) -> list[str]:
