@@ -201,7 +201,10 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
         for actuator, ends in zip(mechanism.actuators, mechanism.effort_limit, strict=True)
         if actuator.name in limits
     )
-    return [f"actuators are too weak to hold the weight at home: limits.effort takes {said}; put in the motors' own"]
+    return [
+        f"actuators, or others with the same limits, are too weak to hold the weight at home: limits.effort takes {said};"
+        " put in the motors' own"
+    ]
 
 
 @functools.lru_cache(maxsize=4)
@@ -313,7 +316,7 @@ _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...]
     functools.partial(
         _locked,
         spins,
-        "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked ({locks})",
+        "rods or wheels spin about a line while all else rests, which nothing drives: a hinge of each is locked ({locks})",
     ),
     _overlaps_excluded,
     _friction_widened,

@@ -40,7 +40,7 @@ def test_a_model_named_mjcf_finds_its_files(tmp_path):
     assert (name, model.ngeom, model.ntex) == ("arm", 1, 1)
     assert note.startswith("files that are not there are left out with what they draw: shell.stl")
     file.write_text('<mujoco><include file="other.mjcf"/></mujoco>')
-    with pytest.raises(ModelError, match="does not parse: .*other.mjcf.*; model files are named .xml or .urdf$"):
+    with pytest.raises(ModelError, match=r"does not parse: .*other\.mjcf.*; model files are named \.xml or \.urdf$"):
         compile_model(file)
 
 

@@ -274,10 +274,11 @@ def test_what_hangs_on_a_fixed_base_collides_with_what_it_did_before(asked):
     """MuJoCo filters the contacts of a body with its parent, but not of one whose parent stands still."""
     part = linkplan.load_mechanism(
         """
-<mujoco><default><geom type="capsule"/></default><worldbody><body name="base"><freejoint/><geom fromto="0 0 0 0 0 0.1" size="0.1"/>
+<mujoco><default><geom type="capsule"/></default><worldbody>
+<body name="base"><freejoint/><geom fromto="0 0 0 0 0 0.1" size="0.1"/>
 <body name="thigh"><joint name="hip" axis="0 1 0"/><geom fromto="0 0 0 0 0 -0.3" size="0.05"/>
-<body name="shank"><joint name="knee" axis="0 1 0"/><geom fromto="0 0 0 0 0 -0.2" size="0.02"/></body></body></body></worldbody>
-<actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>""",
+<body name="shank"><joint name="knee" axis="0 1 0"/><geom fromto="0 0 0 0 0 -0.2" size="0.02"/></body></body></body>
+</worldbody><actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>""",
         **asked,
     ).model
     data = mujoco.MjData(part)

@@ -222,9 +222,26 @@ def test_an_inertia_that_no_body_has_becomes_the_nearest_one(tmp_path, given, di
     assert (found == []) if said is None else found[0].endswith(said)
 
 
+def test_what_other_simulators_read_is_left_out_and_named(tmp_path):
+    """Placeholders without size, meshes of other formats, transmissions of joints that do not move."""
+    shapes = '<box size="0 0 0"/>', '<sphere radius="0"/>', '<mesh filename="shell.dae"/>', '<box size="0.1 0.1 0.1"/>'
+    collisions = "".join(f"<collision><geometry>{shape}</geometry></collision>" for shape in shapes)
+    (tmp_path / "shell.dae").write_text("<COLLADA/>", encoding="utf-8")
+    text = FOUR_BAR.replace(link("crank"), link("crank", visual=collisions))
+    lidar = TRANSMISSION.replace('"motor"', '"lidar"') + joint("lidar", "base", "scanner", "0 0 1", kind="fixed")
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(text, link("scanner"), LOOP_JOINT, lidar, TRANSMISSION)))
+    assert_four_bar(mechanism)
+    assert mechanism.model.ngeom == 1
+    assert {
+        "shapes without size are left out: of crank",
+        "meshes that MuJoCo does not read (it reads .stl, .obj, .msh) are left out: shell.dae",
+        "transmissions of joints that are not there, or do not move, are left out: lidar",
+    } <= set(mechanism.notes)
+
+
 def test_an_inertia_that_no_body_has_is_refused_in_mjcf_with_the_remedy():
     body = '<body><inertial pos="0 0 0" mass="1" diaginertia="1 1 3"/><joint/></body>'
-    with pytest.raises(LinkplanError, match='B >= C.*: <compiler balanceinertia="true"/>$'):
+    with pytest.raises(LinkplanError, match=r'B >= C.*: <compiler balanceinertia="true"/>$'):
         linkplan.load_mechanism(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
 
 

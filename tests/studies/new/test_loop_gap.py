@@ -10,11 +10,14 @@ from linkplan.studies.new.loop_gap import SOFT_IN_MOTION, held_gap, planned_gap
 LIGHT, HEAVY, IMPEDANCE, TIME_CONSTANT_S = 0.01, 1.0, 0.9, 0.02
 COUPLED = f"""
 <mujoco><worldbody>
-  <body><joint name="motor" axis="0 0 1" range="-90 90"/><inertial pos="0 0 0" mass="1" diaginertia="{LIGHT} {LIGHT} {LIGHT}"/></body>
+  <body><joint name="motor" axis="0 0 1" range="-90 90"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="{LIGHT} {LIGHT} {LIGHT}"/></body>
   <body pos="1 0 0"><joint name="wheel" axis="0 0 1" range="-90 90"/>
     <inertial pos="0 0 0" mass="1" diaginertia="{HEAVY} {HEAVY} {HEAVY}"/></body>
 </worldbody>
-<equality><joint joint1="wheel" joint2="motor" solref="{TIME_CONSTANT_S} 1" solimp="{IMPEDANCE} {IMPEDANCE} 0.001"/></equality>
+<equality>
+  <joint joint1="wheel" joint2="motor" solref="{TIME_CONSTANT_S} 1" solimp="{IMPEDANCE} {IMPEDANCE} 0.001"/>
+</equality>
 <actuator><motor joint="motor" ctrlrange="-2000 2000"/></actuator></mujoco>"""
 
 
