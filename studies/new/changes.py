@@ -29,6 +29,7 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.urdf_loops import FILTERS
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
 from linkplan.studies.check.softness import STIFF_KEY
+from linkplan.studies.check.summary import grouped
 from linkplan.studies.new.locks import (
     HOLD_MULTIPLE,
     coupled_with_play,
@@ -216,9 +217,10 @@ def left_out(mechanism: Mechanism) -> tuple[str, ...]:
 def left_out_notes(mechanism: Mechanism) -> list[str]:
     """Return a sentence on the forces that a first motion is planned without, if there are some."""
     forces = left_out(mechanism)
-    said = f"{len(forces)} kinds of forces" if len(forces) > 1 else "forces"
+    said = f"{len(forces)} forces" if len(forces) > 1 else "forces"
+    what = "; ".join(grouped(mechanism, forces)[:3])
     return [
-        f"plans do not honour {said} that act in the simulation, and are made without them: {listed(forces, 3)}"
+        f"plans do not honour {said} that act in the simulation, and are made without them: {what}"
         ' (limits.unhonoured = "note"; by default such a problem is refused)'
     ] * bool(forces)
 
