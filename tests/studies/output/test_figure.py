@@ -8,7 +8,10 @@ from linkplan.studies.output.figure import figure_of, one_screen
 
 def panel(number: int, n_lines: int) -> Plot:
     """Return a plot whose legend, of long names, is like no other's."""
-    lines = [Series(name=f"a long name of joint {number} {k}", y=[0.0, float(k)], colour=k) for k in range(n_lines)]
+    lines = [
+        Series(name=f"a long name of joint {number} to another joint {k}", y=[0.0, float(k)], colour=k)
+        for k in range(n_lines)
+    ]
     axes = {"x_axis": Axis(label="x", unit="deg"), "y_axis": Axis(label="y", unit="1")}
     return Plot(title="Transmission ratio", group="reach", x=[0.0, 1.0], series=lines, **axes)
 
