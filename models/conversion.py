@@ -57,9 +57,9 @@ def conversion_notes(root: ET.Element, *, driven: bool = False) -> list[str]:
 
 
 def compile_hint(error: Exception) -> str:
-    """Return what to write in a URDF whose meshes or inertia MuJoCo refuses; empty for other errors."""
+    """Return what to write in a model whose inertia, or a URDF whose meshes, MuJoCo refuses; empty for other errors."""
     if "balanceinertia" in str(error):
-        return ': <compiler balanceinertia="true"/>, in a URDF within <mujoco> in its <robot>'
+        return ': <compiler balanceinertia="true"/>'
     if "'package:" not in str(error):
         return ""
     return (

@@ -339,7 +339,11 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
     refuse_oversized(content, f"model '{text}'")
     try:
-        return shown(path.stem), mujoco.MjSpec.from_file(str(path))
+        if path.suffix.lower() != ".mjcf":
+            return shown(path.stem), mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_string(content.decode("utf-8"))  # MuJoCo reads no files of that name
+        spec.modelfiledir = str(path.parent.resolve())
+        return shown(path.stem), spec
     except (ValueError, mujoco.FatalError) as error:
         if _PART_OF_A_MODEL in str(error):
             raise ModelError(f"model '{text}' is a part that other models include; take a file that includes it") from error

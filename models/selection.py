@@ -212,6 +212,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         *_drop(spec, model, dropped),
         *(leave_the_ground(spec) if hangs else ()),
     ]
+    for first, second in _filtered_pairs(model, set(locked), set(dropped)):
+        spec.add_exclude(bodyname1=first, bodyname2=second)
     notes += _exclude(spec, asked.exclude_contacts)
     still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
@@ -320,8 +322,8 @@ def _lock(
     add_universal_joints(spec, model, [j for j in spins if j in locked], qpos)
     gone = {model.joint(j).name for j in locked}
     scalar = [j for j in locked if int(model.jnt_type[j]) in (HINGE, SLIDE)]
-    ends = {j: (model.qpos0[k := int(model.jnt_qposadr[j])], qpos[k] if locked[j] is None else locked[j]) for j in scalar}
-    acting = delete_users(spec, gone, away, {model.joint(j).name: np.hstack(both) for j, both in ends.items()})
+    places = {model.joint(j).name: np.array([*model.qpos0[_slice(model, j)], *place[_slice(model, j)]]) for j in scalar}
+    acting = delete_users(spec, gone, away, places)
     for name in gone:
         spec.delete(spec.joint(name))
     notes = ["locked: " + "; ".join(f"{listed(names, 12)} {where}" for where, names in said.items())]
@@ -362,6 +364,24 @@ def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) ->
     mass = float(sum(model.body_mass[body] for body in dropped))
     names = listed([model.body(body).name for body in roots], 12)
     return [f"dropped with all that hangs on them ({len(dropped)} bodies, {mass:.4g} kg): {names}"]
+
+
+def _filtered_pairs(model: mujoco.MjModel, locked: set[int], dropped: set[int]) -> list[tuple[str, str]]:
+    """Return the pairs of a fixed body and one that hangs on it: MuJoCo filters their contacts only while both move."""
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+        return []
+    still = {0}
+    for body in range(1, model.nbody):
+        if int(model.body_parentid[body]) in still and locked.issuperset(joints_of(model, body)):
+            still.add(body)
+    solid = {int(b) for b in model.geom_bodyid[(model.geom_contype | model.geom_conaffinity) != 0]} - dropped
+    weld = model.body_weldid
+    return [
+        (model.body(fixed).name, model.body(hanging).name)
+        for fixed in sorted(solid & still)
+        for hanging in sorted(solid - still)
+        if weld[fixed] and weld[fixed] == weld[model.body_parentid[weld[hanging]]]
+    ]
 
 
 def _exclude(spec: mujoco.MjSpec, pairs: Sequence[Sequence[str]]) -> list[str]:

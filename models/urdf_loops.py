@@ -2,8 +2,7 @@
 
 Read are `<loop_joint>` elements (Drake's), joints in `<gazebo>` elements, frames named closing_NAME_1 and closing_NAME_2
 (onshape-to-robot's), `<transmission>` and `<ros2_control>` elements, and the YAML files of example-parallel-robots and of
-the SolidWorks exporter sw2robot. Frames that only mark a closure stay bodies of their own. Meshes whose files are missing
-are left out.
+the SolidWorks exporter sw2robot. Frames that only mark a closure stay bodies of their own.
 """
 
 import re
@@ -18,11 +17,11 @@ import numpy as np
 
 from linkplan.models.catalogue import is_text
 from linkplan.models.conversion import CLOSING, GazeboJoint, gazebo_joints
-from linkplan.models.deletion import delete_geoms
-from linkplan.models.errors import ModelError, choose
+from linkplan.models.errors import ModelError, choose, listed
 from linkplan.models.extras import load_extra
 from linkplan.models.kinematics import data_at, in_body, rotation_of_rpy
 from linkplan.models.reading import read_file
+from linkplan.models.urdf_links import settle_links
 
 _MOST_YAML_BYTES = 1_000_000
 Table = TypeVar("Table", bound=msgspec.Struct)
@@ -33,8 +32,6 @@ _BESIDE, _CUT = "the YAML file beside the URDF", "loop_closures.yaml"
 _CLOSING = re.compile(r"closing_(.+)_1")
 # The distance [m] of a hinge's two points.
 _HINGE_WIDTH_M = 0.05
-# What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
-LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
 # Kinds of actuators whose force follows their control by a filter.
 FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
@@ -128,17 +125,19 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     path = None if is_text(str(source)) else Path(source)
     named, cut = (None, None) if path is None else (beside(path), loop_closures(path))
     named, cut = named or Beside(), cut or LoopClosures(closures=[])
-    notes = _settle_meshes(spec, None if path is None else path.parent)
-    notes += _weigh(spec, root)
+    notes = settle_links(spec, root, None if path is None else path.parent)
     notes += _close_loops(spec, root, named, cut.closures)
     _retype(spec, dict(zip(named.joint_name, named.joint_type, strict=True)))
-    transmitted = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
+    named_there = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
+    transmitted = [name for name in named_there if name in {joint.name for joint in spec.joints}]
+    if still := [name for name in named_there if name not in transmitted]:
+        notes.append(f"transmissions of joints that are not there, or do not move, are left out: {listed(still, 8)}")
     kinds = ("revolute", "continuous", "prismatic")  # a fixed joint, or one that follows another, has no motor
     moving = {j.get("name") for j in root.findall("joint") if j.get("type") in kinds and j.find("mimic") is None}
     commanded = [j for j in root.iterfind(".//ros2_control/joint") if j.find("command_interface") is not None]
     sources = {
         _BESIDE: named.name_mot,
-        "transmissions of the URDF": list(transmitted),
+        "transmissions of the URDF": transmitted,
         "ros2_control of the URDF": list(
             dict.fromkeys(joint.get("name", "") for joint in commanded if joint.get("name") in moving)
         ),
@@ -187,43 +186,8 @@ def _link_of(root: ET.Element, name: str) -> str:
     return name if child is None or name in _links(root) else child.get("link", name)
 
 
-def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
-    """Give links without a mass that joints move the smallest one, and return a note on them."""
-    masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iter("link")}
-    moving = {
-        joint.find("child").get("link", "") for joint in root.findall("joint") if joint.get("type") not in (None, "fixed")
-    }
-    light = [name for name in moving if (mass := masses.get(name)) is None or float(mass.get("value", "0")) < LEAST_MASS_KG]
-    if not light:
-        return []
-    spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KGM2
-    return [
-        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, without which MuJoCo moves none:"
-        f" {', '.join(sorted(light))}"
-    ]
-
-
 def _links(root: ET.Element) -> list[str]:
     return [link.get("name", "") for link in root.iter("link")]
-
-
-def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
-    """Find the files of meshes beside the URDF; delete the geoms of meshes that are not there, and return a note on them."""
-    missing = []
-    for mesh in list(spec.meshes):
-        if not mesh.file:
-            continue
-        name = re.sub(r"^package:/+", "", mesh.file)
-        places = [] if folder is None else [folder / name, folder / spec.meshdir / Path(name).name, folder.parent / name]
-        found = next((place for place in places if place.is_file()), None)
-        if found is not None:
-            mesh.file = str(found.resolve())
-            continue
-        missing.append(Path(name).name)
-        delete_geoms(spec, (geom for geom in spec.geoms if geom.meshname == mesh.name))
-        spec.delete(mesh)
-    remedy = 'their folder is named by <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco> in <robot>'
-    return [f"meshes that are not there are left out: {', '.join(dict.fromkeys(missing))}; {remedy}"] if missing else []
 
 
 def _close(spec: mujoco.MjSpec, name: str, ends: Sequence[tuple[str, np.ndarray]], kind: "mujoco.mjtEq") -> None:

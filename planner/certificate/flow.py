@@ -179,6 +179,7 @@ def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
     return rate
 
 
+@np.errstate(all="ignore")  # a motion may diverge within a step, which is then too long
 def _short(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, steps: int, rtol: float) -> np.ndarray:
     """Return a mask (steps * m,) of short enough steps from states (n, m) to (n, m), by their errors (2 n, steps * m)."""
     scale = rtol * (0.1 * np.maximum(1.0, np.abs(before)) + np.maximum(np.abs(before), np.abs(ends)))

@@ -20,7 +20,16 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY, MIN_INTERVAL_SHARE, AtLeastZero, Number, Positive, Section
+from linkplan.planner.keys.kinds import (
+    BREAKS,
+    LQR_ERRORS,
+    MAX_DELAY,
+    MIN_INTERVAL_SHARE,
+    AtLeastZero,
+    Number,
+    Positive,
+    Section,
+)
 from linkplan.planner.keys.reading import checked, read
 from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
 from linkplan.planner.transcription.schemes import scheme
@@ -297,8 +306,8 @@ class Tracking:
         time, reached = LQR_RESPONSE_PERIODS * period_s, {}
         for kind, unit, position, velocity in (("hinge", "deg", 1.0, 100.0), ("slide", "m", 0.01, 1.0)):
             most = {joint.name: joint.shown(a) for joint, a in zip(joints, acceleration, strict=True) if joint.kind == kind}
-            near = {name: max(position, 0.5 * a * time**2) for name, a in most.items()}
-            slow = {name: max(velocity, a * time) for name, a in most.items()}
+            near = {name: min(max(position, 0.5 * a * time**2), LQR_ERRORS[1]) for name, a in most.items()}
+            slow = {name: min(max(velocity, a * time), LQR_ERRORS[1]) for name, a in most.items()}
             reached |= {f"lqr_position_{unit}": near or position, f"lqr_velocity_{unit}_s": slow or velocity}
         return replace(self, **{key: _one_if_equal(value) for key, value in reached.items() if getattr(self, key) is None})
 

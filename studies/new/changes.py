@@ -18,20 +18,18 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import label
 from linkplan.models.audit import audit
-from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import LinkplanError, UnassembledError, listed
 from linkplan.models.kinematics import STIFF
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, effort_within, needed_effort
+from linkplan.models.poses.along import demanded, effort_within
 from linkplan.models.poses.contacts import ContactPair, Meeting, contact_pairs
-from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.selection import floating_joints, floating_words
 from linkplan.models.tree.coordinates import joint_label
-from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.models.urdf_loops import FILTERS
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
-from linkplan.studies.check.softness import STIFF_KEY, steady_gap
+from linkplan.studies.check.softness import STIFF_KEY
+from linkplan.studies.check.summary import grouped
 from linkplan.studies.new.locks import (
     HOLD_MULTIPLE,
     coupled_with_play,
@@ -42,6 +40,7 @@ from linkplan.studies.new.locks import (
     rods_on_balls,
     spins,
 )
+from linkplan.studies.new.loop_gap import SOFT_GAP, held_gap
 from linkplan.studies.new.pace import is_large
 
 # Keys of the [mechanism] table that a change sets, and the sentence on it.
@@ -69,7 +68,7 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             mechanism = _assembled(table, mechanism)
             notes.append(note)
     # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
-    if "solref" not in table and held_gap(mechanism) > 0.01:
+    if "solref" not in table and held_gap(mechanism) > SOFT_GAP:
         mechanism = _assembled({**table, "solref": STIFF}, mechanism)
         notes.append(
             "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
@@ -203,7 +202,10 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
         for actuator, ends in zip(mechanism.actuators, mechanism.effort_limit, strict=True)
         if actuator.name in limits
     )
-    return [f"actuators are too weak to hold the weight at home: limits.effort takes {said}; put in the motors' own"]
+    return [
+        f"actuators, or others with the same limits, are too weak to hold the weight at home: limits.effort takes {said};"
+        " put in the motors' own"
+    ]
 
 
 @functools.lru_cache(maxsize=4)
@@ -215,9 +217,10 @@ def left_out(mechanism: Mechanism) -> tuple[str, ...]:
 def left_out_notes(mechanism: Mechanism) -> list[str]:
     """Return a sentence on the forces that a first motion is planned without, if there are some."""
     forces = left_out(mechanism)
-    said = f"{len(forces)} kinds of forces" if len(forces) > 1 else "forces"
+    said = f"{len(forces)} forces" if len(forces) > 1 else "forces"
+    what = "; ".join(grouped(mechanism, forces)[:3])
     return [
-        f"plans do not honour {said} that act in the simulation, and are made without them: {listed(forces, 3)}"
+        f"plans do not honour {said} that act in the simulation, and are made without them: {what}"
         ' (limits.unhonoured = "note"; by default such a problem is refused)'
     ] * bool(forces)
 
@@ -278,45 +281,6 @@ def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, obj
     return {key: home for key, home in left.items() if home}
 
 
-def held_gap(mechanism: Mechanism) -> float:
-    """Return the largest closure gap in MuJoCo while the drives hold the weight at home; 0 without loops or drives.
-
-    The gap is a share of the mechanism's extent, or an angle [rad]. It follows from the constraint forces with J q'' = 0.
-    """
-    if not mechanism.closures or not mechanism.n_u or not mechanism.dof:
-        return 0.0
-    model, still = mechanism.model, np.zeros((1, mechanism.dof))
-    hold = needed_effort(mechanism, mechanism.home[None], still, still)[0][0]
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(mechanism.home)
-    mujoco.mj_forward(model, data)
-    rows, free = equality_rows(model, data)
-    springs = data.qfrc_passive + simulated_gas_springs(model, data)
-    pushed = rows @ free @ (springs - data.qfrc_bias + _joint_efforts(mechanism, hold))
-    force = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
-    stiffness, _, impedance, _ = data.efc_KBIP.reshape(-1, 4)[: data.ne].T
-    push = np.abs(force) * data.efc_R[: data.ne] * impedance / (1 - impedance)
-    laws = zip(push, stiffness, model.eq_solimp[data.efc_id[: data.ne]], strict=True)
-    gap = np.array([steady_gap(*law) for law in laws])
-    return float(np.max(gap / np.where(_are_lengths(model, data), mechanism.extent_m, 1.0), initial=0.0))
-
-
-def _joint_efforts(mechanism: Mechanism, effort: np.ndarray) -> np.ndarray:
-    """Return the forces (nv,) on MuJoCo's degrees of freedom by the actuators' efforts (n_u,) at home."""
-    on_joints = np.array(mechanism.dynamics.effort_matrix(mechanism.home)).reshape(mechanism.n_q, -1) @ effort
-    units = np.array([mechanism.qvel_of(mechanism.home, unit) for unit in np.eye(mechanism.n_q)])
-    return units.T @ on_joints
-
-
-def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return a mask of the equality rows whose gaps are lengths [m]: those of connects, and the first three of welds."""
-    owner = np.array(data.efc_id[: data.ne])
-    number = np.array([np.sum(owner[:k] == owner[k]) for k in range(data.ne)], dtype=int)
-    kind = model.eq_type[owner]
-    weld, connect = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT
-    return (kind == connect) | ((kind == weld) & (number < 3))
-
-
 # In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
 _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
     _filters_left_out,
@@ -349,7 +313,7 @@ _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...]
     functools.partial(
         _locked,
         spins,
-        "rods spin about a line while all other links rest, which nothing drives: a hinge of each is locked ({locks})",
+        "rods or wheels spin about a line while all else rests, which nothing drives: a hinge of each is locked ({locks})",
     ),
     _overlaps_excluded,
     _friction_widened,

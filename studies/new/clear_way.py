@@ -1,20 +1,32 @@
-"""What shuts the straight way from a motion's start to its goal, and why no motion was found there, in words."""
+"""What shuts the straight way from a motion's start to its goal, and why no motion was found or is sought, in words."""
 
 import numpy as np
 
-from linkplan.models.errors import AssemblyError, one_line
+from linkplan.models.audit import audit
+from linkplan.models.errors import AssemblyError, ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, demanded, effort_within, least_effort, sampled
+from linkplan.models.poses.along import (
+    RANGE_ROUNDING,
+    beyond_balls,
+    demanded,
+    effort_within,
+    least_effort,
+    sampled,
+    shut_balls,
+)
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.equilibrium import lock_words
+from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.new.hanging import hanging_columns
+from linkplan.studies.check.drives import drivable, motors_hint
+from linkplan.studies.check.summary import grouped
+from linkplan.studies.new.hanging import driven_columns, hanging_columns
 
 
 def obstacle_on_way(problem: Problem) -> str | None:
@@ -121,3 +133,27 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
     short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)
     return f"servo {names[int(np.argmax(short))]} cannot hold the weight within its ctrlrange" if short.any() else None
+
+
+def refuse_undriven(mechanism: Mechanism) -> None:
+    """Refuse a mechanism that nothing moves, or whose ball joints may not turn; the text names the remedy."""
+    joint = mechanism.joints[0]  # the first joint is on the world, where drives usually are
+    force = "100" if joint.kind == "slide" else "10"
+    line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
+    if joint.chart is None and joint.name not in [mechanism.model.joint(j).name for j in range(mechanism.model.njnt)]:
+        line = f'name="{joint.name}" to its first joint, which has no name, and {line}'
+    if not drivable(mechanism).any():
+        but = " but the spins of rods" if mechanism.dof else ""
+        raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom{but}: its loops hold it still")
+    if (shut := shut_balls(mechanism)) is not None:
+        raise ProblemError(f"mechanism '{mechanism.name}': {shut}")
+    if (floats := floating_sentence(mechanism.model)) is not None:
+        raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
+    if mechanism.n_u == 0:
+        unusable = "".join(f"; {text}" for text in grouped(mechanism, (item.text for item in audit(mechanism.model))))
+        raise ProblemError(
+            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
+            f" or add for example {line} to its model, with the effort that the drive has{unusable}"
+        )
+    if not len(driven_columns(mechanism)):
+        raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")

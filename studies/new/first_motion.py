@@ -9,15 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.audit import audit
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import LinkplanError, ModelError, ProblemError, listed, one_line
+from linkplan.models.kinematics import STIFF
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import shut_balls
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
-from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.diagnosis.reasons import nothing_found, solver_stopped
@@ -28,8 +26,6 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import HURRIED, Rung
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
-from linkplan.studies.check.drives import drivable, motors_hint
-from linkplan.studies.check.summary import grouped
 from linkplan.studies.new.changes import (
     changed_mechanism,
     left_out,
@@ -40,7 +36,7 @@ from linkplan.studies.new.changes import (
     raised_notes,
     with_exclusions,
 )
-from linkplan.studies.new.clear_way import obstacle_on_way, servos_hold, tendons_kept, why_not, why_stuck
+from linkplan.studies.new.clear_way import obstacle_on_way, refuse_undriven, servos_hold, tendons_kept, why_not, why_stuck
 from linkplan.studies.new.hanging import (
     at_gravity_equilibrium,
     at_rest,
@@ -49,6 +45,7 @@ from linkplan.studies.new.hanging import (
     rests_by_itself,
     with_home,
 )
+from linkplan.studies.new.loop_gap import SOFT_GAP, SOFT_IN_MOTION, planned_gap
 from linkplan.studies.new.pace import critical_gains, is_large, many_hang, moderate_duration
 
 Say = Callable[[str], None]
@@ -118,7 +115,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
         ProblemError: if no actuator drives the mechanism; the text has an actuator to add.
     """
     mechanism, changes = changed_mechanism(table)
-    _refuse_undriven(mechanism)
+    refuse_undriven(mechanism)
     tables = _tables(mechanism, *_ends(mechanism, 0.0, 1))
     found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=_SHUT, changes=changes)
     try:
@@ -147,7 +144,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             said = changes if moving is mechanism else (*changes, _OTHER_HOME)
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)
             if found.planned:
-                return _without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer)
+                return _stiffened(_without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer))
     if not tried and obstacles:
         found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
@@ -179,15 +176,27 @@ def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
     pairs = overlapping_bodies(() if plan.certificate is None else plan.certificate.contacts)
     if not pairs or plan.certificate is None:
         return found
-    tables = found.tables | {"mechanism": with_exclusions(found.tables["mechanism"], pairs)}
-    mechanism = mechanism_from_tables(tables)
     left = tuple(meeting for meeting in plan.certificate.contacts if list(meeting.bodies) not in pairs)
-    plan = replace(
-        plan,
-        problem=Problem.from_tables(mechanism.name, tables, mechanism=mechanism),
-        certificate=replace(plan.certificate, contacts=left),
-    )
-    return replace(found, mechanism=mechanism, tables=tables, plan=plan, changes=(*found.changes, overlap_sentence(pairs)))
+    plan = replace(plan, certificate=replace(plan.certificate, contacts=left))
+    return _with_table(found, plan, with_exclusions(found.tables["mechanism"], pairs), overlap_sentence(pairs))
+
+
+def _stiffened(found: FirstMotion) -> FirstMotion:
+    """Return a first motion whose loops are stiff if its own efforts open them in simulation."""
+    table, plan = found.tables["mechanism"], found.plan
+    if plan is None or "solref" in table or planned_gap(plan) <= SOFT_GAP:
+        return found
+    return _with_table(found, plan, {**table, "solref": STIFF}, SOFT_IN_MOTION)
+
+
+def _with_table(found: FirstMotion, plan: Plan, table: dict, note: str) -> FirstMotion:
+    """Return a first motion with another [mechanism] table, for which its plan holds too, and a note on the change."""
+    tables = found.tables | {"mechanism": table}
+    mechanism = mechanism_from_tables(tables)
+    problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
+    tables["tracking"] = critical_gains(mechanism, problem, tables["motion"]["duration_s"])
+    changes = (*found.changes, note)
+    return replace(found, mechanism=mechanism, tables=tables, plan=replace(plan, problem=problem), changes=changes)
 
 
 def _of_all_homes(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iterator[tuple[Mechanism, dict[str, dict]]]:
@@ -283,30 +292,6 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
         tables |= {"objective": {"minimize": "effort_rate"}, "mesh": dict(_COARSE_MESH)}
     tables["tracking"] = critical_gains(mechanism, problem, duration)
     return tables
-
-
-def _refuse_undriven(mechanism: Mechanism) -> None:
-    """Refuse a mechanism that nothing moves, or whose ball joints may not turn; the text names the remedy."""
-    joint = mechanism.joints[0]  # the first joint is on the world, where drives usually are
-    force = "100" if joint.kind == "slide" else "10"
-    line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
-    if joint.chart is None and joint.name not in [mechanism.model.joint(j).name for j in range(mechanism.model.njnt)]:
-        line = f'name="{joint.name}" to its first joint, which has no name, and {line}'
-    if not drivable(mechanism).any():
-        but = " but the spins of rods" if mechanism.dof else ""
-        raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom{but}: its loops hold it still")
-    if (shut := shut_balls(mechanism)) is not None:
-        raise ProblemError(f"mechanism '{mechanism.name}': {shut}")
-    if (floats := floating_sentence(mechanism.model)) is not None:
-        raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
-    if mechanism.n_u == 0:
-        unusable = "".join(f"; {text}" for text in grouped(mechanism, (item.text for item in audit(mechanism.model))))
-        raise ProblemError(
-            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
-            f" or add for example {line} to its model, with the effort that the drive has{unusable}"
-        )
-    if not len(driven_columns(mechanism)):
-        raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")
 
 
 def _ends(mechanism: Mechanism, share: float, side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -150,6 +150,7 @@ def figure_of(
     rows = max(1, -(-len(panels) // columns))
     size = panel_in[0] * columns, panel_in[1] * rows + 0.4
     named: list[list] = []
+    heads_in = np.zeros(rows)
     with page(path, rows, columns, size) as axes:
         for k, axis in enumerate(axes.flat):
             panel = panels[k] if k < len(panels) else None
@@ -162,23 +163,31 @@ def figure_of(
                 panel(axis)
             else:
                 _DRAWERS[type(panel)](axis, panel)
-            _legend(axis, axis.get_title() if callable(panel) else panel.title, named, panel_in[0])
+            head = _legend(axis, axis.get_title() if callable(panel) else panel.title, named, panel_in[0])
+            heads_in[k // columns] = max(heads_in[k // columns], head)
         figure = axes.flat[0].figure
+        figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.5 * rows))  # titles leave room for curves
         if title:
             figure.suptitle(wrapped(title, int(_TITLE_LETTERS_PER_INCH * size[0])), fontsize=11)
     return figure
 
 
-def _legend(axis, title: str, named: list[list], width_in: float) -> None:
-    """Set the title of a panel `width_in` [inch] wide, and a legend unless a panel in the list `named` has the same one."""
+def _legend(axis, title: str, named: list[list], width_in: float) -> float:
+    """Set the title of a panel `width_in` [inch] wide, and a legend unless a panel in the list `named` has the same one.
+
+    Returns:
+        the height of both [inch].
+    """
     handles, labels = axis.get_legend_handles_labels()
     looks = [(label, line.get_color(), line.get_linestyle()) for line, label in zip(handles, labels, strict=True)
              if hasattr(line, "get_color")]  # fmt: skip
     own = any(label not in title for label in labels) and looks not in named and axis.get_legend() is None
     rows = outside_legend(axis, int(_LEGEND_LETTERS_PER_INCH * width_in), fontsize=8) if own else 0
     named.append(looks)
-    if title:
-        axis.set_title(wrapped(title, int(_PANEL_LETTERS_PER_INCH * width_in)), fontsize=9.5, pad=6 + 14 * rows)
+    lines = wrapped(title, int(_PANEL_LETTERS_PER_INCH * width_in)) if title else ""
+    pad = 6 + 14 * rows
+    axis.set_title(lines, fontsize=9.5, pad=pad)
+    return (pad + 12 * len(lines.splitlines())) / 72
 
 
 def draw_plot(axis, plot: Plot) -> None:

@@ -1,5 +1,7 @@
 """Models whose meshes and textures were not published with them."""
 
+import base64
+
 import pytest
 
 from linkplan.models.errors import ModelError
@@ -13,6 +15,7 @@ ARM = """<mujoco model="arm"><compiler meshdir="assets"/>
     <geom type="mesh" mesh="shell"/>
     <geom type="capsule" size=".01" fromto="0 0 0 .2 0 0" material="wooden"/></body></worldbody>
   <actuator><motor joint="A" ctrlrange="-1 1"/></actuator></mujoco>"""
+ONE_PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC")
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12345\n"
 INERTIAL = '<inertial pos=".1 0 0" mass="1" diaginertia=".01 .01 .01"/>'
 
@@ -26,6 +29,19 @@ def test_missing_meshes_and_textures_are_left_out_and_named(tmp_path):
     assert "shell.stl" in note
     assert "wood.png" in note
     assert note in load_mechanism(file).notes
+
+
+def test_a_model_named_mjcf_finds_its_files(tmp_path):
+    """MuJoCo itself reads .xml and .urdf; the robots of K-Scale are .mjcf."""
+    file = tmp_path / "arm.mjcf"
+    file.write_text(ARM.format(inertial=INERTIAL))
+    (tmp_path / "wood.png").write_bytes(ONE_PIXEL)
+    name, model, (note,) = compile_model(file)
+    assert (name, model.ngeom, model.ntex) == ("arm", 1, 1)
+    assert note.startswith("files that are not there are left out with what they draw: shell.stl")
+    file.write_text('<mujoco><include file="other.mjcf"/></mujoco>')
+    with pytest.raises(ModelError, match=r"does not parse: .*other\.mjcf.*; model files are named \.xml or \.urdf$"):
+        compile_model(file)
 
 
 def test_a_file_of_the_same_name_in_another_folder_is_not_the_mesh_that_is_missing(tmp_path):

@@ -267,6 +267,26 @@ def test_two_bodies_pass_through_each_other_when_their_contacts_are_excluded():
         linkplan.load_mechanism(text, exclude_contacts=[("link a", "link c")])
 
 
+@pytest.mark.parametrize(
+    "asked", [{}, {"fix_base": True}, {"fix_base": True, "keep": ["hip"]}, {"fix_base": True, "lock": {"hip": 0.0}}]
+)
+def test_what_hangs_on_a_fixed_base_collides_with_what_it_did_before(asked):
+    """MuJoCo filters the contacts of a body with its parent, but not of one whose parent stands still."""
+    part = linkplan.load_mechanism(
+        """
+<mujoco><default><geom type="capsule"/></default><worldbody>
+<body name="base"><freejoint/><geom fromto="0 0 0 0 0 0.1" size="0.1"/>
+<body name="thigh"><joint name="hip" axis="0 1 0"/><geom fromto="0 0 0 0 0 -0.3" size="0.05"/>
+<body name="shank"><joint name="knee" axis="0 1 0"/><geom fromto="0 0 0 0 0 -0.2" size="0.02"/></body></body></body>
+</worldbody><actuator><motor joint="hip"/><motor joint="knee"/></actuator></mujoco>""",
+        **asked,
+    ).model
+    data = mujoco.MjData(part)
+    mujoco.mj_forward(part, data)
+    touching = {frozenset(part.body(part.geom_bodyid[g]).name for g in contact.geom) for contact in data.contact}
+    assert touching == {frozenset(("base", "shank"))}
+
+
 @pytest.mark.parametrize("wrong", ["link a", ["link a", "link b"], [["link a"]], [["link a", 1]]])
 def test_pairs_of_another_form_are_answered_with_an_example(wrong):
     tables = {"mechanism": {"model": "five-bar", "exclude_contacts": wrong}, "motion": {"kind": "reach"}}

@@ -200,12 +200,49 @@ def test_sdf_is_refused_with_its_converter(tmp_path):
             linkplan.load_mechanism(source)
 
 
-def test_an_inertia_that_no_body_has_is_refused_with_the_remedy_of_a_urdf(tmp_path):
-    flat = FOUR_BAR.replace('izz="0.005"', 'izz="0.05"', 1)
-    with pytest.raises(LinkplanError, match='<compiler balanceinertia="true"/>, in a URDF within <mujoco> in its <robot>'):
-        linkplan.load_mechanism(written(tmp_path, robot(flat, LOOP_JOINT)))
-    remedy = '<mujoco><compiler balanceinertia="true"/></mujoco>'
-    assert_four_bar(linkplan.load_mechanism(written(tmp_path, robot(remedy, flat, LOOP_JOINT, TRANSMISSION))))
+@pytest.mark.parametrize(
+    ("given", "diagonal", "said"),
+    [
+        ((0.005, 0.005, 0.05), (0.0183333333, 0.0183333333, 0.0366666667), "largest moment): crank (36 %)"),
+        ((-0.004, 0.005, 0.005), (1e-9, 0.005, 0.005), "largest moment): crank (80 %)"),
+        ((0, 0, 0), (1e-9, 1e-9, 1e-9), "links without inertia get 1e-09 kg.m^2: crank"),
+        ((0.002, 0.003, 0.005), (0.002, 0.003, 0.005), None),  # a flat plate's, to rounding
+    ],
+)
+def test_an_inertia_that_no_body_has_becomes_the_nearest_one(tmp_path, given, diagonal, said):
+    """The triangle's excess e = c - a - b goes by thirds: (a + e/3, b + e/3, c - e/3)."""
+    old, new = ('ixx="{}" iyy="{}" izz="{}"'.format(*moments) for moments in ((0.005,) * 3, given))
+    crank = link("crank")
+    assert old in crank
+    text = robot(FOUR_BAR.replace(crank, crank.replace(old, new)), LOOP_JOINT, TRANSMISSION)
+    mechanism = linkplan.load_mechanism(written(tmp_path, text))
+    assert_four_bar(mechanism)
+    np.testing.assert_allclose(np.sort(mechanism.model.body("crank").inertia), diagonal, rtol=1e-8)
+    found = [note for note in mechanism.notes if "inertia" in note]
+    assert (found == []) if said is None else found[0].endswith(said)
+
+
+def test_what_other_simulators_read_is_left_out_and_named(tmp_path):
+    """Placeholders without size, meshes of other formats, transmissions of joints that do not move."""
+    shapes = '<box size="0 0 0"/>', '<sphere radius="0"/>', '<mesh filename="shell.dae"/>', '<box size="0.1 0.1 0.1"/>'
+    collisions = "".join(f"<collision><geometry>{shape}</geometry></collision>" for shape in shapes)
+    (tmp_path / "shell.dae").write_text("<COLLADA/>", encoding="utf-8")
+    text = FOUR_BAR.replace(link("crank"), link("crank", visual=collisions))
+    lidar = TRANSMISSION.replace('"motor"', '"lidar"') + joint("lidar", "base", "scanner", "0 0 1", kind="fixed")
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(text, link("scanner"), LOOP_JOINT, lidar, TRANSMISSION)))
+    assert_four_bar(mechanism)
+    assert mechanism.model.ngeom == 1
+    assert {
+        "shapes without size are left out: of crank",
+        "meshes that MuJoCo does not read (it reads .stl, .obj, .msh) are left out: shell.dae",
+        "transmissions of joints that are not there, or do not move, are left out: lidar",
+    } <= set(mechanism.notes)
+
+
+def test_an_inertia_that_no_body_has_is_refused_in_mjcf_with_the_remedy():
+    body = '<body><inertial pos="0 0 0" mass="1" diaginertia="1 1 3"/><joint/></body>'
+    with pytest.raises(LinkplanError, match=r'B >= C.*: <compiler balanceinertia="true"/>$'):
+        linkplan.load_mechanism(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
 
 
 def test_xacro_is_refused_with_what_expands_it(tmp_path):

@@ -1,5 +1,7 @@
 """Integration in even steps of order eight: coefficients, answers, and where steps are too long."""
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -41,6 +43,13 @@ def test_a_rate_that_is_not_a_number_ends_it_too():
     x, u, tau = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("tau")
     rate = ca.Function("rate", [x, u, tau], [ca.sqrt(1.0 - x + 0 * u * tau)])
     assert len(strides(rate, np.full(20, 0.2), np.zeros((20, 1)), np.array([2.0]))) == 0
+
+
+def test_a_step_to_infinity_is_too_long_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        short = _short(np.array([[1.0, 1.0]]), np.array([[np.inf, 1.0]]), np.array([[np.inf, 0.0], [np.inf, 0.0]]), 1, 1e-11)
+    assert short.tolist() == [False, True]
 
 
 def test_intervals_side_by_side_go_each_from_its_own_state_where_even_steps_do_and_where_they_are_too_long():

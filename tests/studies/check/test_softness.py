@@ -12,7 +12,7 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.softness import soft_closures, softness_note
-from linkplan.studies.new.changes import held_gap
+from linkplan.studies.new.loop_gap import held_gap
 from tests.support.tolerances_loops import SETTLED_SPEED, STIFFEST
 
 STIFF = built_in_text("optimus-knee")

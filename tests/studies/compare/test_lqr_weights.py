@@ -57,6 +57,13 @@ def test_a_light_joint_does_not_weaken_the_gains_of_a_heavy_one():
     assert velocity == pytest.approx([1.0, np.radians(100.0), 5e5 * time])
 
 
+def test_the_weights_of_a_link_without_inertia_stay_within_the_range_of_their_keys():
+    joints = load_mechanism(BESIDE).independent_joints
+    settings = Tracking(period_s=PERIOD_S).with_lqr_errors(joints, np.array([1.0, 1.0, 1e12]), PERIOD_S)
+    assert settings.lqr_velocity_deg_s["wrist"] == 1e9
+    assert settings.lqr_velocity_deg_s["arm"] == 100.0
+
+
 def test_a_drive_behind_soft_loops_is_weighed_by_what_it_moves_at_first():
     """Weights for the whole leg ask for a loop that a soft closure cannot follow: LQR was unstable."""
     mechanism = load_mechanism(soft_ankle(1e-6))

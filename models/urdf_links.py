@@ -1,0 +1,109 @@
+"""What of a URDF's links MuJoCo does not compile: masses and inertias that no body has, meshes, and geoms without size."""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from linkplan.models.deletion import delete_geoms
+from linkplan.models.errors import listed
+
+# What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
+LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
+# Formats of meshes that MuJoCo reads.
+_MESHES = (".stl", ".obj", ".msh")
+
+
+def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> list[str]:
+    """Change what MuJoCo does not compile of a URDF's links, and return notes on that.
+
+    Args:
+        spec: MuJoCo's conversion of the URDF, which is changed.
+        root: its <robot> element.
+        folder: the URDF's.
+    """
+    return [*_settle_meshes(spec, folder), *_delete_flat(spec), *_weigh(spec, root), *_settle_inertias(spec)]
+
+
+def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
+    """Find the files of meshes beside the URDF; delete the geoms of others, and return notes on them."""
+    missing, unread = [], []
+    for mesh in list(spec.meshes):
+        if not mesh.file:
+            continue
+        name = re.sub(r"^package:/+", "", mesh.file)
+        places = [] if folder is None else [folder / name, folder / spec.meshdir / Path(name).name, folder.parent / name]
+        found = next((place for place in places if place.is_file()), None)
+        if found is not None and found.suffix.lower() in _MESHES:
+            mesh.file = str(found.resolve())
+            continue
+        (missing if found is None else unread).append(Path(name).name)
+        delete_geoms(spec, (geom for geom in spec.geoms if geom.meshname == mesh.name))
+        spec.delete(mesh)
+    remedy = 'their folder is named by <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco> in <robot>'
+    said = {
+        "meshes that are not there are left out: {}; " + remedy: missing,
+        f"meshes that MuJoCo does not read (it reads {', '.join(_MESHES)}) are left out: {{}}": unread,
+    }
+    return [note.format(", ".join(dict.fromkeys(names))) for note, names in said.items() if names]
+
+
+def _delete_flat(spec: mujoco.MjSpec) -> list[str]:
+    """Delete the shapes without size, placeholders of other simulators, and return a note on them."""
+    counts = {mujoco.mjtGeom.mjGEOM_SPHERE: 1, mujoco.mjtGeom.mjGEOM_BOX: 3, mujoco.mjtGeom.mjGEOM_CYLINDER: 2}
+    flat = [geom for geom in spec.geoms if (n := counts.get(geom.type)) and not np.all(geom.size[:n] > 0)]
+    links = dict.fromkeys(geom.parent.name for geom in flat)
+    delete_geoms(spec, flat)
+    return [f"shapes without size are left out: of {listed(list(links), 8)}"] if flat else []
+
+
+def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
+    """Give links without a mass that joints move the smallest one, and return a note on them."""
+    masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iter("link")}
+    moving = {
+        joint.find("child").get("link", "") for joint in root.findall("joint") if joint.get("type") not in (None, "fixed")
+    }
+    light = [name for name in moving if (mass := masses.get(name)) is None or float(mass.get("value", "0")) < LEAST_MASS_KG]
+    if not light:
+        return []
+    spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KGM2
+    return [
+        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, without which MuJoCo moves none:"
+        f" {', '.join(sorted(light))}"
+    ]
+
+
+def _settle_inertias(spec: mujoco.MjSpec) -> list[str]:
+    """Give links the nearest inertia that a body has, and return notes on those that had another, which MuJoCo refuses.
+
+    Principal moments are positive, and none exceeds the sum of the others. To the nearest, by least squares, each moment
+    contributes a third of what the largest has too much.
+    """
+    points, changes = [], []
+    for body in spec.bodies:
+        if not body.explicitinertial:
+            continue
+        xx, yy, zz, xy, xz, yz = (*body.inertia, 0, 0, 0) if np.isnan(body.fullinertia[0]) else body.fullinertia
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        none = moments[2] <= mujoco.mjMINVAL
+        least = LEAST_INERTIA_KGM2 if none else min(LEAST_INERTIA_KGM2, moments[2])
+        settled = np.where(moments > mujoco.mjMINVAL, moments, least)
+        settled += max(0.0, settled[2] * (1 + 1e-9) - settled[:2].sum()) / 3 * np.array([1, 1, -1])  # rounding stays within
+        change = float(np.abs(settled - moments).max())
+        if not change or (none and not body.mass):
+            continue
+        full = axes @ np.diag(settled) @ axes.T
+        body.fullinertia = [*np.diag(full), full[0, 1], full[0, 2], full[1, 2]]
+        if none:
+            points.append(body.name)
+        elif change > 1e-6 * settled[2]:
+            changes.append(f"{body.name} ({100 * change / settled[2]:.2g} %)")
+    notes = [f"links without inertia get {LEAST_INERTIA_KGM2:g} kg.m^2: {listed(points, 8)}"] if points else []
+    if changes:
+        notes.append(
+            "links of which one principal moment is not positive, or larger than the sum of the others, get the nearest"
+            f" inertia that a body has (change, of the largest moment): {listed(changes, 8)}"
+        )
+    return notes

@@ -1,0 +1,30 @@
+"""Figures of many panels with long legends, which a robot with a motor on every joint has."""
+
+import warnings
+
+from linkplan.studies.output.document import Axis, Plot, Series
+from linkplan.studies.output.figure import figure_of, one_screen
+
+
+def panel(number: int, n_lines: int) -> Plot:
+    """Return a plot whose legend, of long names, is like no other's."""
+    lines = [
+        Series(name=f"a long name of joint {number} to another joint {k}", y=[0.0, float(k)], colour=k)
+        for k in range(n_lines)
+    ]
+    axes = {"x_axis": Axis(label="x", unit="deg"), "y_axis": Axis(label="y", unit="1")}
+    return Plot(title="Transmission ratio", group="reach", x=[0.0, 1.0], series=lines, **axes)
+
+
+def test_curves_have_room_below_long_legends(tmp_path):
+    panels = [panel(number, 10) for number in range(16)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # matplotlib warns of axes without a height
+        figure = figure_of(panels, tmp_path / "many.png", columns=4, panel_in=one_screen(len(panels), 4, (5.3, 3.3)))
+    heights = [axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes]
+    assert min(heights) > 0.5
+
+
+def test_a_figure_of_few_curves_keeps_the_height_of_its_panels():
+    figure = figure_of([panel(0, 2)] * 2, columns=2, panel_in=(5.3, 3.3))
+    assert figure.get_size_inches().tolist() == [2 * 5.3, 3.3 + 0.4]
