@@ -129,6 +129,7 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     reasons.efforts_without_other_limits,
     reasons.ranges,
     reasons.efforts_by_the_phase_plane,
+    reasons.less_than_least_time,
     reasons.nothing_found,
 )
 
@@ -169,7 +170,11 @@ def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagno
         return plan_prescribed(problem, start_pose)
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
     excluded = reasons.contradicted(search) or reasons.too_short(search)
-    return excluded or _climbed_or_smooth(search, rungs) or _diagnosed(search, diagnoses)
+    plan = excluded or _climbed_or_smooth(search, rungs)
+    if plan is not None and plan.status == "failed" and reasons.less_than_least_time in diagnoses:
+        with contextlib.suppress(OutOfTimeError):
+            return reasons.less_than_least_time(search) or plan
+    return plan or _diagnosed(search, diagnoses)
 
 
 def _climbed_or_smooth(search: Search, rungs: Sequence[Rung]) -> Plan | None:

@@ -23,7 +23,7 @@ from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
-from linkplan.planner.search.starts import enough_time, shortest_motion
+from linkplan.planner.search.starts import enough_time, least_time_plan, no_time, shortest_motion
 from linkplan.planner.solvers.solve import build_solver, run_solver, solve, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
@@ -178,6 +178,18 @@ def too_short(search: Search) -> Plan | None:
     """Return the plan that says that a duration is far below the shortest, if this is clear without a search."""
     found = far_too_short(search)
     return None if found is None else _infeasible(search, *found, shortest=False)
+
+
+def less_than_least_time(search: Search) -> Plan | None:
+    """Return the plan that says that a duration is below the least time, to which the phase plane leads."""
+    if not no_time(search):
+        return None
+    known = least_time_plan(search, HURRIED)
+    if known is None or known.trajectory is None or not known.passed:
+        return None
+    asked, shortest = longest(search.problem), known.trajectory.duration_s
+    sentence = f"infeasible: {asked:.7g} s is too short; the shortest feasible duration is {shortest:.7g} s"
+    return _infeasible(search, sentence, {"shortest_duration_s": shortest}, shortest=False)
 
 
 def solver_stopped(search: Search) -> Plan | None:

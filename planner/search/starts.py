@@ -63,16 +63,19 @@ def phase_plane_may_help(search: Search) -> bool:
 def no_time(search: Search) -> bool:
     """True if the phase plane shows that the given time is too short for any motion.
 
-    Its swings turn back on a grid, which makes them late. The least-time plan that they lead to decides.
+    Its motion on a grid is late, the more so if it swings. The least-time plan that it leads to decides, to the digits with
+    which durations are printed.
     """
-    quickest = search.quickest
-    if quickest is None or quickest.boundaries_s is not None:
+    quickest, asked = search.quickest, longest(search.problem)
+    if quickest is None or quickest.boundaries_s is not None or asked >= quickest.duration_s:
         return False
     surely = GRID_ERROR_FACTOR if quickest.switch_times_s is not None else GRID_ERROR_FACTOR_AT_SPEED_LIMIT
-    if longest(search.problem) * surely >= quickest.duration_s:
-        return False
-    known = least_time_plan(search, HURRIED) if quickest.swings > 1 else None
-    return known is None or not known.passed or longest(search.problem) < known.trajectory.duration_s
+    if quickest.swings <= 1 and asked * surely < quickest.duration_s:
+        return True
+    known = least_time_plan(search, HURRIED)
+    if known is None or known.trajectory is None or not known.passed:
+        return asked * surely < quickest.duration_s
+    return asked < known.trajectory.duration_s * (1 - 5e-5)
 
 
 def enough_time(search: Search) -> bool:

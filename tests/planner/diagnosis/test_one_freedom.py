@@ -9,10 +9,11 @@ from scipy.optimize import brentq
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.ladder import Search
 from tests.support.bodies import LIFT, body_problem
 from tests.support.fourbar import G
+from tests.support.fourbar_problems import random_case
 from tests.support.slider_crank import CRANK, ROD
 
 # The cage of 2 kg and its motor, too weak to lift it, which it does not know from below.
@@ -62,6 +63,15 @@ def test_the_least_factor_in_a_duration_is_that_of_the_bang_bang_motion(duration
     factor, motion = least_share(problem, problem.start_pose(), duration)
     assert factor == pytest.approx(exact, rel=FACTOR)
     assert motion.duration_s <= duration
+
+
+def test_a_thousandth_too_little_time_is_infeasible_though_a_motion_with_errors_was_found():
+    """The least time by quadrature of a crank that turns around; a solve converges on a coarse mesh in less."""
+    case = random_case(4244, 99)
+    plan = plan_motion(Problem.from_tables("too short", case.tables))
+    assert plan.status == "infeasible", plan.message
+    assert plan.details["shortest_duration_s"] == pytest.approx(case.shortest, rel=1e-7)
+    assert case.tables["motion"]["duration_s"] == pytest.approx(0.999 * case.shortest)
 
 
 def test_efforts_that_suffice_are_not_blamed():
