@@ -166,7 +166,7 @@ def figure_of(
             head = _legend(axis, axis.get_title() if callable(panel) else panel.title, named, panel_in[0])
             heads_in[k // columns] = max(heads_in[k // columns], head)
         figure = axes.flat[0].figure
-        figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.5 * rows))  # titles leave room for curves
+        figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.2 * rows))  # titles leave room for curves
         if title:
             figure.suptitle(wrapped(title, int(_TITLE_LETTERS_PER_INCH * size[0])), fontsize=11)
     return figure
