@@ -17,16 +17,16 @@ def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[
         name: of this loop in the report, for titles and its cursor.
         verdict: whether the first section starts with the verdict; False if the page's header shows it.
     """
-    group, joints = f"frequency:{name}", study.mechanism.independent_joints
+    group, joints, channels = f"frequency:{name}", study.mechanism.independent_joints, study.mechanism.channels
     found: list[tuple[str, list[Block]]] = [(f"Feedback loop: {name}", summary(study, verdict=verdict))]
-    for channel, joint in enumerate(joints):
-        of = "" if len(joints) == 1 else f" of {joint.name}"
+    for channel in channels:
+        of = "" if len(channels) == 1 else f" of {joints[channel].name}"
         entries = [entry for entry in study.points if entry.channel == channel]
         plots = [plot for both in responses(study, entries, group).values() for plot in both]
         found.append((f"Frequency response{of}", [*plots, nyquist(study, entries), *sensitivities(entries, group)]))
     for scan in study.scans:
         joint = joints[scan.channel]
-        of = "" if len(joints) == 1 else f" of the loop of {joint.name}"
+        of = "" if len(channels) == 1 else f" of the loop of {joint.name}"
         found.append((f"Margins{of} over {scan.line.name}", [*margins_along(study, scan, f"{name}:{joint.name}")]))
     return [Section(title=title, blocks=blocks, depth=1 + (k > 0)) for k, (title, blocks) in enumerate(found)]
 

@@ -9,6 +9,7 @@ from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import bode_record
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.frequency.measure import Setup
+from linkplan.studies.report.loop_sections import bode_sections
 
 BOOM = """<mujoco><option timestep="1e-3"/><worldbody>
 <body><joint name="turn" axis="0 0 1" damping=".2"/><geom size=".03" mass="1"/>
@@ -41,6 +42,8 @@ def test_responses_of_the_leg_are_measured_as_predicted_while_the_boom_coasts(bo
         for quantity, response in entry.measured.items():
             assert response.gain == pytest.approx(entry.predicted[quantity].gain, rel=1e-5)
     assert bode_record(study)["softness"] is None
+    titles = [section.title for section in bode_sections(study, "the leg")]
+    assert titles == ["Feedback loop: the leg", "Frequency response of hip", "Frequency response of knee"]
 
 
 def test_lqr_regulates_the_leg_and_leaves_the_boom_alone(boom):
