@@ -92,15 +92,14 @@ def floating_columns(mechanism: Mechanism) -> set[int]:
 def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str, bool]:
     """Return the sentence on an independent joint without an actuator, and True if it is a fault."""
     joint = mechanism.independent_joints[column]
+    coasts = mechanism.independent[column] in mechanism.coasting_dofs
+    ends = "; a motion that does not name it ends where its momentum takes it" if coasts else ""
     if steerable:
-        coasts = mechanism.independent[column] in mechanism.coasting_dofs
-        ends = ", and only damping acts on it: a motion that does not name it ends where its momentum takes it"
-        moved = ": it is moved through the others only (underactuated)"
-        return f"joint {joint.name} has no actuator{ends if coasts else moved}", False
+        return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated){ends}", False
     if column in sprung_freedoms(mechanism):
         return f"joint {joint.name} has no actuator and is not steered by the others: springs hold it", False
     said = "" if is_damped(mechanism, mechanism.home, column) else " and nothing damps it"
-    return f"joint {joint.name} moves freely: no actuator drives it{said}", True
+    return f"joint {joint.name} moves freely: no actuator drives it{said}{ends}", True
 
 
 def is_damped(mechanism: Mechanism, pose: np.ndarray, column: int) -> bool:

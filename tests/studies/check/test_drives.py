@@ -67,7 +67,10 @@ def test_a_spring_steers_even_a_heavy_body_and_without_one_its_momentum_stays(ma
     assert any("joint b moves freely: no actuator drives it" in problem for problem in inspect(loose, []).problems)
 
 
-@pytest.mark.parametrize(("friction", "said"), [("", " and nothing damps it"), ('frictionloss="0.1"', "")])
+COASTS = "; a motion that does not name it ends where its momentum takes it"
+
+
+@pytest.mark.parametrize(("friction", "said"), [("", f" and nothing damps it{COASTS}"), ('frictionloss="0.1"', "")])
 def test_dry_friction_damps_a_joint_that_nothing_drives(friction, said):
     spine = TWO.format(b=friction).replace('<motor name="on_b" joint="b" ctrlrange="0 2"/>', "")
     problems = inspect(load_mechanism(spine), []).problems
