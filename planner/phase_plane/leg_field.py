@@ -17,9 +17,9 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
-# The limit that an actuator is held at: 1 and -1 are the upper and lower limit of its effort, these two numbers its power
-# and the force of the first closure. A force is reached by a larger effort (positive) and by a smaller one (negative). The
-# numbers after the closures are the joints with a limited speed.
+# The limit that an actuator is held at: 1 and -1 are the upper and lower limit of its effort. The first number here is its
+# power, the second the force of the first closure; further closures and then the joints with a limited speed follow. A force
+# has a positive number where a larger effort reaches its limit, a negative one where a smaller effort does.
 AT_POWER, AT_FORCE = 2, 3
 # The share by which rounding may exceed limits on efforts, powers and forces.
 _LIMIT_TOLERANCE = 1e-6

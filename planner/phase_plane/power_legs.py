@@ -290,7 +290,7 @@ class _Way:
                 yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, held=held)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
-        """Return the legs from the start: full acceleration up to the legs into the goal, and then those; None if it fails.
+        """Return the legs from the start, at full acceleration, then those into the goal where they meet; None if none do.
 
         The motion leaves the velocity curve where the curve rises faster than full effort accelerates.
         """

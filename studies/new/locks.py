@@ -94,13 +94,17 @@ def coupled_with_play(mechanism: Mechanism) -> dict[str, float]:
 def spins(mechanism: Mechanism) -> dict[str, float]:
     """Return the home positions [deg or m] of the independent hinges about which undriven rods spin, by name."""
     swings = [column for column in hanging_columns(mechanism) if _is_spin(mechanism, column)]
-    spins = [*np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)).tolist(), *swings]
+    spins = [*_passive_columns(mechanism), *swings]
     joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
     return {
         joint.name: joint.shown(float(mechanism.home[index]))
         for index, joint in joints.items()
         if joint.chart is None and joint.kind == "hinge"
     }
+
+
+def _passive_columns(mechanism: Mechanism) -> list[int]:
+    return np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)).tolist()
 
 
 def rods_on_balls(mechanism: Mechanism) -> list[str]:
@@ -111,7 +115,7 @@ def rods_on_balls(mechanism: Mechanism) -> list[str]:
     model, found = mechanism.model, []
     lines = {j: rod_line(model, j) for j in range(model.njnt) if spin_refusal(model, j) is None}
     data = data_at(model, mechanism.qpos_of(mechanism.home))
-    for column in np.flatnonzero(np.isin(mechanism.independent, mechanism.passive_dofs)):
+    for column in _passive_columns(mechanism):
         rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
         data.qvel[:] = mechanism.qvel_of(mechanism.home, rates)
         mujoco.mj_comVel(model, data)

@@ -24,7 +24,7 @@ def engine_of(workers: int, address: str | None) -> Engine:
     """Return the engine of a number of processes on this machine or, if its address is given, of a cluster.
 
     Raises:
-        ProblemError: for an invalid number of processes, or a number beside an address.
+        ProblemError: for an invalid number of processes, or if an address and more than one process are given.
     """
     whole(workers, "workers", 1, MOST_WORKERS)
     if address is None:

@@ -5,13 +5,7 @@ import pytest
 import scipy
 
 from linkplan.models.mechanism import load_mechanism
-
-# A leg at the end of a boom that turns about a post.
-BOOM = """<mujoco><worldbody><body><joint name="turn" axis="{axis}" {joint}/><geom size=".03" mass="1"/>
-<body pos=".6 0 0"><joint name="hip" axis="1 0 0" damping=".1"/>
-<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".3"/>
-<body pos="0 0 -.2"><joint name="knee" axis="1 0 0"/><geom type="capsule" fromto="0 0 0 0 .1 -.2" size=".02" mass=".2"/>
-</body></body></body></worldbody><actuator><motor joint="hip"/><motor joint="knee"/>{motor}</actuator></mujoco>"""
+from tests.support.boom import boom
 
 
 @pytest.mark.parametrize(
@@ -27,13 +21,13 @@ BOOM = """<mujoco><worldbody><body><joint name="turn" axis="{axis}" {joint}/><ge
     ids=("bare", "damped", "tilted", "sprung", "dry friction", "driven"),
 )
 def test_a_boom_coasts_if_nothing_but_damping_acts_on_it(axis, joint, motor, coasts):
-    mechanism = load_mechanism(BOOM.format(axis=axis, joint=joint, motor=motor))
+    mechanism = load_mechanism(boom(axis, joint, motor))
     assert mechanism.coasting_dofs == ((0,) if coasts else ())
 
 
 def test_momentum_and_damping_times_angle_stay_together_what_they_were():
     """The motion of a damped boom under jerky efforts on the leg, by integration."""
-    mechanism = load_mechanism(BOOM.format(axis="0 0 1", joint='damping=".2"', motor=""))
+    mechanism = load_mechanism(boom())
     assert mechanism.coasting_dofs == (0,)
 
     def rate(time: float, state: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
 
 
 def test_the_guess_on_a_spring_swings_where_the_push_is_too_weak(spring):
-    """Efforts of -1, 1 and -1 N turn the state (s, v) about -1 m, by pi about 1 m, and about -1 m into the goal."""
+    """The state (s, v) moves on circles: about -1 m under -1 N, half of one about 1 m under 1 N, about -1 m again."""
     start = 3.5
     problem = spring(start)
     guess = least_time_guess(problem, problem.start_pose())

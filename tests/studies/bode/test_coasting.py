@@ -10,28 +10,22 @@ from linkplan.studies.bode.bode_report import bode_record
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.frequency.measure import Setup
 from linkplan.studies.report.loop_sections import bode_sections
+from tests.support.boom import boom
 
-BOOM = """<mujoco><option timestep="1e-3"/><worldbody>
-<body><joint name="turn" axis="0 0 1" damping=".2"/><geom size=".03" mass="1"/>
-<body pos=".6 0 0"><joint name="hip" axis="1 0 0" damping=".1"/>
-<geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".3"/>
-<body pos="0 0 -.2"><joint name="knee" axis="1 0 0"/><geom type="capsule" fromto="0 0 0 0 .1 -.2" size=".02" mass=".2"/>
-</body></body></body></worldbody>
-<actuator><motor joint="hip" ctrlrange="-9 9"/><motor joint="knee" ctrlrange="-9 9"/></actuator></mujoco>"""
 GAINS = Tracking(kp={"turn": 0.0, "hip": 60.0, "knee": 20.0}, kd={"turn": 0.0, "hip": 2.0, "knee": 0.5}, period_s=1e-3)
 
 
 @pytest.fixture(scope="module")
-def boom():
-    return load_mechanism(BOOM)
+def leg():
+    return load_mechanism(boom())
 
 
-def test_responses_of_the_leg_are_measured_as_predicted_while_the_boom_coasts(boom):
+def test_responses_of_the_leg_are_measured_as_predicted_while_the_boom_coasts(leg):
     study = bode_study(
-        boom,
+        leg,
         np.array([[0.0, 0.3, -0.4]]),
         GAINS,
-        boom.effort_limit,
+        leg.effort_limit,
         setup=Setup(),
         frequency_hz=np.array([3.0, 20.0]),
         scanned=0,
@@ -46,9 +40,9 @@ def test_responses_of_the_leg_are_measured_as_predicted_while_the_boom_coasts(bo
     assert titles == ["Feedback loop: the leg", "Frequency response of hip", "Frequency response of knee"]
 
 
-def test_lqr_regulates_the_leg_and_leaves_the_boom_alone(boom):
-    law = sampled_law(boom, "lqr", GAINS, boom.effort_limit)
-    loop = law.loop(operating_point(boom, np.array([0.0, 0.3, -0.4])))
+def test_lqr_regulates_the_leg_and_leaves_the_boom_alone(leg):
+    law = sampled_law(leg, "lqr", GAINS, leg.effort_limit)
+    loop = law.loop(operating_point(leg, np.array([0.0, 0.3, -0.4])))
     assert loop.stable
     assert np.all(loop.gain[:, [0, 3]] == 0)
     assert np.all(np.diag(loop.gain[:, 1:3]) > 0)

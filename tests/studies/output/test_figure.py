@@ -7,7 +7,7 @@ from linkplan.studies.output.figure import figure_of, one_screen
 
 
 def panel(number: int, n_lines: int) -> Plot:
-    """Return a plot whose legend, of long names, is like no other's."""
+    """Return a plot whose legend has long names, which differ from those of every other plot."""
     lines = [
         Series(name=f"a long name of joint {number} to another joint {k}", y=[0.0, float(k)], colour=k)
         for k in range(n_lines)
