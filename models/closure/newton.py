@@ -137,10 +137,10 @@ def solve(
         step = np.zeros_like(q)
         step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=rcond)[0]
         size = np.abs(step).max()
-        if not np.isfinite(size) or size < 1e-15:
+        norm, removed = np.linalg.norm(phi), np.linalg.norm(jacobian @ step)
+        if not np.isfinite(size) or size < 1e-15 or removed <= max(1e-15, 1e-4 * norm):
             break
         scale = min(1.0, _MAX_STEP / size)
-        norm = np.linalg.norm(phi)
         while scale > 1e-6:
             trial = q + scale * step
             phi_trial, jacobian_trial = residual(trial)

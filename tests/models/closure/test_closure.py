@@ -7,6 +7,7 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 
+from linkplan.models.closure import newton
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import joint_rates, needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
@@ -364,3 +365,18 @@ def test_needed_efforts_are_the_least_that_do():
     for q, u in zip(c.q, effort, strict=True):
         spare = scipy.linalg.null_space(np.array(c.mechanism.dynamics.effort_map(q)))
         assert np.abs(spare.T @ u).max() < REDUCED * np.abs(u).max()
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 5e-10])
+def test_newton_ends_where_only_rounding_can_be_reduced(gap_m):
+    """cos(q) = 0.8 from q = 0.6: quadratic convergence takes four steps; the second row is a gap that no pose closes."""
+    evaluated = []
+
+    def residual(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        evaluated.append(float(q[0]))
+        return np.array([np.cos(q[0]) - 0.8, gap_m]), np.array([[-np.sin(q[0])], [0.0]])
+
+    q, phi = newton.solve(residual, np.array([0.6]), [0])
+    assert abs(q[0] - np.arccos(0.8)) < 1e-15
+    assert phi[1] == gap_m
+    assert len(evaluated) <= 6
