@@ -23,7 +23,8 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.ladder import HURRIED, Rung
+from linkplan.planner.search.ladder import HURRIED, Rung, Search
+from linkplan.planner.search.smooth_path import along_smooth_path
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
 from linkplan.studies.new.changes import (
@@ -55,7 +56,16 @@ _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
 _COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
 # Processor time [s] for all motions, and the least time that a motion gets.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
-_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=HURRIED),)
+# A large robot's smooth path is mostly a motion itself, and most others are found at once from it.
+_SMOOTH: tuple[Rung[Search], ...] = (
+    Rung(
+        name="the smooth path itself",
+        tried=lambda search: is_large(search.problem.mechanism),
+        climb=lambda search, _: along_smooth_path(search),
+        budget=HURRIED,
+    ),
+    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=HURRIED),
+)
 _IN_BRIEF = (solver_stopped, nothing_found)  # another motion is tried next: why one was not found does not matter yet
 _OTHER_HOME = (
     "the motion begins at another home than the model's, where undriven joints hang at rest or the driven ones are in the"
@@ -120,11 +130,11 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=_SHUT, changes=changes)
     try:
         Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
-    except ProblemError as error:  # what no motion changes
-        return replace(found, why=one_line(error))
+    except ProblemError as error:
+        found = replace(found, why=one_line(error))
     deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
     tried: list[tuple[Mechanism, dict[str, dict]]] = []
-    for rungs in (_SMOOTH, RUNGS):  # most motions are found at once from a smooth path
+    for rungs in (_SMOOTH, RUNGS):
         for moving, tables in tried if rungs is RUNGS else _of_all_homes(mechanism, say, obstacles):
             left = deadline.left_s
             if left < _MIN_SOLVE_S:
@@ -145,27 +155,27 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)
             if found.planned:
                 return _stiffened(_without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer))
-    if not tried and obstacles:
+    if not tried and obstacles and found.why == _SHUT:
         found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
     return found
 
 
 def _first_try_s(mechanism: Mechanism) -> float:
-    """Return the time [s] of a first try: an easy motion needs no more, and a large robot's smooth path is mostly one."""
+    """Return the time [s] of a first try: an easy motion needs no more."""
     return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
 
 
 def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
     """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan.
 
-    The limit is at least the time [s] that the plan took: with less, its certificate may not be reached.
+    The limit is at least twice the time [s] that the plan took: with less, its certificate may not be reached.
     """
     if plan.solved is not None:
         return found
-    limit = max(_first_try_s(found.mechanism), float(np.ceil(took_s)))
+    limit = max(_first_try_s(found.mechanism), float(np.ceil(2 * took_s)))
     note = (
-        f"the solver finds no better motion than the smooth path within {limit:g} s of work: planning"
-        " searches no longer (solver.max_time_s)"
+        f"the smooth path keeps every limit: planning searches for a better motion for {limit:g} s of work and no longer"
+        " (solver.max_time_s)"
     )
     tables = found.tables | {"solver": {"max_time_s": limit}}
     return replace(found, tables=tables, changes=(*found.changes, note))

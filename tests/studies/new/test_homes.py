@@ -9,6 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.new.changes import changed_mechanism
 from linkplan.studies.new.first_motion import first_motion
 from linkplan.studies.new.hanging import at_gravity_equilibrium
+from tests.support.drawn_by_others import arm
 
 # A rod between ball joints whose rocker is pinned at two points: the coordinate of the rod's spin is an angle of ball_b.
 ROD_ON_A_ROCKER = """<mujoco><option gravity="0 0 0"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
@@ -131,3 +132,28 @@ def test_a_joint_that_its_range_fixes_is_locked_there(range_deg, lock):
     assert mechanism.selection.lock == lock
     assert mechanism.dof == 2 - len(lock)
     assert any("ranges let these joints move nowhere" in note for note in notes) == bool(lock)
+
+
+# A crank at its dead centre, where the motor of its slider has no arm, on a driven hip whose leg hangs on a spring.
+DEAD_CENTRE = """<mujoco><compiler autolimits="true"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
+<body><joint name="hip" axis="1 0 0" range="-40 40"/><geom size=".05" mass="1"/>
+<body><joint name="leg" axis="0 1 0" stiffness="500" damping="2"/><inertial pos="0 0 -.1" mass="2" diaginertia=".02 .02 .02"/>
+<body><joint name="crank" axis="0 1 0" range="-80 80"/><geom type="capsule" fromto="0 0 0 .1 0 0" size=".01" mass=".2"/>
+<body pos=".1 0 0"><joint name="pin" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".01" mass=".1"/>
+<site name="end" pos=".3 0 0"/></body></body>
+<body pos=".4 0 0"><joint name="slider" type="slide" axis="1 0 0"/><geom size=".02" mass=".2"/><site name="eye"/></body></body>
+</body></worldbody><equality><connect site1="end" site2="eye"/></equality>
+<actuator><motor joint="hip" ctrlrange="-90 90"/><motor joint="slider" ctrlrange="-90 90"/></actuator></mujoco>"""
+
+
+def test_a_motion_begins_off_the_dead_centre_at_which_a_sprung_mechanism_stands():
+    first = first_motion({"model": DEAD_CENTRE}, lambda _: None)
+    assert first.planned, first.why
+
+
+def test_the_smooth_path_of_a_large_robot_is_its_first_motion(monkeypatch):
+    monkeypatch.setattr("linkplan.planner.search.starts.plan_from", None)
+    first = first_motion({"model": arm(6, 6)}, lambda _: None)
+    assert first.planned
+    assert first.plan.solved is None
+    assert first.tables["solver"]["max_time_s"] >= 5
