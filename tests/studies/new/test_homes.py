@@ -137,11 +137,13 @@ def test_a_joint_that_its_range_fixes_is_locked_there(range_deg, lock):
 # A crank at its dead centre, where the motor of its slider has no arm, on a driven hip whose leg hangs on a spring.
 DEAD_CENTRE = """<mujoco><compiler autolimits="true"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
 <body><joint name="hip" axis="1 0 0" range="-40 40"/><geom size=".05" mass="1"/>
-<body><joint name="leg" axis="0 1 0" stiffness="500" damping="2"/><inertial pos="0 0 -.1" mass="2" diaginertia=".02 .02 .02"/>
+<body><joint name="leg" axis="0 1 0" stiffness="500" damping="2"/>
+<inertial pos="0 0 -.1" mass="2" diaginertia=".02 .02 .02"/>
 <body><joint name="crank" axis="0 1 0" range="-80 80"/><geom type="capsule" fromto="0 0 0 .1 0 0" size=".01" mass=".2"/>
 <body pos=".1 0 0"><joint name="pin" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".01" mass=".1"/>
 <site name="end" pos=".3 0 0"/></body></body>
-<body pos=".4 0 0"><joint name="slider" type="slide" axis="1 0 0"/><geom size=".02" mass=".2"/><site name="eye"/></body></body>
+<body pos=".4 0 0"><joint name="slider" type="slide" axis="1 0 0"/><geom size=".02" mass=".2"/><site name="eye"/></body>
+</body>
 </body></worldbody><equality><connect site1="end" site2="eye"/></equality>
 <actuator><motor joint="hip" ctrlrange="-90 90"/><motor joint="slider" ctrlrange="-90 90"/></actuator></mujoco>"""
 
