@@ -46,7 +46,7 @@ from linkplan.studies.new.hanging import (
     rests_by_itself,
     with_home,
 )
-from linkplan.studies.new.loop_gap import SOFT_GAP, SOFT_IN_MOTION, planned_gap
+from linkplan.studies.new.loop_gap import SOFT_GAP, SOFT_IN_MOTION, planned_gap, travel
 from linkplan.studies.new.pace import critical_gains, is_large, many_hang, moderate_duration
 
 Say = Callable[[str], None]
@@ -194,7 +194,7 @@ def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
 def _stiffened(found: FirstMotion) -> FirstMotion:
     """Return a first motion whose loops are stiff if its own efforts open them in simulation."""
     table, plan = found.tables["mechanism"], found.plan
-    if plan is None or "solref" in table or planned_gap(plan) <= SOFT_GAP:
+    if plan is None or "solref" in table or planned_gap(plan) <= SOFT_GAP * travel(plan):
         return found
     return _with_table(found, plan, {**table, "solref": STIFF}, SOFT_IN_MOTION)
 

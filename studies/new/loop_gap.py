@@ -12,15 +12,17 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.felt_inertia import equality_rows
+from linkplan.models.tree.joints import unit_steps
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.planner.plan import Plan
 from linkplan.studies.check.softness import STIFF_KEY, steady_gap
 
-# A larger gap, as a share of the mechanism's extent or an angle [rad], is another mechanism than the planned one.
+# A larger gap is another mechanism than the planned one: a share of the mechanism's extent or an angle [rad] at rest, and a
+# share of the travel in a motion.
 SOFT_GAP = 0.01
 SOFT_IN_MOTION = (
-    "the model's own loops are too soft for the motion's efforts, which would open them by more than 1 % of the mechanism's"
-    f" size, or 0.01 rad, in simulation: they are as stiff as its timestep admits ({STIFF_KEY})"
+    "the model's own loops are too soft for the motion's efforts, which would open them by more than 1 % of what the joints"
+    f" travel in simulation: they are as stiff as its timestep admits ({STIFF_KEY})"
 )
 
 
@@ -45,6 +47,13 @@ def planned_gap(plan: Plan) -> float:
     poses = follow(mechanism, trajectory.position_at(times), trajectory.start_pose)
     motion = trajectory.velocity_at(times), trajectory.acceleration_at(times), trajectory.effort_at(times)
     return max(_gap(mechanism, *instant) for instant in zip(poses, *motion, strict=True))
+
+
+def travel(plan: Plan) -> float:
+    """Return the largest travel of an independent joint along a plan: an angle [rad], or a slide's share of the extent."""
+    mechanism, position = plan.problem.mechanism, plan.require_motion("measure").position
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
+    return float(np.max(np.ptp(position, axis=(0, 1)) / unit, initial=0.0))
 
 
 def _gap(mechanism: Mechanism, pose: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, effort: np.ndarray) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.studies.new.first_motion import first_motion
-from linkplan.studies.new.loop_gap import SOFT_IN_MOTION, held_gap, planned_gap
+from linkplan.studies.new.loop_gap import SOFT_IN_MOTION, held_gap, planned_gap, travel
 
 # A light driven joint turns a heavy one by a coupling with constant impedance; no weight acts about vertical axes.
 LIGHT, HEAVY, IMPEDANCE, TIME_CONSTANT_S = 0.01, 1.0, 0.9, 0.02
@@ -45,3 +45,16 @@ def test_the_gap_along_a_plan_is_that_of_the_coupling_s_effort():
     expected = R * HEAVY * a * (IMPEDANCE * TIME_CONSTANT_S) ** 2 / IMPEDANCE
     assert expected > 0.01
     assert planned_gap(found.plan) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("range_deg", "time_constant_s", "stiff"), [(3, 0.01, True), (90, 0.004, False)])
+def test_a_gap_is_small_beside_what_the_joints_travel(range_deg, time_constant_s, stiff):
+    other = COUPLED.replace(f'"{TIME_CONSTANT_S} 1"', f'"{time_constant_s} 1"')
+    model = other.replace("-90 90", f"-{range_deg} {range_deg}")
+    found = first_motion({"model": model}, lambda _: None)
+    assert found.planned
+    assert (SOFT_IN_MOTION in found.changes) == stiff
+    assert found.plan is not None
+    start, goal = found.plan.problem.motion.start, found.plan.problem.motion.goal
+    assert travel(found.plan) == pytest.approx(abs(goal[0] - start[0]), rel=1e-9)
+    assert planned_gap(found.plan) < 0.01 * travel(found.plan)
