@@ -208,7 +208,9 @@ def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
 def _diagnosed(search: Search, diagnoses: Sequence[Diagnosis]) -> Plan:
     """Return the plan with the reason why no motion was found."""
     progress("no motion found; looking for the limit that forbids one")
-    return next(plan for diagnosis in diagnoses if (plan := diagnosis(search)) is not None)
+    with contextlib.suppress(OutOfTimeError):
+        return next(plan for diagnosis in diagnoses if (plan := diagnosis(search)) is not None)
+    return reasons.nothing_found(search)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

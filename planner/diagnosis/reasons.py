@@ -195,7 +195,7 @@ def less_than_least_time(search: Search) -> Plan | None:
 def solver_stopped(search: Search) -> Plan | None:
     """Return the plan with the reason why the solver stopped before a result."""
     reason = why_stopped(search.stopped or "", search.problem.solver.max_time_s)
-    return None if reason is None else _failed(search, reason)
+    return None if reason is None else _failed(search, reason + _needs_of_smooth_path(search))
 
 
 def one_limit(search: Search) -> Plan | None:
@@ -269,9 +269,16 @@ def nothing_found(search: Search) -> Plan:
     if stopped is not None:
         return stopped
     status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
-    path = path_effort(search.problem, search.smooth) if np.all(np.isfinite(search.problem.limits.effort)) else None
-    asks = "" if path is None or path.factor <= 1 else f"; {path.sentence}"
-    return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){asks}")
+    needs = _needs_of_smooth_path(search)
+    return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){needs}")
+
+
+def _needs_of_smooth_path(search: Search) -> str:
+    """Return the phrase on the effort limit that the smooth path exceeds most; empty if it exceeds none."""
+    if not np.all(np.isfinite(search.problem.limits.effort)):
+        return ""
+    path = path_effort(search.problem, search.smooth)
+    return "" if path is None or path.factor <= 1 else f"; {path.sentence}"
 
 
 def _over(search: Search) -> LeastLimit | None:

@@ -5,7 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from linkplan.models import deadline
 from linkplan.planner.diagnosis import reasons
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 
@@ -68,6 +71,21 @@ def test_where_nothing_is_found_the_smooth_path_s_effort_is_said_if_it_is_too_la
     plan = reasons.nothing_found(search())
     assert plan.status == "failed"
     assert ("the path is steep" in plan.message) is said
+
+
+def test_a_search_that_runs_out_of_time_names_the_effort_that_the_smooth_path_lacks():
+    """A reach of a five-bar with two actuators, too short but not by far."""
+
+    def late(_search):
+        deadline._CHILD_TIME.seconds += 1000.0
+        raise deadline.OutOfTimeError("late")
+
+    problem = load_problem("five-bar-reach", ["motion.duration_s=0.1", "solver.max_time_s=20"])
+    plan = plan_motion(problem, rungs=(), diagnoses=(late,))
+    assert plan.status == "failed"
+    assert "ran out of its 20 s" in plan.message
+    assert "along the smooth path from start to goal act_O" in plan.message
+    assert "times its limit of" in plan.message
 
 
 def test_the_least_relaxation_of_a_limit_is_found_by_bisection(monkeypatch):
