@@ -125,6 +125,40 @@ def leave_the_ground(spec: mujoco.MjSpec) -> list[str]:
     return [f"the base is fixed in the air: left out are the world's {', '.join(names)}"] if ground else []
 
 
+def couple_narrow_tendons(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Hold the length of each fixed tendon whose range couples its joints, and return a note on them.
+
+    A range couples if it is less than 2 % of the lengths that the tendon has within the ranges of its joints. An equality
+    in the middle of the range, as soft as the limit, takes the limit's place.
+    """
+    fixed = [tendon for tendon in spec.tendons if len(tendon.path) > 1 and _is_fixed(tendon) and np.ptp(tendon.range) > 0]
+    model = spec.compile() if fixed else None
+    coupled = []
+    for tendon in fixed:
+        low, high = model.tendon_range[tendon.id]
+        joints = [(model.joint(wrap.target.name), wrap.coef) for wrap in tendon.path]
+        stroke = sum(abs(coef) * np.ptp(joint.range) for joint, coef in joints if model.jnt_limited[joint.id])
+        if model.tendon_limited[tendon.id] and high - low < 0.02 * stroke:
+            tendon.name = tendon.name or f"tendon {tendon.id}"
+            tie = spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_TENDON,
+                objtype=mujoco.mjtObj.mjOBJ_TENDON,
+                name1=tendon.name,
+                solref=tendon.solref_limit,
+                solimp=tendon.solimp_limit,
+            )
+            tie.data = np.eye(len(tie.data))[0] * ((low + high) / 2 - model.tendon_length0[tendon.id])
+            tendon.limited = 0
+            coupled.append(tendon.name)
+    if not coupled:
+        return ()
+    return (f"the ranges of tendons {listed(coupled, 6)} leave their joints almost no play: they are held in the middle",)
+
+
+def _is_fixed(tendon: "mujoco._specs.MjsTendon") -> bool:
+    return all(wrap.type == mujoco.mjtWrap.mjWRAP_JOINT for wrap in tendon.path)
+
+
 def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     """Delete the meshes and textures whose files are not there or are Git LFS pointers, and return a note that names them.
 

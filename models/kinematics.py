@@ -164,6 +164,16 @@ def bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
     return found
 
 
+def steered_bodies(model: mujoco.MjModel) -> set[int]:
+    """Return the bodies that an actuator pushes at a site or ties to what stands still by a tendon: drones, cable robots."""
+    kinds = model.actuator_trntype
+    sites = model.actuator_trnid[kinds == mujoco.mjtTrn.mjTRN_SITE, 0]
+    tendons = model.actuator_trnid[kinds == mujoco.mjtTrn.mjTRN_TENDON, 0]
+    ropes = [bodies_of_tendon(model, tendon) for tendon in tendons.tolist()]
+    held = [rope for rope in ropes if any(not model.body_weldid[body] for body in rope)]
+    return set(model.site_bodyid[sites].tolist()).union(*held)
+
+
 def rod_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
     """Return the line (3,) about which a rod on a ball joint may spin, in its own frame, or None if the body is not a rod.
 

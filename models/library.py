@@ -21,9 +21,8 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.deletion import leave_out_missing_files
+from linkplan.models.deletion import couple_narrow_tendons, leave_out_missing_files
 from linkplan.models.errors import ModelError, nearest, one_line, shown
-from linkplan.models.narrow_tendons import couple_narrow_tendons
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
 from linkplan.models.selection import Selection, select
@@ -291,7 +290,7 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     if selection:
         _name_all(spec.joints, "joint")
         notes += select(spec, spec.compile(), selection)
-    notes += couple_narrow_tendons(spec)
+    notes += couple_narrow_tendons(spec) if spec.tendons else ()
     if root is not None:
         notes += tuple(conversion_notes(root, driven=len(spec.actuators) > 0))
     return name, spec, notes

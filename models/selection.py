@@ -24,6 +24,7 @@ from linkplan.models.kinematics import (
     fix_in_parent,
     in_body,
     joints_of,
+    steered_bodies,
     subtree,
     tied_bodies,
     tied_points,
@@ -39,14 +40,13 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     bases that loops tie to one another, such as the plates of a chassis, only the heaviest is returned: it holds the others.
     """
     driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nactuator) if int(model.actuator_trntype[a]) == 0}
-    steered = _steered_bodies(model)
     moving = set()
-    for body in {_base_of(model, body) for body in range(1, model.nbody)} - {0}:
+    for body in {_base_of(model, body) for body in range(1, model.nbody)} - {0} - steered_bodies(model):
         joints = joints_of(model, body)
         kinds = [int(model.jnt_type[j]) for j in joints]
         planar = kinds.count(SLIDE) >= 2
         moves = FREE in kinds or planar or any(_falls(model, j) for j in joints)
-        moving |= {body} if moves and not driven & set(joints) and body not in steered else set()
+        moving |= {body} if moves and not driven & set(joints) else set()
     floating = {max(trees, key=lambda base: model.body_subtreemass[base]) for trees in _tied_trees(model) if trees <= moving}
     return [j for body in bodies if body in floating for j in joints_of(model, body)]
 
@@ -58,16 +58,6 @@ def _base_of(model: mujoco.MjModel, body: int) -> int:
     while model.body_weldid[parent := int(model.body_parentid[body])]:
         body = parent
     return body
-
-
-def _steered_bodies(model: mujoco.MjModel) -> set[int]:
-    """Return the bodies that an actuator pushes at a site or ties to what stands still by a tendon: drones, cable robots."""
-    kinds = model.actuator_trntype
-    sites = model.actuator_trnid[kinds == mujoco.mjtTrn.mjTRN_SITE, 0]
-    tendons = model.actuator_trnid[kinds == mujoco.mjtTrn.mjTRN_TENDON, 0]
-    ropes = [bodies_of_tendon(model, tendon) for tendon in tendons.tolist()]
-    held = [rope for rope in ropes if any(not model.body_weldid[body] for body in rope)]
-    return set(model.site_bodyid[sites].tolist()).union(*held)
 
 
 def _falls(model: mujoco.MjModel, joint: int) -> bool:

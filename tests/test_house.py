@@ -23,7 +23,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "extras", "deadline", "compiled", "reading", "catalogue", "payload", "kinematics",
-        "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins", "narrow_tendons",
+        "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins",
         "selection", "library", "digest", "renamed", "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),

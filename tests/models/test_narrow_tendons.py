@@ -11,8 +11,8 @@ from tests.support.mechanisms import replaced
 
 ROLLING = """<mujoco><compiler autolimits="true"/><worldbody><body name="virtual">
   <joint name="inner" axis="0 1 0" range="-60 60"/><geom size="0.01" mass="0.01"/><body name="bone" pos="0.02 0 0">
-  <joint name="outer" axis="0 1 0" range="-60 60" ref="-5"/><geom type="capsule" fromto="0 0 0 0.04 0 0" size="0.01"/></body></body>
-  </worldbody><tendon><fixed name="roll" range="0.08 0.12" solreflimit="0.003 1"><joint joint="inner" coef="1"/>
+  <joint name="outer" axis="0 1 0" range="-60 60" ref="-5"/><geom type="capsule" fromto="0 0 0 0.04 0 0" size="0.01"/></body>
+  </body></worldbody><tendon><fixed name="roll" range="0.08 0.12" solreflimit="0.003 1"><joint joint="inner" coef="1"/>
   <joint joint="outer" coef="-1"/></fixed></tendon><actuator><motor joint="outer" ctrlrange="-1 1"/></actuator></mujoco>"""
 
 
