@@ -150,6 +150,20 @@ def tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
     return {body for body, _ in tied_points(model, index)}
 
 
+def base_of(model: mujoco.MjModel, body: int) -> int:
+    """Return the outermost moving body that carries a body; the world, 0, for one that stands still."""
+    if not model.body_weldid[body]:
+        return 0
+    while model.body_weldid[parent := int(model.body_parentid[body])]:
+        body = parent
+    return body
+
+
+def actuated(model: mujoco.MjModel, transmission: mujoco.mjtTrn) -> list[int]:
+    """Return the joints, sites or tendons that actuators act on."""
+    return model.actuator_trnid[model.actuator_trntype == transmission, 0].tolist()
+
+
 def bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
     """Return the bodies that a tendon's joints move, and those that it runs along."""
     found = set()
@@ -162,16 +176,6 @@ def bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
         elif kind in (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER)):
             found.add(int(model.geom_bodyid[element]))
     return found
-
-
-def steered_bodies(model: mujoco.MjModel) -> set[int]:
-    """Return the bodies that an actuator pushes at a site or ties to what stands still by a tendon: drones, cable robots."""
-    kinds = model.actuator_trntype
-    sites = model.actuator_trnid[kinds == mujoco.mjtTrn.mjTRN_SITE, 0]
-    tendons = model.actuator_trnid[kinds == mujoco.mjtTrn.mjTRN_TENDON, 0]
-    ropes = [bodies_of_tendon(model, tendon) for tendon in tendons.tolist()]
-    held = [rope for rope in ropes if any(not model.body_weldid[body] for body in rope)]
-    return set(model.site_bodyid[sites].tolist()).union(*held)
 
 
 def rod_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:

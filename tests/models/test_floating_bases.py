@@ -85,6 +85,16 @@ def test_of_bases_that_float_tied_to_one_another_the_heaviest_is_fixed_and_holds
     assert [joint.name for joint in fixed.independent_joints] == ["hip"]
 
 
+def test_of_rods_that_actuated_cables_tie_together_the_heaviest_floats():
+    rods = replaced(PLATES, '<geom size=".1" mass="1"/>', '<geom size=".1" mass="1"/><site name="low"/>')
+    rods = replaced(rods, '<geom size=".1" mass="2"/>', '<geom size=".1" mass="2"/><site name="high"/>')
+    loose = replaced(rods, '<equality><weld body1="lower" body2="upper"/></equality>', "")
+    assert floating_joints(mujoco.MjModel.from_xml_string(loose)) == {0, 1}
+    cable = '<tendon><spatial name="cable"><site site="low"/><site site="high"/></spatial></tendon><actuator>'
+    tied = replaced(loose, "<actuator>", cable + '<motor tendon="cable"/>')
+    assert floating_joints(mujoco.MjModel.from_xml_string(tied)) == {1}
+
+
 def test_bases_that_float_tied_to_what_stands_on_the_world_do_not_float():
     tied = replaced(PLATES, "<equality>", '<equality><connect body1="lower" anchor="0 0 0"/>')
     assert floating_joints(mujoco.MjModel.from_xml_string(tied)) == set()
