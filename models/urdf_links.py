@@ -34,7 +34,10 @@ def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
         if not mesh.file:
             continue
         name = re.sub(r"^package:/+", "", mesh.file)
-        places = [] if folder is None else [folder / name, folder / spec.meshdir / Path(name).name, folder.parent / name]
+        inside = name.partition("/")[2]  # of a package, which is a folder above the URDF, whatever its name is here
+        above = [] if folder is None else [folder, *folder.resolve().parents[:3]]
+        places = [base / part for part in (name, inside) for base in above if part]
+        places += [base / spec.meshdir / Path(name).name for base in above[:1]]
         found = next((place for place in places if place.is_file()), None)
         if found is not None and found.suffix.lower() in _MESHES:
             mesh.file = str(found.resolve())
