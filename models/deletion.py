@@ -172,7 +172,7 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     folder, stripped = path.parent, bool(spec.strippath)
     places = {mesh: _place(folder / spec.meshdir, mesh.file, stripped) for mesh in spec.meshes if mesh.file}
     places |= {image: _place(folder / spec.texturedir, image.file, stripped) for image in spec.textures if image.file}
-    pointers = {element for element, place in places.items() if _is_pointer(place)}
+    pointers = {element for element, place in places.items() if is_pointer(place)}
     lost = {element for element, place in places.items() if element in pointers or not os.path.isfile(place)}
     meshes = [mesh for mesh in spec.meshes if mesh in lost]
     textures = [texture for texture in spec.textures if texture in lost]
@@ -211,7 +211,8 @@ def _place(folder: Path, name: str, stripped: bool) -> Path:
     return folder / (Path(name).name if stripped else name)
 
 
-def _is_pointer(place: Path) -> bool:
+def is_pointer(place: Path) -> bool:
+    """Return True if a file is the text that stands for another one in a clone without Git LFS."""
     if not os.path.isfile(place):  # a pipe would be waited for
         return False
     try:

@@ -80,6 +80,30 @@ def test_a_mesh_of_a_package_is_found_above_the_folder_of_the_urdf(package, tmp_
     assert not any("link.stl" in note for note in mechanism.notes)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (
+            "link.stl",
+            b"solid link\n" + bytes(90),
+            "MuJoCo does not read (it reads binary .stl, .obj, .msh) are left out: link.stl",
+        ),
+        ("link.stl", bytes(84), "does not read"),
+        (
+            "link.obj",
+            b"version https://git-lfs.github.com/spec/v1\n",
+            "Git LFS pointers are left out: link.obj; git lfs pull",
+        ),
+    ],
+    ids=["text", "no triangles", "a pointer"],
+)
+def test_a_mesh_that_mujoco_refuses_is_left_out_and_said(name, content, said, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    shape = f'<collision><geometry><mesh filename="{name}"/></geometry></collision></link>'
+    (tmp_path / "leg.urdf").write_text(urdf().replace('<link name="base"/>', '<link name="base">' + shape))
+    assert any(said in note for note in load_mechanism(tmp_path / "leg.urdf").notes)
+
+
 def test_an_mjcf_that_attaches_a_urdf_gives_it_a_motor_and_keeps_its_coupling_and_effort_limit(tmp_path):
     (tmp_path / "leg.urdf").write_text(urdf())
     (tmp_path / "leg.xml").write_text(ATTACHED)
