@@ -343,7 +343,8 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
     if not content.strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
     refuse_oversized(content, f"model '{text}'")
-    retired = () if b"<include" in content else tuple(dict.fromkeys(word.decode() for word in _RETIRED.findall(content)))
+    written = _COMMENT.sub(b"", content)
+    retired = () if b"<include" in written else tuple(dict.fromkeys(word.decode() for word in _RETIRED.findall(written)))
     try:
         if path.suffix.lower() != ".mjcf" and not retired:
             return shown(path.stem), mujoco.MjSpec.from_file(str(path)), ()

@@ -35,8 +35,9 @@ def test_a_tendon_whose_range_leaves_its_joints_no_play_couples_them_in_its_midd
         ('range="0.08 0.12"', 'range="-0.1 0.1"'),
         ('range="0.08 0.12"', 'range="0.08 0.12" limited="false"'),
         ('range="-60 60"', ""),
+        ("<worldbody>", '<option><flag limit="disable"/></option><worldbody>'),
     ],
-    ids=["some play", "no limit", "joints that turn on"],
+    ids=["some play", "no limit", "joints that turn on", "no limits at all"],
 )
 def test_other_tendons_are_limits_as_they_were(old, new):
     assert load_mechanism(replaced(ROLLING, old, new)).dof == 2
