@@ -31,7 +31,7 @@ def joints_to_drive(mechanism: Mechanism) -> list[str]:
     model = mechanism.model
     many = model.body_jntnum[model.jnt_bodyid] > 1  # one slide alone may be a lift
     base = {joint_label(model, k) for k in floating_joints(model) if many[k]}
-    moved = drivable(mechanism) & [joint.name not in base for joint in mechanism.independent_joints]
+    moved = drivable(mechanism) & np.array([joint.name not in base for joint in mechanism.independent_joints], dtype=bool)
     if not moved.any():
         return []
     rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, moved], []
