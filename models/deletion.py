@@ -196,13 +196,14 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
 
 
 def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Delete the pairs for contact with geoms of another file, such as a scene's floor, and return a note on them."""
-    there = {geom.name for geom in spec.geoms}
-    lost = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= there]
-    names = sorted({name for pair in lost for name in (pair.geomname1, pair.geomname2)} - there)
-    for pair in lost:
-        spec.delete(pair)
-    return (f"pairs for contact with geoms of other files are left out: {', '.join(names)}",) if lost else ()
+    """Delete contacts named with geoms or bodies of another file, such as a scene's floor, and return a note on them."""
+    there = ({geom.name for geom in spec.geoms}, {body.name for body in spec.bodies})
+    named = [(pair, {pair.geomname1, pair.geomname2} - there[0]) for pair in spec.pairs]
+    named += [(exclude, {exclude.bodyname1, exclude.bodyname2} - there[1]) for exclude in spec.excludes]
+    lost = sorted(set().union(*(names for _, names in named)))
+    for contact in [contact for contact, names in named if names]:
+        spec.delete(contact)
+    return (f"pairs for contact with geoms or bodies of other files are left out: {', '.join(lost)}",) if lost else ()
 
 
 def _place(folder: Path, name: str, stripped: bool) -> Path:
