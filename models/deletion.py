@@ -125,6 +125,39 @@ def leave_the_ground(spec: mujoco.MjSpec) -> list[str]:
     return [f"the base is fixed in the air: left out are the world's {', '.join(names)}"] if ground else []
 
 
+def couple_narrow_tendons(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Hold the length of each fixed tendon whose range couples its joints, and return a note on them.
+
+    A range couples if it is less than 2 % of the lengths that the tendon has within the ranges of its joints. An equality
+    in the middle of the range, as soft as the limit, takes the limit's place.
+    """
+    fixed = [tendon for tendon in spec.tendons if len(tendon.path) > 1 and _is_fixed(tendon) and np.ptp(tendon.range) > 0]
+    coupled, model = [], spec.compile() if fixed else None
+    for tendon in fixed if not spec.option.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT else ():
+        low, high = model.tendon_range[tendon.id]
+        joints = [(model.joint(wrap.target.name), wrap.coef) for wrap in tendon.path]
+        stroke = sum(abs(coef) * np.ptp(joint.range) for joint, coef in joints if model.jnt_limited[joint.id])
+        if model.tendon_limited[tendon.id] and high - low < 0.02 * stroke:
+            tendon.name = tendon.name or f"tendon {tendon.id}"
+            tie = spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_TENDON,
+                objtype=mujoco.mjtObj.mjOBJ_TENDON,
+                name1=tendon.name,
+                solref=tendon.solref_limit,
+                solimp=tendon.solimp_limit,
+            )
+            tie.data = np.eye(len(tie.data))[0] * ((low + high) / 2 - model.tendon_length0[tendon.id])
+            tendon.limited = 0
+            coupled.append(tendon.name)
+    if not coupled:
+        return ()
+    return (f"the ranges of tendons {listed(coupled, 6)} leave their joints almost no play: they are held in the middle",)
+
+
+def _is_fixed(tendon: "mujoco._specs.MjsTendon") -> bool:
+    return all(wrap.type == mujoco.mjtWrap.mjWRAP_JOINT for wrap in tendon.path)
+
+
 def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     """Delete the meshes and textures whose files are not there or are Git LFS pointers, and return a note that names them.
 
@@ -138,7 +171,7 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     folder, stripped = path.parent, bool(spec.strippath)
     places = {mesh: _place(folder / spec.meshdir, mesh.file, stripped) for mesh in spec.meshes if mesh.file}
     places |= {image: _place(folder / spec.texturedir, image.file, stripped) for image in spec.textures if image.file}
-    pointers = {element for element, place in places.items() if _is_pointer(place)}
+    pointers = {element for element, place in places.items() if is_pointer(place)}
     lost = {element for element, place in places.items() if element in pointers or not os.path.isfile(place)}
     meshes = [mesh for mesh in spec.meshes if mesh in lost]
     textures = [texture for texture in spec.textures if texture in lost]
@@ -163,13 +196,14 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
 
 
 def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Delete the pairs for contact with geoms of another file, such as a scene's floor, and return a note on them."""
-    there = {geom.name for geom in spec.geoms}
-    lost = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= there]
-    names = sorted({name for pair in lost for name in (pair.geomname1, pair.geomname2)} - there)
-    for pair in lost:
-        spec.delete(pair)
-    return (f"pairs for contact with geoms of other files are left out: {', '.join(names)}",) if lost else ()
+    """Delete contacts named with geoms or bodies of another file, such as a scene's floor, and return a note on them."""
+    there = ({geom.name for geom in spec.geoms}, {body.name for body in spec.bodies})
+    named = [(pair, {pair.geomname1, pair.geomname2} - there[0]) for pair in spec.pairs]
+    named += [(exclude, {exclude.bodyname1, exclude.bodyname2} - there[1]) for exclude in spec.excludes]
+    lost = sorted(set().union(*(names for _, names in named)))
+    for contact in [contact for contact, names in named if names]:
+        spec.delete(contact)
+    return (f"pairs for contact with geoms or bodies of other files are left out: {', '.join(lost)}",) if lost else ()
 
 
 def _place(folder: Path, name: str, stripped: bool) -> Path:
@@ -177,7 +211,8 @@ def _place(folder: Path, name: str, stripped: bool) -> Path:
     return folder / (Path(name).name if stripped else name)
 
 
-def _is_pointer(place: Path) -> bool:
+def is_pointer(place: Path) -> bool:
+    """Return True if a file is the text that stands for another one in a clone without Git LFS."""
     if not os.path.isfile(place):  # a pipe would be waited for
         return False
     try:

@@ -150,6 +150,20 @@ def tied_bodies(model: mujoco.MjModel, index: int) -> set[int]:
     return {body for body, _ in tied_points(model, index)}
 
 
+def base_of(model: mujoco.MjModel, body: int) -> int:
+    """Return the outermost moving body that carries a body; the world, 0, for one that stands still."""
+    if not model.body_weldid[body]:
+        return 0
+    while model.body_weldid[parent := int(model.body_parentid[body])]:
+        body = parent
+    return body
+
+
+def actuated(model: mujoco.MjModel, transmission: mujoco.mjtTrn) -> list[int]:
+    """Return the joints, sites or tendons that actuators act on."""
+    return model.actuator_trnid[model.actuator_trntype == transmission, 0].tolist()
+
+
 def bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:
     """Return the bodies that a tendon's joints move, and those that it runs along."""
     found = set()

@@ -21,7 +21,7 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.deletion import leave_out_missing_files
+from linkplan.models.deletion import couple_narrow_tendons, leave_out_missing_files
 from linkplan.models.errors import ModelError, nearest, one_line, shown
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
@@ -33,6 +33,8 @@ MAX_MODEL_BYTES = 32_000_000
 _COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
 _SDF = re.compile(rb"<sdf[\s>]")
 _XACRO, _COMMENT = re.compile(rb"<xacro:\w"), re.compile(rb"<!--.*?-->", re.DOTALL)
+# Attributes that older versions of MuJoCo read and that no plan depends on.
+_RETIRED = re.compile(rb"""\s(sensornoise|apirate|collision)\s*=\s*["'](?:\d+|enable|disable|all|predefined|dynamic)["']""")
 # MuJoCo's refusal of a file whose root element is <mujocoinclude>.
 _PART_OF_A_MODEL = "model type: 'mujocoinclude'"
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
@@ -279,17 +281,19 @@ def _compiled(
 
 def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
     """Return a model's name, the specification of what is selected, and notes on what was left out."""
-    name, spec = _read_spec(source)
+    name, spec, retired = _read_spec(source)
     root = urdf_root(source)
     if root is not None:
         notes = complete(spec, source, root)
     else:
-        notes = () if is_text(str(source)) or str(source) in MODELS else leave_out_missing_files(spec, Path(source))
+        notes = (f"attributes of an older MuJoCo are left out: {', '.join(retired)}",) if retired else ()
+        notes += () if is_text(str(source)) or str(source) in MODELS else leave_out_missing_files(spec, Path(source))
         notes += _angle_note(spec)
     _name_all(spec.bodies, "body")
     if selection:
         _name_all(spec.joints, "joint")
         notes += select(spec, spec.compile(), selection)
+    notes += couple_narrow_tendons(spec) if spec.tendons else ()
     if root is not None:
         notes += tuple(conversion_notes(root, driven=len(spec.actuators) > 0))
     return name, spec, notes
@@ -317,16 +321,17 @@ def _name_all(elements: Sequence, kind: str) -> None:
             taken.add(element.name)
 
 
-def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
+def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
+    """Return a model's name, its specification, and attributes of an older MuJoCo that were left out of it."""
     text = str(source)
     if not text.isprintable() and not is_text(text):
         raise ModelError(f"a model's name has characters that cannot be shown: '{text}'")
     if text in MODELS:
-        return text, _parse(text, built_in_text(text))
+        return text, _parse(text, built_in_text(text)), ()
     if is_text(text):
         refuse_oversized(text.encode("utf-8", "replace"), "MJCF text")
         spec = _parse("MJCF text", text)
-        return spec.modelname or "MJCF text", spec
+        return spec.modelname or "MJCF text", spec, ()
     path = Path(text)
     if os.path.isdir(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
@@ -338,12 +343,14 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     if not content.strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
     refuse_oversized(content, f"model '{text}'")
+    written = _COMMENT.sub(b"", content)
+    retired = () if b"<include" in written else tuple(dict.fromkeys(word.decode() for word in _RETIRED.findall(written)))
     try:
-        if path.suffix.lower() != ".mjcf":
-            return shown(path.stem), mujoco.MjSpec.from_file(str(path))
-        spec = mujoco.MjSpec.from_string(content.decode("utf-8"))  # MuJoCo reads no files of that name
+        if path.suffix.lower() != ".mjcf" and not retired:
+            return shown(path.stem), mujoco.MjSpec.from_file(str(path)), ()
+        spec = mujoco.MjSpec.from_string(_RETIRED.sub(b"", content).decode("utf-8"))  # MuJoCo reads no files named .mjcf
         spec.modelfiledir = str(path.parent.resolve())
-        return shown(path.stem), spec
+        return shown(path.stem), spec, retired
     except (ValueError, mujoco.FatalError) as error:
         if _PART_OF_A_MODEL in str(error):
             raise ModelError(f"model '{text}' is a part that other models include; take a file that includes it") from error

@@ -19,6 +19,8 @@ from linkplan.models.kinematics import (
     HINGE,
     SLIDE,
     WELD,
+    actuated,
+    base_of,
     bodies_of_tendon,
     data_at,
     fix_in_parent,
@@ -35,12 +37,13 @@ from linkplan.models.urdf_loops import add_motors
 def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     """Return the joints of bodies on what stands still that translate in a plane or in space, or fall along a rail.
 
-    A base that actuators drive does not float, nor does one that loops tie to the world or to what stands on it. Of floating
-    bases that loops tie to one another, such as the plates of a chassis, only the heaviest is returned: it holds the others.
+    A base that actuators drive does not float, nor does one that loops or actuated cables tie to the world or to what stands
+    on it. Of floating bases that are tied to one another, such as the plates of a chassis, only the heaviest is returned.
     """
-    driven = {int(model.actuator_trnid[a, 0]) for a in range(model.nactuator) if int(model.actuator_trntype[a]) == 0}
+    driven = set(actuated(model, mujoco.mjtTrn.mjTRN_JOINT))
+    rotors = set(model.site_bodyid[actuated(model, mujoco.mjtTrn.mjTRN_SITE)].tolist())
     moving = set()
-    for body in {_base_of(model, body) for body in range(1, model.nbody)} - {0}:
+    for body in {base_of(model, body) for body in range(1, model.nbody)} - {0} - rotors:
         joints = joints_of(model, body)
         kinds = [int(model.jnt_type[j]) for j in joints]
         planar = kinds.count(SLIDE) >= 2
@@ -48,15 +51,6 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
         moving |= {body} if moves and not driven & set(joints) else set()
     floating = {max(trees, key=lambda base: model.body_subtreemass[base]) for trees in _tied_trees(model) if trees <= moving}
     return [j for body in bodies if body in floating for j in joints_of(model, body)]
-
-
-def _base_of(model: mujoco.MjModel, body: int) -> int:
-    """Return the outermost moving body that carries a body; the world, 0, for one that stands still."""
-    if not model.body_weldid[body]:
-        return 0
-    while model.body_weldid[parent := int(model.body_parentid[body])]:
-        body = parent
-    return body
 
 
 def _falls(model: mujoco.MjModel, joint: int) -> bool:
@@ -73,10 +67,11 @@ def _falls(model: mujoco.MjModel, joint: int) -> bool:
 
 
 def _tied_trees(model: mujoco.MjModel) -> list[set[int]]:
-    """Return the bases on what stands still, and the world itself, in groups that loops tie together."""
-    groups = [{base} for base in {_base_of(model, body) for body in range(model.nbody)}]
-    for index in np.flatnonzero(model.eq_active0).tolist():
-        ends = {_base_of(model, body) for body in tied_bodies(model, index)}
+    """Return the bases on what stands still, and the world itself, in groups that loops or actuated cables tie together."""
+    groups = [{base} for base in {base_of(model, body) for body in range(model.nbody)}]
+    ties = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
+    for bodies in ties + [bodies_of_tendon(model, tendon) for tendon in actuated(model, mujoco.mjtTrn.mjTRN_TENDON)]:
+        ends = {base_of(model, body) for body in bodies}
         tied = [group for group in groups if group & ends]
         groups = [group for group in groups if not group & ends] + ([set().union(*tied)] if tied else [])
     return groups

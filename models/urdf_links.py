@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from linkplan.models.deletion import delete_geoms
+from linkplan.models.deletion import delete_geoms, is_pointer
 from linkplan.models.errors import listed
 
 # What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
@@ -29,25 +29,38 @@ def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> 
 
 def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
     """Find the files of meshes beside the URDF; delete the geoms of others, and return notes on them."""
-    missing, unread = [], []
+    missing, unread, pointers = [], [], []
     for mesh in list(spec.meshes):
         if not mesh.file:
             continue
         name = re.sub(r"^package:/+", "", mesh.file)
-        places = [] if folder is None else [folder / name, folder / spec.meshdir / Path(name).name, folder.parent / name]
+        inside = name.partition("/")[2]  # of a package, which is a folder above the URDF, whatever its name is here
+        above = [] if folder is None else [folder, *folder.resolve().parents[:3]]
+        places = [base / part for part in (name, inside) for base in above if part]
+        places += [base / spec.meshdir / Path(name).name for base in above[:1]]
         found = next((place for place in places if place.is_file()), None)
-        if found is not None and found.suffix.lower() in _MESHES:
+        if found is not None and _is_mesh(found):
             mesh.file = str(found.resolve())
             continue
-        (missing if found is None else unread).append(Path(name).name)
+        (missing if found is None else pointers if is_pointer(found) else unread).append(Path(name).name)
         delete_geoms(spec, (geom for geom in spec.geoms if geom.meshname == mesh.name))
         spec.delete(mesh)
     remedy = 'their folder is named by <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco> in <robot>'
     said = {
         "meshes that are not there are left out: {}; " + remedy: missing,
-        f"meshes that MuJoCo does not read (it reads {', '.join(_MESHES)}) are left out: {{}}": unread,
+        f"meshes that MuJoCo does not read (it reads binary {', '.join(_MESHES)}) are left out: {{}}": unread,
+        "Git LFS pointers are left out: {}; git lfs pull gets the files": pointers,
     }
     return [note.format(", ".join(dict.fromkeys(names))) for note, names in said.items() if names]
+
+
+def _is_mesh(place: Path) -> bool:
+    """Tell if MuJoCo reads a file as a mesh: an STL is binary, with 50 bytes for each of at most 200,000 triangles."""
+    if place.suffix.lower() != ".stl":
+        return place.suffix.lower() in _MESHES and not is_pointer(place)
+    with open(place, "rb") as file:
+        triangles = int.from_bytes(file.read(84)[80:], "little")
+    return 0 < triangles <= 200_000 and place.stat().st_size == 84 + 50 * triangles
 
 
 def _delete_flat(spec: mujoco.MjSpec) -> list[str]:

@@ -381,7 +381,9 @@ def _moved_to_reference(
     loop: KinematicLoop, pose: np.ndarray, reference: np.ndarray, measure, deadline: Deadline
 ) -> np.ndarray:
     """Return the closed pose reached from `pose` by steps towards the reference that each decrease `measure`."""
-    step = 1.0
+    moved = np.abs(loop.jacobian(pose) * loop.unit).max(axis=0)
+    trial, step = _closed(loop, np.where(moved > 1e-6 * moved.max(), pose, reference)), 1.0  # what is in no loop stays
+    pose = pose if trial is None else min(pose, trial, key=measure)
     for _ in range(100):
         if deadline.passed:
             break

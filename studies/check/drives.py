@@ -2,6 +2,7 @@
 
 import json
 
+import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
@@ -22,17 +23,23 @@ def drivable(mechanism: Mechanism) -> np.ndarray:
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
-    """Return the names of joints on which motors would fix the pose, one for each freedom that is not the spin of a rod.
+    """Return the names of joints on which motors would fix the pose, one for each freedom but spins of rods and a base's.
 
-    The joints nearest to the ground whose positions fix the pose come first: drives are usually there.
+    The joints nearest to the ground whose positions fix the pose come first: drives are usually there. Joints that follow
+    others by a coupling, such as the slides of a rolling knee, come last.
     """
     model = mechanism.model
-    moved = drivable(mechanism)
+    many = model.body_jntnum[model.jnt_bodyid] > 1  # one slide alone may be a lift
+    base = {joint_label(model, k) for k in floating_joints(model) if many[k]}
+    moved = drivable(mechanism) & np.array([joint.name not in base for joint in mechanism.independent_joints], dtype=bool)
     if not moved.any():
         return []
     rates, chosen = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, moved], []
-    depth = {joint_label(model, k): _depth(model.body_parentid, int(model.jnt_bodyid[k])) for k in range(model.njnt)}
-    joints = [k for k, joint in enumerate(mechanism.joints) if joint.name in depth and joint.chart is None]
+    coupled = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0)
+    last = set(model.eq_obj1id[coupled].tolist())
+    places = {k: (k in last, _depth(model.body_parentid, int(model.jnt_bodyid[k]))) for k in range(model.njnt)}
+    depth = {joint_label(model, k): place for k, place in places.items()}
+    joints = [k for k, joint in enumerate(mechanism.joints) if joint.name in depth.keys() - base and joint.chart is None]
     for k in sorted(joints, key=lambda k: depth[mechanism.joints[k].name]):
         values = np.linalg.svd(rates[[*chosen, k]], compute_uv=False)
         if values[-1] > 1e-3 * values[0]:

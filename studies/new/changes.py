@@ -1,13 +1,13 @@
 """What a first motion changes of a model that has none as it is, each with a sentence for the user.
 
-A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their stops
-are locked there, since a stop's force is not planned for, and so are joints that a tendon's narrow range couples, that their
-own ranges fix, or that nothing drives and dry friction holds. Of a rod
-that spins while all else rests, a hinge is locked: nothing drives the spin, and its equations are too small beside the
-others for the solver. Of a rod between ball joints, a universal joint takes the place of one. Dry friction of a robot's leg
-sets in over a wider range of speeds: joints that hardly move would have a mesh as fine as the default range asks for. Links
-that overlap by construction, as an exporter leaves them on their pins, pass through each other. A drive whose limit is below
-the weight at home, as exporters write who do not know the motor, gets twice the effort that holds it.
+A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their
+stops are locked there, since a stop's force is not planned for, and so are joints that their own ranges fix, or that
+nothing drives and dry friction holds. Of a rod that spins while all else rests, a hinge is locked: nothing drives the
+spin, and its equations are too small beside the others for the solver. Of a rod between ball joints, a universal joint
+takes the place of one. Dry friction of a robot's leg sets in over a wider range of speeds: joints that hardly move would
+have a mesh as fine as the default range asks for. Links that overlap by construction, as an exporter leaves them on
+their pins, pass through each other. A drive whose limit is below the weight at home, as exporters write who do not know
+the motor, gets twice the effort that holds it.
 """
 
 import functools
@@ -32,7 +32,6 @@ from linkplan.studies.check.softness import STIFF_KEY
 from linkplan.studies.check.summary import grouped
 from linkplan.studies.new.locks import (
     HOLD_MULTIPLE,
-    coupled_with_play,
     dropped,
     fixed_by_range,
     held_by_friction,
@@ -302,12 +301,6 @@ _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...]
         held_by_friction,
         "dry friction holds joints that nothing drives: they are locked where they stand ({locks}); a motion that slides"
         " them is another mechanism's",
-    ),
-    functools.partial(
-        _locked,
-        coupled_with_play,
-        "only the narrow range of a tendon holds undriven joints, and a limit's force is not planned for: they are locked"
-        " with what drives them ({locks}); with an equality of the tendon they would move",
     ),
     _ball_rods_locked,
     functools.partial(

@@ -238,7 +238,9 @@ def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
     for column in driven_columns(mechanism):
         can = reach(mechanism, int(column))
         positions = can.poses[:, mechanism.independent[column]]
-        kept = np.flatnonzero(tendons_kept(mechanism, can.poses).all(axis=1) & servos_hold(mechanism, can.poses, column))
+        within = tendons_kept(mechanism, can.poses)
+        moved = within[:, within.any(axis=0)]  # a tendon that is outside its range all along is another coordinate's
+        kept = np.flatnonzero(moved.all(axis=1) & servos_hold(mechanism, can.poses, column))
         if 0 < len(kept) < len(positions):
             longest = max(np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1), key=len)
             middle[column] = positions[longest[len(longest) // 2]]

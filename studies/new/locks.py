@@ -1,4 +1,4 @@
-"""The joints that a first motion locks: on stops, held by dry friction, coupled with play, and the spins of rods."""
+"""The joints that a first motion locks: on stops, held by dry friction, and the spins of rods."""
 
 import mujoco
 import numpy as np
@@ -13,7 +13,6 @@ from linkplan.models.poses.reach import reach
 from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import unit_steps
-from linkplan.models.tree.tendons import is_fixed, limited_tendons, tendon_joints
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.new.hanging import driven_at_home, hanging_columns, is_equilibrium, least_energy_pose
 
@@ -74,20 +73,6 @@ def dropped(mechanism: Mechanism) -> dict[str, float]:
         stopped = min(joint.upper - falls_to, falls_to - joint.lower) < RANGE_ROUNDING
         if joint.chart is None and abs(falls_to - at) > RANGE_ROUNDING and (stopped or after - before):
             found[joint.name] = joint.shown(at) + 0.0
-    return found
-
-
-def coupled_with_play(mechanism: Mechanism) -> dict[str, float]:
-    """Return the home positions [deg or m] of the joints that narrow ranges of fixed tendons couple with undriven hinges.
-
-    Exporters describe differential drives in this way: a tendon leaves a waist a tenth of a degree of play.
-    """
-    hanging = set(mechanism.independent[hanging_columns(mechanism)].tolist())
-    found: dict[str, float] = {}
-    for tendon in limited_tendons(mechanism.model):
-        coupled = tendon_joints(mechanism.model, tendon.index) if is_fixed(mechanism.model, tendon.index) else {}
-        if tendon.unit == "" and tendon.span < 0.1 and not hanging.isdisjoint(coupled):  # [rad]
-            found |= {mechanism.joints[k].name: mechanism.joints[k].shown(mechanism.home[k]) + 0.0 for k in sorted(coupled)}
     return found
 
 

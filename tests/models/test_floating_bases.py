@@ -54,6 +54,21 @@ def test_a_base_that_something_holds_on_its_rail_does_not_float(old, new):
     assert floating_joints(mujoco.MjModel.from_xml_string(replaced(ON_A_RAIL, old, new))) == set()
 
 
+# A free body that hangs on a cable.
+HUNG = """<mujoco><worldbody><site name="roof" pos="0 0 1"/>
+<body name="platform"><freejoint/><geom type="box" size=".1 .1 .01" mass="1"/><site name="hook"/></body></worldbody>
+<tendon><spatial name="A"><site site="roof"/><site site="hook"/></spatial></tendon><actuator>{}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("motors", "floats"),
+    [('<motor tendon="A"/>', set()), ('<motor site="hook" gear="0 0 1 0 0 0"/>', set()), ("", {0})],
+    ids=["cable", "rotor", "nothing"],
+)
+def test_a_free_body_that_cables_or_rotors_move_does_not_float(motors, floats):
+    assert floating_joints(mujoco.MjModel.from_xml_string(HUNG.format(motors))) == floats
+
+
 # A chassis of two plates, both free in the file, with a leg on the upper one.
 PLATES = """<mujoco><worldbody>
 <body name="lower"><freejoint name="low"/><geom size=".1" mass="1"/></body>
@@ -68,6 +83,16 @@ def test_of_bases_that_float_tied_to_one_another_the_heaviest_is_fixed_and_holds
     assert floating_joints(load_mechanism(PLATES).model) == {1}
     assert fixed.notes[0] == "locked: high at home"
     assert [joint.name for joint in fixed.independent_joints] == ["hip"]
+
+
+def test_of_rods_that_actuated_cables_tie_together_the_heaviest_floats():
+    rods = replaced(PLATES, '<geom size=".1" mass="1"/>', '<geom size=".1" mass="1"/><site name="low"/>')
+    rods = replaced(rods, '<geom size=".1" mass="2"/>', '<geom size=".1" mass="2"/><site name="high"/>')
+    loose = replaced(rods, '<equality><weld body1="lower" body2="upper"/></equality>', "")
+    assert floating_joints(mujoco.MjModel.from_xml_string(loose)) == {0, 1}
+    cable = '<tendon><spatial name="cable"><site site="low"/><site site="high"/></spatial></tendon><actuator>'
+    tied = replaced(loose, "<actuator>", cable + '<motor tendon="cable"/>')
+    assert floating_joints(mujoco.MjModel.from_xml_string(tied)) == {1}
 
 
 def test_bases_that_float_tied_to_what_stands_on_the_world_do_not_float():

@@ -2,6 +2,7 @@
 
 import base64
 
+import mujoco
 import pytest
 
 from linkplan.models.errors import ModelError
@@ -83,9 +84,24 @@ def test_a_git_lfs_pointer_whose_mass_a_body_needs_is_named_with_its_remedy(tmp_
 
 def test_contact_pairs_with_a_floor_of_another_file_are_left_out_and_named(tmp_path):
     file = tmp_path / "arm.xml"
-    body = '<body><joint axis="0 1 0"/><geom name="foot" size=".1"/></body>'
-    pair = '<contact><pair geom1="floor" geom2="foot"/></contact>'
+    body = '<body name="leg"><joint axis="0 1 0"/><geom name="foot" size=".1"/></body>'
+    excluded = '<exclude body1="terrain" body2="leg"/><exclude body1="world" body2="leg"/>'
+    pair = f'<contact><pair geom1="floor" geom2="foot"/>{excluded}</contact>'
     file.write_text(f"<mujoco><worldbody>{body}</worldbody>{pair}</mujoco>")
     _, model, notes = compile_model(file)
-    assert model.npair == 0
-    assert any("floor" in note for note in notes)
+    assert (model.npair, model.nexclude) == (0, 1)
+    assert notes[0].endswith("geoms or bodies of other files are left out: floor, terrain")
+
+
+def test_attributes_of_an_older_mujoco_are_left_out_and_named(tmp_path):
+    """MuJoCo refuses them; MJCF files of many humanoids have `sensornoise`, those of hands `collision` or `apirate`."""
+    file = tmp_path / "arm.xml"
+    old = '<option apirate="100" collision="predefined"><flag sensornoise="enable" gravity="disable"/></option><asset>'
+    file.write_text(ARM.format(inertial=INERTIAL).replace("<asset>", old))
+    (tmp_path / "wood.png").write_bytes(ONE_PIXEL)
+    name, model, notes = compile_model(file)
+    assert (name, model.ntex, model.opt.disableflags) == ("arm", 1, mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    assert notes[0] == "attributes of an older MuJoCo are left out: apirate, collision, sensornoise"
+    file.write_text(file.read_text().replace("apirate", "newrate"))
+    with pytest.raises(ModelError, match="unrecognized attribute: 'newrate'"):
+        compile_model(file)

@@ -62,6 +62,48 @@ def test_a_mesh_of_a_package_that_is_not_found_is_left_out_and_said(tmp_path):
     assert 'meshdir="FOLDER"' in note
 
 
+@pytest.mark.parametrize("package", ["leg", "other"])
+def test_a_mesh_of_a_package_is_found_above_the_folder_of_the_urdf(package, tmp_path):
+    """ROS has PACKAGE/urdf beside PACKAGE/meshes, wherever the package lies; clones of it have other names."""
+    for folder in ("leg/urdf", "leg/meshes"):
+        (tmp_path / folder).mkdir(parents=True)
+    corners = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1]], dtype="<f4")
+    faces = b"".join(
+        bytes(12) + corners[[i, j, k]].tobytes() + bytes(2) for i, j, k in ((0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2))
+    )
+    (tmp_path / "leg/meshes/link.stl").write_bytes(bytes(80) + (4).to_bytes(4, "little") + faces)
+    shape = f'<collision><geometry><mesh filename="package://{package}/meshes/link.stl"/></geometry></collision></link>'
+    text = urdf().replace('<link name="base"/>', '<link name="base">' + shape)
+    (tmp_path / "leg/urdf/leg.urdf").write_text(text)
+    mechanism = load_mechanism(tmp_path / "leg/urdf/leg.urdf")
+    assert mechanism.model.nmesh == 1
+    assert not any("link.stl" in note for note in mechanism.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (
+            "link.stl",
+            b"solid link\n" + bytes(90),
+            "MuJoCo does not read (it reads binary .stl, .obj, .msh) are left out: link.stl",
+        ),
+        ("link.stl", bytes(84), "does not read"),
+        (
+            "link.obj",
+            b"version https://git-lfs.github.com/spec/v1\n",
+            "Git LFS pointers are left out: link.obj; git lfs pull",
+        ),
+    ],
+    ids=["text", "no triangles", "a pointer"],
+)
+def test_a_mesh_that_mujoco_refuses_is_left_out_and_said(name, content, said, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    shape = f'<collision><geometry><mesh filename="{name}"/></geometry></collision></link>'
+    (tmp_path / "leg.urdf").write_text(urdf().replace('<link name="base"/>', '<link name="base">' + shape))
+    assert any(said in note for note in load_mechanism(tmp_path / "leg.urdf").notes)
+
+
 def test_an_mjcf_that_attaches_a_urdf_gives_it_a_motor_and_keeps_its_coupling_and_effort_limit(tmp_path):
     (tmp_path / "leg.urdf").write_text(urdf())
     (tmp_path / "leg.xml").write_text(ATTACHED)

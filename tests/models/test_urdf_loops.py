@@ -234,7 +234,7 @@ def test_what_other_simulators_read_is_left_out_and_named(tmp_path):
     assert mechanism.model.ngeom == 1
     assert {
         "shapes without size are left out: of crank",
-        "meshes that MuJoCo does not read (it reads .stl, .obj, .msh) are left out: shell.dae",
+        "meshes that MuJoCo does not read (it reads binary .stl, .obj, .msh) are left out: shell.dae",
         "transmissions of joints that are not there, or do not move, are left out: lidar",
     } <= set(mechanism.notes)
 

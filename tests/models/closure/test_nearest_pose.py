@@ -81,6 +81,22 @@ def test_the_lines_pasted_into_a_problem_mend_it_and_name_joints_with_blanks():
     assert line in str(error)
 
 
+def test_the_offer_leaves_what_is_in_no_loop_where_it_stands():
+    """A parallelogram drawn flat is singular: the random poses from which a regular one is found move the trunk, too."""
+    flat = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint name="float"/><geom size=".1"/>
+    <body name="head"><joint name="neck" axis="0 1 0"/><geom size=".05" pos="0 0 .1"/></body>
+    <body name="crank"><joint name="motor" axis="0 1 0"/><geom size=".01" pos=".05 0 0"/><body name="coupler" pos=".1 0 0">
+    <joint name="pin" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/><site name="a" pos=".3 0 0"/></body></body>
+    <body name="rocker" pos=".3 0 0"><joint name="pivot" axis="0 1 0"/><geom size=".01" pos=".05 0 0"/>
+    <site name="b" pos=".1 0 0"/></body></body></worldbody>
+    <equality><connect site1="a" site2="b"/></equality><actuator><motor joint="motor"/></actuator></mujoco>"""
+    error = offered(flat)
+    home = error.home["home_deg"] | error.home["home_m"]
+    assert "singular" in str(error)
+    assert {name for name, x in home.items() if x != 0.0} == {"motor", "pin", "pivot", "float_z"}
+    assert home["float_z"] == 1.0
+
+
 def test_the_offer_keeps_the_joints_ranges():
     free = offered(LEG).home["home_deg"]
     limited = replaced(LEG, '<joint name="m1" axis="0 1 0"/>', '<joint name="m1" axis="0 1 0" range="-3 0.2"/>')

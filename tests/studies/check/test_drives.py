@@ -87,6 +87,16 @@ def test_no_motor_is_offered_for_the_spin_of_a_rod_but_one_for_a_wheel():
     assert joints_to_drive(rod) == ["drive", "wheel"]
 
 
+def test_no_motor_is_offered_for_a_base_that_floats_nor_for_a_joint_that_follows_another():
+    """A knee rolls: its slide, the first joint of the shank, follows its hinge by a coupling."""
+    walker = """<mujoco><worldbody><body name="pelvis"><joint name="x" type="slide" axis="1 0 0"/>
+    <joint name="z" type="slide" axis="0 0 1"/><joint name="tilt" axis="0 1 0"/><geom size=".1"/>
+    <body name="shank" pos="0 0 -.4"><joint name="roll" type="slide" axis="1 0 0"/><joint name="knee" axis="0 1 0"/>
+    <geom size=".05" pos="0 0 -.2"/></body></body></worldbody>
+    <equality><joint joint1="roll" joint2="knee" polycoef="0 .02 0 0 0"/></equality></mujoco>"""
+    assert joints_to_drive(load_mechanism(walker)) == ["knee"]
+
+
 def test_a_truss_in_which_a_rod_spins_is_said_to_be_held_still():
     bars = "".join(
         f'<body pos="{x} 0 0"><joint type="{kind}" axis="0 1 0"/><geom type="capsule" size=".01" fromto="0 0 0 {-x} 0 .3"/>'

@@ -124,3 +124,19 @@ def test_where_no_motion_is_found_the_joints_that_hang_are_named_with_their_lock
     assert list(given["lock"]) == names
     driven, _ = not_found(arm(3, 3), why, monkeypatch, tmp_path)
     assert "lock" not in driven.why
+
+
+# A drone of four rotors, which turn in pairs.
+DRONE = """<mujoco><worldbody><body name="frame" pos="0 0 .3"><freejoint name="float"/>
+<geom type="box" size=".1 .1 .03" mass="1"/>
+<site name="a" pos=".1 .1 0"/><site name="b" pos="-.1 .1 0"/><site name="c" pos="-.1 -.1 0"/><site name="d" pos=".1 -.1 0"/>
+</body></worldbody><actuator><motor site="a" ctrlrange="0 9" gear="0 0 1 0 0 .02"/>
+<motor site="b" ctrlrange="0 9" gear="0 0 1 0 0 -.02"/><motor site="c" ctrlrange="0 9" gear="0 0 1 0 0 .02"/>
+<motor site="d" ctrlrange="0 9" gear="0 0 1 0 0 -.02"/></actuator></mujoco>"""
+
+
+@pytest.mark.slow
+def test_the_first_motion_of_a_drone_lifts_it():
+    found = first_motion({"model": DRONE}, lambda _: None)
+    assert found.planned, found.why
+    assert found.description.startswith("MuJoCo Model: float_z from 0.3 to 0.31 m")

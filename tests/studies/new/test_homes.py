@@ -53,6 +53,22 @@ def test_a_home_outside_a_tendon_s_range_is_left_for_one_that_keeps_it(tmp_path,
     assert abs(np.degrees(angles[1] - angles[0])) > 10
 
 
+def test_two_arms_whose_ropes_are_both_outside_their_ranges_begin_where_each_keeps_its_own():
+    """The middle of a joint's range, 0 deg, is outside; the ropes are within their ranges from -14.48 deg on."""
+    arm, rope = (
+        ROPE[ROPE.index("<site name") : ROPE.index("</worldbody>")],
+        ROPE[ROPE.index("<spatial") : ROPE.index("</tendon>")],
+    )
+    motor = '<motor joint="A" ctrlrange="-2 2"/>'
+    both = ROPE
+    for one in (arm, rope, motor):
+        twin = one.replace('"A"', '"B"').replace("wall", "post").replace("end", "tip").replace("rope", "cord")
+        both = both.replace(one, one + twin.replace("<body>", '<body pos="0 1 0">').replace(".3 0 0", ".3 1 0"))
+    first = first_motion({"model": both}, lambda _: None)
+    assert first.planned, first.why
+    assert {name: angle < -14.4 for name, angle in first.mechanism.source["home_deg"].items()} == {"A": True, "B": True}
+
+
 def test_a_home_outside_a_servo_s_ctrlrange_is_left_for_the_middle_of_the_range():
     """A stiff servo holds its arm between its ctrls of -72 and -33 deg alone; the arm turns from -180 to 180 deg."""
     servo = """<mujoco><worldbody><body><joint name="A" axis="0 1 0" range="-180 180"/>
