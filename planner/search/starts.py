@@ -115,7 +115,7 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
         if swung is not None:
             duration = problem.motion.duration_s or max(swung.duration_s, problem.motion.min_duration_s or 0.0)
             yield "the least-time motion", replace(stretched(swung, duration), swings=quickest.swings)
-    yield "the phase plane", phase_plane_guess(problem, search.start_pose, quickest)
+    yield "the phase plane", phase_plane_guess(problem, quickest)
 
 
 def may_be_along_limits(search: Search) -> bool:
@@ -188,7 +188,7 @@ def _better_plan(search: Search, budget: Budget) -> Plan | None:
         _, guess = judged_by_the_phase_plane(search)
     else:
         assert search.quickest is not None  # a swing of it may be better
-        guess = phase_plane_guess(search.problem, search.start_pose, search.quickest)
+        guess = phase_plane_guess(search.problem, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
     plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known)
