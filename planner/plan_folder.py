@@ -1,5 +1,6 @@
 """Plans on disk: `plan.json`, `trajectory.npz` and `trajectory.csv` in a folder."""
 
+import dataclasses
 import functools
 import os
 from collections.abc import Callable, Sequence
@@ -65,7 +66,7 @@ def record(plan: Plan) -> dict:
                 "solve": sum(step.solve_s for step in plan.history),
             },
             "details": plan.details,
-            "history": [{name: getattr(step, name) for name in step.saved()} for step in plan.history],
+            "history": [dataclasses.asdict(step) for step in plan.history],
             "notes": list(problem.notes),
             "not_honoured": list(not_honoured(plan)),
             "versions": versions(),

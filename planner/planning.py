@@ -55,7 +55,7 @@ _FIRST: tuple[Rung, ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="the phase plane: dynamic programming, then bang efforts",
+        name="the phase plane",
         tried=starts.phase_plane_may_help,
         climb=starts.from_the_phase_plane,
         budget=HURRIED,
@@ -114,7 +114,6 @@ REPAIRS: tuple[Repair, ...] = (
         name="finer meshes begun next to the coarser one's answer",
         tried=lambda _problem, plan: attempts.unsound(plan),
         mend=attempts.from_next_to_it,
-        always=False,
     ),
 )
 

@@ -12,9 +12,8 @@ import numpy as np
 
 from linkplan.planner.certificate.flow import flow
 from linkplan.planner.ode.case import FirstSolution, OdeCase
-from linkplan.planner.ode.certificate import OdeCertificate, sizes_of
+from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.formulation import completed, start_of, straight_guess, units_of
-from linkplan.planner.ode.integration import is_unstable
 from linkplan.planner.ode.plan import OdePlan, plan_of
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.switches import has_arcs, is_affine, switch_by_costates
@@ -244,7 +243,7 @@ def refined_motion(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTraj
         first = replace(first, case=OdeCase(asked, problem, first.case.units))
         first = switch_by_costates(_with_linear_efforts(_without_wild_efforts(first)))
     guess = sampled_guess(first.found.motion)
-    unstable = is_unstable(problem, first.found.motion, sizes_of(guess.state))
+    unstable = first.case.certify(first.found.motion).integration_restarts > 0
     if unstable:
         # In its own units, and from next to the coarser mesh: the solver loses such a motion more easily than others.
         first = replace(first, case=replace(first.case, units=units_of(problem, guess)))

@@ -24,8 +24,6 @@ from linkplan.planner.problem.problem import Problem
 _GRID_CELLS, _TURNING_PLACES = 1600, 60
 # The smallest speed in sums of times [rad/s or m/s].
 _MIN_SPEED = 1e-9
-# Shares of the effort limits tried for a motion that may take longer than the least time.
-_EFFORT_SHARES = (0.7, 0.4)
 # Energies at which a turn is tried, as multiples of the energy at which dampers take full effort on average.
 _TURN_ENERGIES = np.geomspace(1e-3, 1e3, 25)
 # Energies that differ by less than this share are the same.
@@ -116,22 +114,10 @@ def least_share(problem: Problem, start_pose: np.ndarray, duration: float) -> tu
     return high, best
 
 
-def phase_plane_guess(problem: Problem, start_pose: np.ndarray, quickest: Guess) -> Guess:
-    """Return a motion by the phase plane whose duration is nearest to a fixed one, stretched to it.
-
-    Args:
-        problem: of a reach or of turns.
-        start_pose: closed, at its start.
-        quickest: from `least_time_guess`.
-    """
+def phase_plane_guess(problem: Problem, quickest: Guess) -> Guess:
+    """Return the motion of least time of a reach or of turns, from `least_time_guess`, stretched to a fixed duration."""
     duration = problem.motion.duration_s
-    if duration is None:
-        return quickest
-    if problem.motion.turns is not None:
-        return stretched(quickest, duration)
-    weaker = _planes(problem, start_pose)
-    known = [quickest, *(guess for share in _EFFORT_SHARES if (guess := weaker(share)) is not None)]
-    return stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
+    return quickest if duration is None else stretched(quickest, duration)
 
 
 def _planes(problem: Problem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:

@@ -3,8 +3,6 @@
 A mechanism's problem and a user's differential equation implement `Case`, so that the same code refines both.
 """
 
-import functools
-import hashlib
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -16,10 +14,9 @@ from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import amend_last_step, progress, record, recorded, step_of
 from linkplan.planner.refinement.switches import PiecewiseMotion
-from linkplan.planner.solvers.solve import OUT_OF_TIME, Solution, solve
+from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.system import Endpoint, System
 
 
 class RefinementCertificate(Protocol):
@@ -227,40 +224,12 @@ def attempt(
         )
     except (AssemblyError, OutOfTimeError):  # the loops of the start open between the instants at which it was sampled
         return None
-    asked = _asked(transcribed, settings.solver, warm, close)
-    known = next((step for step in recorded() if step.asked == asked), None)
-    answer = None if known is None else known.answer
-    if known is not None and answer is None:
-        return None  # a repair that changes nothing here
-    if answer is not None:
-        solution = Solution(**{**answer, "transcribed": transcribed, "build_s": 0.0, "solve_s": 0.0})
-    else:
-        solution = solve(transcribed, settings.solver, warm=warm, close=close)
-    record(step_of(what, transcribed, solution, asked if solution.status != OUT_OF_TIME else ""))
+    solution = solve(transcribed, settings.solver, warm=warm, close=close)
+    record(step_of(what, transcribed, solution))
     if not solution.converged:
         return None
     motion = case.motion(solution)
     return None if motion is None else Iterate(motion=motion, solution=solution, fixed=fixed)
-
-
-def _asked(transcribed: Transcribed, settings: SolverSettings, warm: bool, close: bool) -> str:
-    """Return a hash of a program with its numbers, and of how it is solved."""
-    formulation, mesh, linear = transcribed.formulation, transcribed.program.mesh, transcribed.program.linear
-    digest = hashlib.sha256(_expressions(formulation.build_system(), formulation.endpoint))
-    how = (settings.max_iterations, warm, close, transcribed.scheme.name, transcribed.least_limit)
-    digest.update(repr((how, transcribed.scheme.effort_at.shape, formulation.rows)).encode())
-    bounds = (transcribed.lower, transcribed.upper, transcribed.row_lower, transcribed.row_upper)
-    rows = (linear.rows, linear.columns, linear.values)
-    for numbers in (mesh.fraction, mesh.segment, *rows, transcribed.parameters, *bounds, transcribed.start):
-        digest.update(numbers.tobytes() + b"|")
-    return digest.hexdigest()
-
-
-@functools.lru_cache(maxsize=16)
-def _expressions(system: System, endpoint: Endpoint | None) -> bytes:
-    """Return a hash of a system's expressions, and of its endpoint's."""
-    functions = [system.node] if endpoint is None else [system.node, endpoint.function]
-    return hashlib.sha256("|".join(function.serialize() for function in functions).encode()).digest()
 
 
 def _attempted(what: str, scheme: str, mesh: Mesh) -> str:

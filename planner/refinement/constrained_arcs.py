@@ -169,23 +169,6 @@ def find_constrained_paths(
     return constrained_paths
 
 
-def free_ends(ends_s: np.ndarray, fixed: FixedArcs) -> tuple[np.ndarray, FixedArcs]:
-    """Return switch times (n,) [s] that split the ends off constrained arcs, and what is held then: no paths on those ends.
-
-    An effort may come to its limit on the way along an arc, in less than an interval, and end it there.
-    """
-    switch_times, efforts, paths = [], [], []
-    for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
-        on_path = fixed.paths[k]
-        if on_path.any():
-            beside = SHARE_BESIDE_SWITCHES * (end - begin)
-            switch_times += [begin + beside, end - beside]
-        parts = [0 * on_path, on_path, 0 * on_path] if on_path.any() else [on_path]
-        efforts += [fixed.efforts[k]] * len(parts)
-        paths += parts
-    return np.array(switch_times), FixedArcs(efforts=np.array(efforts), paths=np.array(paths))
-
-
 def arcs_against_their_limits(solution: Solution) -> np.ndarray:
     """Return the instants (n,) [s], middles of intervals, at which the optimum would leave a held limit."""
     breaks = interval_breaks(solution)

@@ -6,8 +6,7 @@ A plan is made inside `recording`. Whatever solves calls `record` and `progress`
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
@@ -35,15 +34,6 @@ class Step:
     build_s: float
     solve_s: float
     integration_error: float | None = None  # of a differential equation, as a share of its states' sizes
-    asked: str = field(default="", repr=False)  # a hash of the program; the same program has the same answer
-    answer: dict[str, Any] | None = field(
-        default=None, repr=False
-    )  # the fields of a converged solution, without its program
-
-    @classmethod
-    def saved(cls) -> tuple[str, ...]:
-        """Return the names of what is saved of a step: all but what spares the search a second solve."""
-        return tuple(name for name in cls.__slots__ if name not in ("asked", "answer"))
 
 
 # The steps of the plan that is being made in this thread, and where its progress goes.
@@ -87,8 +77,8 @@ def progress(text: str) -> None:
     _SAY.get()(text)
 
 
-def step_of(what: str, transcribed: Transcribed, solution: Solution, asked: str = "") -> Step:
-    """Return the record of one solve; `asked` as of `Step`, empty where its answer need not be kept."""
+def step_of(what: str, transcribed: Transcribed, solution: Solution) -> Step:
+    """Return the record of one solve."""
     mesh = transcribed.program.mesh
     return Step(
         what=what,
@@ -101,10 +91,4 @@ def step_of(what: str, transcribed: Transcribed, solution: Solution, asked: str 
         integration_error_deg=None,
         build_s=transcribed.build_s + solution.build_s,
         solve_s=solution.solve_s,
-        asked=asked,
-        answer=_answer(solution) if asked and solution.converged else None,
     )
-
-
-def _answer(solution: Solution) -> dict[str, Any]:
-    return {field.name: getattr(solution, field.name) for field in fields(solution) if field.name != "transcribed"}

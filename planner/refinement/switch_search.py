@@ -3,7 +3,7 @@
 A duration that ends at a bound of its guess has not converged: the objective still falls there.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from linkplan.planner.refinement.constrained_arcs import (
     arc_ends,
     arcs_against_their_limits,
     find_constrained_paths,
-    free_ends,
     own_arcs,
     path_arcs,
 )
@@ -35,15 +34,6 @@ SHARE_AT_GUESS_BOUND = 0.01
 LONGER, SHORTER = "longer", "shorter"
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Reading:
-    """One interpretation of a solution's arcs: its name, the ends (n_switches,) [s], and what is held between them."""
-
-    what: str
-    switch_times_s: np.ndarray
-    fixed: FixedArcs | None
-
-
 def settle_switch_times(
     case: Case[MotionT, CertificateT],
     found: Iterate[MotionT],
@@ -59,22 +49,18 @@ def settle_switch_times(
     for _ in range(4):  # next to arcs inside the limits switch times settle in so many solves
         before = found.solution.objective
         boundaries = found.motion.breaks_s[found.mesh.boundaries()]
-        readings = _readings(case, found, boundaries)
-        if not readings or len(readings[0].switch_times_s) > found.mesh.n_intervals // 6:
+        switch_times, fixed = _arcs_of(case, found, boundaries)
+        if not 0 < len(switch_times) <= found.mesh.n_intervals // 6:
             break
-        fixed = readings[0].fixed
-        if fixed is not None and _known(found.solution.transcribed, fixed) and not at_bounds(found.solution):
+        if _known(found.solution.transcribed, fixed) and not at_bounds(found.solution):
             return replace(found, fixed=fixed)
         better, start = None, case.start_from(found.motion)
-        for reading in [*readings, replace(readings[0], what="switch times as unknowns, efforts free", fixed=None)]:
-            finer, durations = mesh_with_switches(boundaries, reading.switch_times_s, case.problem.mesh.intervals)
-            tried = attempt(
-                case, start, finer, durations, reading.what,
-                warm=True, position_rows=position_rows, fixed=reading.fixed,
-            )  # fmt: skip
+        finer, durations = mesh_with_switches(boundaries, switch_times, case.problem.mesh.intervals)
+        for held, what in ((fixed, "switch times as unknowns"), (None, "switch times as unknowns, efforts free")):
+            tried = attempt(case, start, finer, durations, what, warm=True, position_rows=position_rows, fixed=held)
             # If everything is held, nothing can be gained between the nodes: the rest of the difference is the error of the
             # mesh.
-            whole = reading.fixed is not None and reading.fixed.everything and bool(reading.fixed.paths.any())
+            whole = held is not None and held.everything and bool(held.paths.any())
             allowed = MESH_ERROR_SHARE if whole else no_worse
             if tried is not None and len(arcs_against_their_limits(tried.solution)):
                 continue  # the arcs were read wrongly
@@ -91,8 +77,10 @@ def settle_switch_times(
     return found
 
 
-def _readings(case: Case[MotionT, CertificateT], found: Iterate[MotionT], boundaries: np.ndarray) -> list[_Reading]:
-    """Return the interpretations of a solution's arcs, the likeliest first.
+def _arcs_of(
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], boundaries: np.ndarray
+) -> tuple[np.ndarray, FixedArcs]:
+    """Return the ends (n,) [s] of a solution's arcs between phase boundaries [s], and what is held along them.
 
     Arcs shorter than an interval are bang arcs where nothing else binds; elsewhere they are rather ends of arcs along a
     limit.
@@ -111,17 +99,10 @@ def _readings(case: Case[MotionT, CertificateT], found: Iterate[MotionT], bounda
     )
     further = arc_ends(np.hstack([on_path, arcs]), motion.breaks_s, switch_times, boundaries)
     switch_times = np.sort(np.append(switch_times, further))
-    if len(switch_times) == 0:
-        return []
     ends = np.sort(np.concatenate([boundaries, switch_times]))
     bang_efforts = find_bang_efforts(motion, target.effort_limit, ends[1:-1])
-    fixed = FixedArcs(efforts=bang_efforts, paths=find_constrained_paths(on_path, motion.breaks_s, ends, bang_efforts))
-    readings = [_Reading(what="switch times as unknowns", switch_times_s=switch_times, fixed=fixed)]
-    if fixed.paths.any():
-        inner, loose = free_ends(ends, fixed)
-        what = "switch times as unknowns, ends of arcs free"
-        readings.append(_Reading(what=what, switch_times_s=np.sort(np.append(switch_times, inner)), fixed=loose))
-    return readings
+    paths = find_constrained_paths(on_path, motion.breaks_s, ends, bang_efforts)
+    return switch_times, FixedArcs(efforts=bang_efforts, paths=paths)
 
 
 def is_bang_bang(case: Case[MotionT, CertificateT], transcribed: Transcribed) -> bool:

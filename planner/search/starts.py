@@ -19,7 +19,6 @@ from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
-from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
 from linkplan.planner.phase_plane.leg_field import knows_pins, knows_speeds
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan import Plan
@@ -95,7 +94,7 @@ def _swings_may_be_better(search: Search) -> bool:
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that the user's guess leads to, or else the smoothest path."""
-    return _first_of(search, budget, search.first_starts(), mended=not search.only_time_counts)
+    return _first_of(search, budget, search.first_starts())
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
@@ -111,15 +110,12 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     problem, quickest = search.problem, search.quickest
     assert quickest is not None  # where the phase plane applies
-    cheap = _cheapest(search)
-    if cheap is not None:
-        yield "dynamic programming", cheap
     if quickest.swings > 1 and quickest.boundaries_s is None and not search.only_time_counts:
         swung = least_time_motion(search, budget)
         if swung is not None:
             duration = problem.motion.duration_s or max(swung.duration_s, problem.motion.min_duration_s or 0.0)
             yield "the least-time motion", replace(stretched(swung, duration), swings=quickest.swings)
-    yield "the phase plane", phase_plane_guess(problem, search.start_pose, quickest)
+    yield "the phase plane", phase_plane_guess(problem, quickest)
 
 
 def may_be_along_limits(search: Search) -> bool:
@@ -150,22 +146,13 @@ def along_limits(search: Search, _: Budget) -> Plan | None:
     return plan if plan.passed else None
 
 
-def _cheapest(search: Search) -> Guess | None:
-    """Return dynamic programming's motion to one goal in more than the phase plane's least time; None where it has none."""
-    problem, motion = search.problem, search.problem.motion
-    if motion.duration_s is None or motion.waypoints or not enough_time(search):
-        return None
-    assert search.quickest is not None  # there is enough time for it
-    return cheapest_guess(problem, search.start_pose, search.quickest)
-
-
 def from_swings(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that a swing away from the goal, or beyond it, leads to."""
     swings = swinging_guesses(search.problem, search.start_pose)
     return _first_of(search, budget, (("a swing", swing) for swing in swings))
 
 
-def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, mended: bool = True) -> Plan | None:
+def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]]) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
     for what, guess in search.deadline.take(starts):
@@ -173,7 +160,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
             search.plans.append(missed)
             if not search.starts_are_worth_it:
                 return None
-        missed = plan_from(search, budget, what, guess, mended=mended)
+        missed = plan_from(search, budget, what, guess)
         if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed
@@ -201,10 +188,10 @@ def _better_plan(search: Search, budget: Budget) -> Plan | None:
         _, guess = judged_by_the_phase_plane(search)
     else:
         assert search.quickest is not None  # a swing of it may be better
-        guess = _cheapest(search) or phase_plane_guess(search.problem, search.start_pose, search.quickest)
+        guess = phase_plane_guess(search.problem, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
-    plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, mended=False)
+    plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known)
     return plan if plan is not None and plan.passed and plan.objective < known else None
 
 
@@ -232,7 +219,7 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
         free = search.of_another(_in_least_time(search.within(budget)))
         with recording():
             along = along_limits(free, HURRIED) if may_be_along_limits(free) else None
-            return along or plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
+            return along or plan_from(free, HURRIED, "the phase plane", search.quickest)
 
     return search.known.once(PHASE_PLANE_LEAST_TIME, look)
 

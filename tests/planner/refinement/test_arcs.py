@@ -9,10 +9,8 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.constrained_arcs import (
-    FixedArcs,
     arc_ends,
     find_constrained_paths,
-    free_ends,
     standing_off,
 )
 from linkplan.planner.refinement.switch_search import settle_switch_times
@@ -102,14 +100,6 @@ def test_segments_hold_what_all_their_inner_intervals_follow_and_no_more_than_ef
     np.testing.assert_array_equal(fixed, [[0, 0], [1, 0], [1, 0]])  # one effort bears one path quantity
     bang_efforts[1] = 3.0
     assert not find_constrained_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), bang_efforts)[1].any()
-
-
-def test_the_ends_of_a_held_arc_are_split_off_and_free():
-    fixed = FixedArcs(efforts=np.array([[2.0], [NAN]]), paths=np.array([[0], [1]]))
-    switch_times, loose = free_ends(np.array([0.0, 1.0, 3.0]), fixed)
-    np.testing.assert_allclose(switch_times, [1.3, 2.7])
-    np.testing.assert_array_equal(loose.paths, [[0], [0], [1], [0]])
-    np.testing.assert_array_equal(np.isnan(loose.efforts).ravel(), [False, True, True, True])
 
 
 def with_efforts(efforts: list[float]) -> Trajectory:

@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.planner.refinement import switch_search
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.switch_search import _Reading, settle_switch_times
+from linkplan.planner.refinement.switch_search import settle_switch_times
 from linkplan.planner.transcription.mesh import uniform
 
 
@@ -26,8 +26,7 @@ def settled(monkeypatch, objectives: list[float]) -> tuple[float, int]:
         return solution(solves[-1])
 
     fixed = FixedArcs(efforts=np.full((2, 1), np.nan), paths=np.zeros((2, 1), dtype=int))
-    reading = _Reading(what="", switch_times_s=np.array([0.4]), fixed=fixed)
-    monkeypatch.setattr(switch_search, "_readings", lambda *_: [reading])
+    monkeypatch.setattr(switch_search, "_arcs_of", lambda *_: (np.array([0.4]), fixed))
     monkeypatch.setattr(switch_search, "attempt", attempt)
     monkeypatch.setattr(switch_search, "arcs_against_their_limits", lambda _: [])
     monkeypatch.setattr(switch_search, "at_bounds", lambda _: False)
