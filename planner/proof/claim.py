@@ -62,8 +62,8 @@ def rounding_of(bounds: Sequence[float]) -> tuple[float, float]:
 
 
 def of_kinetics(of: Callable[[Kinetics], Ball]) -> Callable[[State], list[Ball]]:
-    """Return the value of a quantity for a motion's kinetics."""
-    return lambda state: [of(state.of_position)]
+    """Return the values of a quantity for a motion's one or two kinetics."""
+    return lambda state: [of(kinetics) for kinetics in state.kinetics]
 
 
 # A bound whose remainder is more than this share of it is loose.

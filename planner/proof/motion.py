@@ -139,6 +139,7 @@ class Piece:
     since: arb  # the time from the motion's begin to the interval's [s]
     width: arb  # [s]
     position: tuple[arb_poly, ...]
+    velocity: tuple[arb_poly, ...]
     effort: tuple[arb_poly, ...]
     one_velocity: bool  # the planned velocity is the slope of the planned position, to rounding
 
@@ -148,7 +149,7 @@ class Piece:
         begin, end = (float(x) for x in trajectory.breaks_s[k : k + 2])
         named = {
             name: tuple(arb_poly(power_form(column)) for column in getattr(trajectory, name)[:, k].T)
-            for name in ("position", "effort")
+            for name in ("position", "velocity", "effort")
         }
         since = arb(begin) - arb(float(trajectory.breaks_s[0]))
         return cls(begin_s=begin, since=since, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
@@ -264,7 +265,7 @@ def _squared(A: Matrix, n_rows: int) -> Matrix:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class State:
-    """A motion as series of x over a box: positions s (n_s,), pose q (n_q,) and efforts u.
+    """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
 
     `rate` is dx/dt [1/s], `time` counts from the motion's begin [s].
     """
@@ -273,6 +274,7 @@ class State:
     piece: Piece
     s: Sequence[arb_series]
     z: Sequence[arb_series]
+    v: Sequence[arb_series]
     u: Sequence[arb_series]
     rate: arb
     time: arb_series
@@ -338,3 +340,26 @@ class State:
         """Rates and accelerations that are derivatives of the planned positions."""
         rates = [self.rate * x.derivative() for x in self.q]
         return Kinetics(state=self, rates=rates, accelerations=[self.rate * x.derivative() for x in rates])
+
+    @cached_property
+    def of_velocity(self) -> Kinetics:
+        """Rates Gamma v and accelerations of the planned velocity v."""
+        a = [self.rate * x.derivative() for x in self.v]
+        rates = pose_of(self.blocks, self.v, self._dependent(self.v, None))
+        return Kinetics(state=self, rates=rates, accelerations=pose_of(self.blocks, a, self._dependent(a, rates)))
+
+    def _dependent(self, of_s: Sequence[Ball], rates: list[Ball] | None) -> list[Ball]:
+        """Return -J_z^-1 (J_s x + J' q'), without the second term if there are no `rates`."""
+        n = self.blocks.rank
+        if n == 0:
+            return []
+        right = product(self.tangent_s, of_s, n)
+        if rates is not None:
+            right = [x + y for x, y in zip(right, dense(self.blocks.convective(self.q, rates)[0], n), strict=True)]
+        (found,) = solve(self.tangent_z, [[-x for x in right]])
+        return found
+
+    @property
+    def kinetics(self) -> list[Kinetics]:
+        """The motion's kinetics: one, or two if the planned velocity is not the slope of the planned position."""
+        return [self.of_position] if self.piece.one_velocity else [self.of_position, self.of_velocity]

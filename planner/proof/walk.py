@@ -259,8 +259,8 @@ class Blocks:
     """The model's blocks as walks, and the closure as a function of numbers.
 
     `closure` is q -> E phi (rank,), `tangent` is q -> d(E phi)/dq (rank, n_q), `tree` is (q, q', q'') -> generalised forces
-    (n_q,) of the tree with open loops, `arms` is q -> B (n_q, n_u). `force_map` is q -> the matrix (n_rows, rank)
-    from multipliers to the forces of least norm on all rows.
+    (n_q,) of the tree with open loops, `arms` is q -> B (n_q, n_u), `convective` is (q, q') -> J' q' (rank,). `force_map` is
+    q -> the matrix (n_rows, rank) from multipliers to the forces of least norm on all rows.
     """
 
     mechanism: Mechanism
@@ -271,6 +271,7 @@ class Blocks:
     numbers: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # q -> E phi (rank,), J (rank, n_q)
     tree: Walk
     arms: Walk
+    convective: Walk
     force_map: Walk
     n_rows: int
 
@@ -288,7 +289,7 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
         UnknownOperationError: when the model has an operation that balls do not enclose.
     """
     dynamics = mechanism.dynamics
-    q, *_ = motion = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
+    q, rates, _ = motion = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
     phi = dynamics.independent_closure(q)
     jacobian = ca.jacobian(phi, q)
     return Blocks(
@@ -300,6 +301,7 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
         numbers=_in_numbers(ca.Function("numbers", [q], [ca.densify(phi), ca.densify(jacobian)])),
         tree=_walk("tree", motion, dynamics.tree_effort(*motion)),
         arms=_walk("arms", [q], ca.sparsify(dynamics.effort_matrix(q))),
+        convective=_walk("convective", [q, rates], ca.jtimes(jacobian @ rates, q, rates)),
         force_map=_walk("force_map", [q], ca.sparsify(dynamics.force_map(q))),
         n_rows=mechanism.n_closure_rows,
     )

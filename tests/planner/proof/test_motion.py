@@ -51,7 +51,7 @@ def motion(mechanism: Mechanism) -> Trajectory:
     )
 
 
-def kinetics(mechanism: Mechanism) -> tuple[Kinetics, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def kinetics(mechanism: Mechanism) -> tuple[list[Kinetics], np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the series at a share of the interval, and pose, speed, acceleration and efforts there."""
     trajectory, blocks = motion(mechanism), blocks_of(mechanism)
     time = np.array([1.0 + TAU * 0.8])
@@ -60,7 +60,7 @@ def kinetics(mechanism: Mechanism) -> tuple[Kinetics, np.ndarray, np.ndarray, np
     middle, _, _ = states_of(blocks, Piece.of(trajectory, 0), (TAU, 2.0**-8), guess, [arb(0)], TAYLOR_ORDER)
     ctx.cap = TAYLOR_ORDER
     numbers = (f(time) for f in (trajectory.velocity_at, trajectory.acceleration_at, trajectory.effort_at))
-    return middle.of_position, q, *numbers
+    return [middle.of_position, middle.of_velocity], q, *numbers
 
 
 def values(found) -> np.ndarray:
@@ -70,23 +70,24 @@ def values(found) -> np.ndarray:
 @pytest.mark.parametrize("actuators", [ONE, TWO], ids=["one motor", "two motors"])
 def test_rates_efforts_and_forces_are_those_of_numbers(actuators):
     mechanism = load_mechanism(CRANK.format(actuators=actuators))
-    one, q, v, a, u = kinetics(mechanism)
+    both, q, v, a, u = kinetics(mechanism)
     tau, maps = demanded(mechanism, q, v, a)
     lacking = tau[0] - maps[0] @ u[0]
     forces = np.array(mechanism.dynamics.closure_force(q[0], v[0], a[0], u[0])).ravel()
-    np.testing.assert_allclose(values(one.rates), joint_rates(mechanism, q, v)[0], rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(values(one.tau[0]), tau[0], rtol=1e-10)
-    np.testing.assert_allclose(values(one.residual), lacking, rtol=1e-9)
-    np.testing.assert_allclose(values(one.efforts()), u[0] + np.linalg.pinv(maps[0]) @ lacking, rtol=1e-9)
-    np.testing.assert_allclose(values(one.closure_forces), forces, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(values(one.actuator_speeds), maps[0].T @ v[0], rtol=1e-10)
+    for one in both:  # from the positions, and from the velocities
+        np.testing.assert_allclose(values(one.rates), joint_rates(mechanism, q, v)[0], rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(values(one.tau[0]), tau[0], rtol=1e-10)
+        np.testing.assert_allclose(values(one.residual), lacking, rtol=1e-9)
+        np.testing.assert_allclose(values(one.efforts()), u[0] + np.linalg.pinv(maps[0]) @ lacking, rtol=1e-9)
+        np.testing.assert_allclose(values(one.closure_forces), forces, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(values(one.actuator_speeds), maps[0].T @ v[0], rtol=1e-10)
 
 
 @pytest.mark.parametrize("actuators", [ONE, TWO], ids=["one motor", "two motors"])
 def test_a_corner_s_machine_has_other_friction_and_weaker_motors(actuators):
     """Friction of 0.7 v + 0.2 on the slider, and nine tenths of the torque."""
     mechanism = load_mechanism(CRANK.format(actuators=actuators))
-    one, q, v, a, u = kinetics(mechanism)
+    (one, _), q, v, a, u = kinetics(mechanism)
     slide = [joint.name for joint in mechanism.joints].index("P")
     corner = Corner(payload_factor=1.0, torque_factor=0.9, friction=((slide, 0.7, 0.2),))
     tau, maps = demanded(mechanism, q, v, a)

@@ -149,6 +149,7 @@ def test_a_refuted_claim_names_an_instant_at_which_its_bound_occurs(share):
         ("velocity", (0, 0, 0), 1e-3, "starts and ends"),
         ("start_pose", (1,), 1e-4, "loops close"),
         ("effort", (slice(None), 5, 0), 40.0, "planned effort"),
+        ("velocity", (2, 0, 0), -0.2, INVERSE),
         ("position", (2, 0, 0), 2e-4, INVERSE),
     ],
 )
