@@ -1,4 +1,4 @@
-"""Starts and goals at speed: where full effort stops them, and no plan where a range ends before."""
+"""Starts and goals at speed: where full effort stops them, and the sentence where a range ends before."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import pytest
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.presolve import no_way_to_stop
 
 # A mass of 2 kg on a rail, pushed by at most 6 N: it stops from 0.3 m/s within 0.015 m.
 CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="{low} {high}"/>
@@ -58,14 +59,24 @@ def test_a_start_as_fast_as_it_may_be_brakes_into_the_goal_and_a_faster_one_come
 
 
 @pytest.mark.parametrize(("minimize", "duration"), [("time", "free"), ("effort", 2.0)])
-def test_a_range_that_ends_before_the_stop_has_no_plan_and_the_sentence_names_the_joint(minimize, duration):
+def test_a_range_that_ends_before_the_stop_is_infeasible_and_the_sentence_names_it(minimize, duration):
     asked = {"minimize": minimize, "duration_s": duration, "start_speed_m_s": {"x": SPEED}}
     plan = plan_motion(reach(0.0, -1.0, high=0.97 * STOP, **asked))
-    assert plan.status in ("failed", "infeasible")
-    assert "joint x" in plan.message
+    assert plan.status == "infeasible"
+    assert "no effort within its limits stops the 0.3 m/s of joint x at the start" in plan.message
+    assert plan.trajectory is None
 
 
-def test_a_goal_speed_that_the_range_leaves_no_run_up_for_has_no_plan():
+def test_a_range_that_ends_just_behind_the_stop_is_not_refused():
+    assert no_way_to_stop(reach(0.0, -1.0, high=1.001 * STOP, start_speed_m_s={"x": SPEED})) is None
+
+
+def test_a_goal_speed_that_the_range_leaves_no_run_up_for_is_infeasible():
     plan = plan_motion(reach(0.5, -1.0, low=-1.0 - 0.97 * STOP, goal_speed_m_s={"x": SPEED}))
-    assert plan.status in ("failed", "infeasible")
-    assert "joint x" in plan.message
+    assert plan.status == "infeasible"
+    assert "gathers the 0.3 m/s of joint x at the goal" in plan.message
+
+
+def test_a_goal_that_may_be_passed_at_speed_needs_no_stop_behind_it():
+    quick = {"start_speed_m_s": {"x": SPEED}, "goal_speed_m_s": {"x": SPEED}}
+    assert no_way_to_stop(reach(0.0, 0.5, high=0.5 + 0.5 * STOP, **quick)) is None

@@ -4,22 +4,60 @@ import numpy as np
 import pytest
 
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.presolve import only_way, plain_contradiction
+from linkplan.planner.search.presolve import no_way_to_stop, only_way, plain_contradiction
 
-# A mass of 2 kg on a rail, pushed by -4 to 6 N.
+# A mass of 2 kg on a rail, pushed by -4 to 6 N; from 0.5 m/s it stops within m v^2 / (2 F).
 CART = """<mujoco><option gravity="0 0 0"/><worldbody>
-<body><joint name="x" type="slide" axis="1 0 0" range="-9 9"/>
+<body><joint name="x" type="slide" axis="1 0 0" range="-9 9" frictionloss="{friction}"/>
 <inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
 <actuator>{drive}</actuator></mujoco>"""
 MOTOR = '<motor name="push" joint="x" ctrlrange="-4 6"/>'
+SPEED = 0.5
 
 
-def reach(start: float, goal: float, *, drive=MOTOR, duration=None, limits=None, **motion) -> Problem:
+def stop(force: float) -> float:
+    return 2.0 * SPEED**2 / (2 * force)
+
+
+def reach(start: float, goal: float, *, friction=0.0, drive=MOTOR, duration=None, limits=None, **motion) -> Problem:
     given = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": duration or "free"}
-    model = {"model": CART.format(drive=drive)}
+    model = {"model": CART.format(friction=friction, drive=drive)}
     tables = {"mechanism": model, "motion": given | motion}
     tables |= {"objective": {"minimize": "effort" if duration else "time"}, "limits": limits or {}}
     return Problem.from_tables("cart", tables)
+
+
+@pytest.mark.parametrize("way", [+1, -1])
+@pytest.mark.parametrize("which", ["start", "goal"])
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+@pytest.mark.parametrize(("share", "refused"), [(0.99, True), (1.01, False)])
+def test_a_speed_towards_an_end_of_the_range_needs_the_way_that_full_effort_takes(way, which, friction, share, refused):
+    """Away from the other end of the motion: at the start it is stopped, with friction's help; at the goal gathered."""
+    at_start = which == "start"
+    force = (4.0 if way > 0 else 6.0) + friction if at_start else (6.0 if way > 0 else 4.0) - friction
+    side = way if at_start else -way
+    for place in (side * 1.0, -side * 1.0):
+        bound = place + side * share * stop(force)
+        other = place - side * 1.0
+        ends = (place, other) if at_start else (other, place)
+        speed = {f"{which}_speed_m_s": {"x": way * SPEED}}
+        limits = {"range_m": {"x": [-9.0, bound] if side > 0 else [bound, 9.0]}}
+        said = no_way_to_stop(reach(*ends, friction=friction, limits=limits, **speed))
+        assert (said is not None) is refused
+        if refused:
+            assert f"{'stops' if at_start else 'gathers'} the 0.5 m/s of joint x at the {which}" in said
+            assert f"within the {abs(bound - place):.4g} m to the end of its range at {bound:.5g} m" in said
+
+
+@pytest.mark.parametrize(("speed", "refused"), [(0.0, True), (0.2, True), (0.48, False)])
+@pytest.mark.parametrize("start", [-1.0, 1.0])
+def test_a_goal_on_the_way_may_be_passed_as_fast_as_braking_leaves_it(start, speed, refused):
+    """0.99 of the stop lies before the end; after 0.1 of it v^2 has fallen by a tenth: to 0.474 m/s."""
+    room = stop(4.0)
+    passing = {"goal_speed_m_s": {"x": speed}} if speed else {}
+    limits = {"range_m": {"x": [-9.0, start + 0.99 * room]}}
+    problem = reach(start, start + 0.1 * room, limits=limits, start_speed_m_s={"x": SPEED}, **passing)
+    assert (no_way_to_stop(problem) is not None) is refused
 
 
 @pytest.mark.parametrize(("speed", "refused"), [(0.39, False), (0.41, True), (-0.19, False), (-0.21, True)])
