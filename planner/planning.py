@@ -55,7 +55,7 @@ _FIRST: tuple[Rung, ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="the phase plane",
+        name="the phase plane: dynamic programming, then bang efforts",
         tried=starts.phase_plane_may_help,
         climb=starts.from_the_phase_plane,
         budget=HURRIED,

@@ -101,7 +101,7 @@ class Plane:
 
 
 def grid_of(
-    problem: Problem, places: np.ndarray, start_pose: np.ndarray, n_cells: int
+    problem: Problem, places: np.ndarray, start_pose: np.ndarray, n_cells: int, *, graded: bool = True
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return positions (n,) around places that a motion passes, within the ranges that hold from its start on, and poses.
 
@@ -113,6 +113,7 @@ def grid_of(
         places: positions that are cell ends, the start first.
         start_pose: closed, at the start.
         n_cells: cells of the grid over s; two poses a cell.
+        graded: whether cells are closer together where joints or the inertia change most.
     """
     mechanism, limits = problem.mechanism, problem.limits
     ends = np.array([places.min(), places.max()])
@@ -137,10 +138,11 @@ def grid_of(
     s, poses = _around(places[0], s, poses, within)
     if not _holds(s, ends):
         return None
-    gridded = _followed(problem, _graded(problem, s, poses[::2]), places, start_pose)
-    if gridded is None:
-        return None
-    s, poses = gridded
+    if graded:
+        gridded = _followed(problem, _graded(problem, s, poses[::2]), places, start_pose)
+        if gridded is None:
+            return None
+        s, poses = gridded
     if limits.singular_margin:
         s, poses = _around(places[0], s, poses, singularity_ratios(problem, poses) >= limits.singular_margin)
     return (s, poses) if _holds(s, ends) else None

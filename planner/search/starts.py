@@ -19,6 +19,7 @@ from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
+from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
 from linkplan.planner.phase_plane.leg_field import knows_pins, knows_speeds
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan import Plan
@@ -110,6 +111,9 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     problem, quickest = search.problem, search.quickest
     assert quickest is not None  # where the phase plane applies
+    cheap = _cheapest(search)
+    if cheap is not None:
+        yield "dynamic programming", cheap
     if quickest.swings > 1 and quickest.boundaries_s is None and not search.only_time_counts:
         swung = least_time_motion(search, budget)
         if swung is not None:
@@ -144,6 +148,15 @@ def along_limits(search: Search, _: Budget) -> Plan | None:
     objective = problem.objective.weight("time") * motion.duration_s
     plan = replace(without_solving(problem, motion, objective, said, best=best), read_scheme=LEGS_SCHEME)
     return plan if plan.passed else None
+
+
+def _cheapest(search: Search) -> Guess | None:
+    """Return dynamic programming's motion to one goal in more than the phase plane's least time; None where it has none."""
+    problem, motion = search.problem, search.problem.motion
+    if motion.duration_s is None or motion.waypoints or not enough_time(search):
+        return None
+    assert search.quickest is not None  # there is enough time for it
+    return cheapest_guess(problem, search.start_pose, search.quickest)
 
 
 def from_swings(search: Search, budget: Budget) -> Plan | None:
@@ -188,7 +201,7 @@ def _better_plan(search: Search, budget: Budget) -> Plan | None:
         _, guess = judged_by_the_phase_plane(search)
     else:
         assert search.quickest is not None  # a swing of it may be better
-        guess = phase_plane_guess(search.problem, search.quickest)
+        guess = _cheapest(search) or phase_plane_guess(search.problem, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
     plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known)

@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.samples import singularity_ratios
-from linkplan.planner.phase_plane.grid import Plane, _around, _drag, _followed, _kept, grid_of, plane_of
+from linkplan.planner.phase_plane.grid import Plane, _around, _drag, _kept, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.even_plane import even_plane
 
@@ -26,9 +26,9 @@ def pendulum(joint: str = "", start_deg: float = -30.0, goal_deg: float = 60.0, 
     return Problem.from_tables("pendulum", given | tables)
 
 
-def grid(problem: Problem, n_cells: int = 200) -> tuple[np.ndarray, np.ndarray]:
+def grid(problem: Problem, n_cells: int = 200, **how) -> tuple[np.ndarray, np.ndarray]:
     places = np.array([problem.motion.start[0], problem.motion.goal[0]])
-    return grid_of(problem, places, problem.start_pose(), n_cells)
+    return grid_of(problem, places, problem.start_pose(), n_cells, **how)
 
 
 def plane(problem: Problem, n_cells: int = 200) -> Plane:
@@ -138,11 +138,13 @@ def test_the_grid_s_room_to_the_ends_of_a_range_is_a_thousandth_of_it():
 
 
 def test_where_neither_joint_nor_inertia_changes_more_than_elsewhere_a_graded_grid_is_even():
-    s, poses = grid(pendulum())
+    (s, poses), (even, _) = (grid(pendulum(), graded=graded) for graded in (True, False))
     at_ends = np.radians([-30.0, 60.0])
+    assert np.all(np.abs(even[:, None] - at_ends).min(axis=0) == 0)
     assert np.all(np.abs(s[:, None] - at_ends).min(axis=0) == 0)
     cells = np.diff(s)
     assert np.median(cells) == pytest.approx(np.ptp(s) / len(cells), rel=0.02)
+    assert len(even) == 200 + 1 + 2  # cell ends, and the two places among them
     np.testing.assert_allclose(poses[:, 0], np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s), atol=1e-12)
 
 
@@ -155,9 +157,9 @@ def test_a_place_out_of_the_range_has_no_grid():
 
 def test_a_place_next_to_a_cell_end_takes_its_place():
     problem = pendulum('range="-40 100"', start_deg=-25.0)
-    ends = np.radians(np.linspace(-39.0, 99.0, 61))
+    ends, pose = grid_of(problem, problem.motion.start, problem.start_pose(), 60, graded=False)[0], problem.start_pose()
     places = np.array([problem.motion.start[0], ends[40] + 1e-12])
-    s, _ = _followed(problem, ends, places, problem.start_pose())
+    s, _ = grid_of(problem, places, pose, 60, graded=False)
     assert np.diff(s).min() > 1e-6
     assert places[1] in s
 

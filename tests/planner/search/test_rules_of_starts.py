@@ -94,6 +94,7 @@ def test_swings_of_least_time_are_a_start_where_the_objective_is_another(
     asked.quickest.boundaries_s, asked.only_time_counts, asked.start_pose = passed_s, only_time, None
     path = CubicHermiteSpline([0.0, LEAST_S], [[0.0], [1.0]], [[0.0], [0.0]])
     monkeypatch.setattr(starts, "least_time_motion", lambda *_: guess_along(path, LEAST_S, np.zeros(1)))
+    monkeypatch.setattr(starts, "_cheapest", lambda _: None)
     monkeypatch.setattr(starts, "phase_plane_guess", lambda *_: None)
     *swung, last = _of_the_phase_plane(asked, None)
     assert [(guess.duration_s, guess.swings) for _, guess in swung] == [(duration, swings) for duration in tried_s]
