@@ -17,7 +17,6 @@ from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.closure.newton import OPEN_M, solve
-from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import AssemblyError, LinkplanError, choose
 from linkplan.models.kinematics import make_dry, tied_points
 from linkplan.models.mechanism import Mechanism
@@ -34,14 +33,15 @@ _MIN_TIME_CONSTANT_STEPS = 2.0
 def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
     """Return the closed pose (n_q,) near a pose with the same independent coordinates; `data` is overwritten.
 
-    A gap that no joint changes stays: that of a planar loop's pins along their axes, which takes no part in the motion.
+    A gap that no joint changes stays: that of a planar loop's pins along their axes, or of pins with several constraints. It
+    takes no part in the motion.
 
     Raises:
         AssemblyError: if the loop does not close there.
     """
-    q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist(), RANK_TOLERANCE)
-    _, J = _equalities(model, data, mechanism, q)
-    residual = float(np.abs(J @ np.linalg.lstsq(J, r, rcond=RANK_TOLERANCE)[0]).max(initial=0.0))
+    q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
+    changed = np.linalg.svd(_equalities(model, data, mechanism, q)[1])[0][:, : len(mechanism.dependent)]
+    residual = float(np.abs(changed.T @ r).max(initial=0.0))
     if residual > OPEN_M:
         at = where(mechanism.independent_joints, q[mechanism.independent])
         raise AssemblyError(
