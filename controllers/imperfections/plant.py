@@ -16,7 +16,7 @@ from linkplan.controllers.integrator import stay_servos
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
-from linkplan.models.closure.newton import solve
+from linkplan.models.closure.newton import OPEN_M, solve
 from linkplan.models.errors import AssemblyError, LinkplanError, choose
 from linkplan.models.kinematics import make_dry, tied_points
 from linkplan.models.mechanism import Mechanism
@@ -26,8 +26,6 @@ from linkplan.models.poses.assembly import continue_to
 from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.tree.joints import where
 
-# Largest accepted residual [m or rad], far below the gap of a soft loop.
-_MAX_RESIDUAL = 1e-9
 # MuJoCo raises a loop constraint's time constant to at least this many timesteps.
 _MIN_TIME_CONSTANT_STEPS = 2.0
 
@@ -35,12 +33,16 @@ _MIN_TIME_CONSTANT_STEPS = 2.0
 def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
     """Return the closed pose (n_q,) near a pose with the same independent coordinates; `data` is overwritten.
 
+    A gap that no joint changes stays: that of a planar loop's pins along their axes, or of pins with several constraints. It
+    takes no part in the motion.
+
     Raises:
         AssemblyError: if the loop does not close there.
     """
     q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
-    residual = float(np.abs(r).max(initial=0.0))
-    if residual > _MAX_RESIDUAL:
+    changed = np.linalg.svd(_equalities(model, data, mechanism, q)[1])[0][:, : len(mechanism.dependent)]
+    residual = float(np.abs(changed.T @ r).max(initial=0.0))
+    if residual > OPEN_M:
         at = where(mechanism.independent_joints, q[mechanism.independent])
         raise AssemblyError(
             f"the loop does not close at the start, {at}, with this machine's lengths: {1e3 * residual:.3g} mm are left"

@@ -34,11 +34,18 @@ _EFFORT_JUMP = 1e-7
 START_POSE_ERROR = 1e-6
 
 
+def position_spans(problem: Problem, trajectory: Trajectory) -> np.ndarray:
+    """Return the spans (n_s,) [rad or m] of which pieces may jump by a share: the largest of a unit.
+
+    A position at rest differs from piece to piece in its last digits, which is no jump.
+    """
+    moved, farthest = np.ptp(trajectory.position, axis=(0, 1)), np.abs(trajectory.position).max(axis=(0, 1))
+    return np.maximum(_largest_of_unit(problem, np.maximum(moved, 1e-6 * farthest)), 1e-9)
+
+
 def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     """Return the findings on breaks, ends and waypoints, and on the slope of the planned position."""
-    moved, farthest = np.ptp(trajectory.position, axis=(0, 1)), np.abs(trajectory.position).max(axis=(0, 1))
-    # A position at rest differs from piece to piece in its last digits, which is no jump.
-    span = np.maximum(_largest_of_unit(problem, np.maximum(moved, 1e-6 * farthest)), 1e-9)
+    span = position_spans(problem, trajectory)
     largest = _largest_of_unit(problem, np.abs(trajectory.velocity).max(axis=(0, 1)))
     speeds = np.maximum(largest, 1e-9 / trajectory.duration_s)
     found = []

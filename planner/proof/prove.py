@@ -18,7 +18,7 @@ from linkplan.planner.proof.existence import (
     first_tube,
 )
 from linkplan.planner.proof.finding import Finding, Proof, no_motion
-from linkplan.planner.proof.motion import JOIN_SHARE, START_POSE_ERROR, Piece, State, end_findings
+from linkplan.planner.proof.motion import JOIN_SHARE, START_POSE_ERROR, Piece, State, end_findings, position_spans
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm
 from linkplan.planner.proof.walk import Blocks, UnknownOperationError, blocks_of
 from linkplan.planner.trajectory import Trajectory
@@ -153,8 +153,7 @@ class _Sweep:
         trajectory, n = self.trajectory, len(self.trajectory.breaks_s) - 1
         self.records = [Record() for _ in self.claims]
         self.marks = [tuple(map(arb, claim.marks)) for claim in self.claims]
-        span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), 1e-9)
-        self.slack = [arb(0, float(JOIN_SHARE * x)) for x in span]
+        self.slack = [arb(0, float(JOIN_SHARE * x)) for x in position_spans(self.problem, trajectory)]
         pieces = (Piece.of(trajectory, k) for k in range(n))
         anchor = None
         for piece in pieces:

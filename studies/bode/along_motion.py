@@ -82,7 +82,11 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
 def frozen_loop(mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling, k: int) -> FeedbackLoop:
     """Return the loop frozen at instant k: its gain and the motion's state are kept constant."""
     point = OperatingPoint(
-        mechanism=mechanism, pose=reference.pose_rad[k], velocity=reference.velocity_rad_s[k], hold=reference.effort[k]
+        mechanism=mechanism,
+        pose=reference.pose_rad[k],
+        velocity=reference.velocity_rad_s[k],
+        hold=reference.effort[k],
+        told=tuple(mechanism.channels),
     )
     return feedback_loop(point, gains[k], timing)
 

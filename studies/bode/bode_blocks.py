@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
+from linkplan.models.tree.friction import frictions_of
 from linkplan.studies.bode.bode import BodePoint, BodeStudy
 from linkplan.studies.bode.scan import Scan, bounds_text
 from linkplan.studies.bode.touching import contact_sentence
@@ -45,6 +46,8 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
     message = study.message[:1].upper() + study.message[1:]
     blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
     rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
+    if alike := study.points[0].point.alike:
+        rows.append(("at every pose", alike))
     if len(study.mechanism.channels) > 1:
         names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
         text = (
@@ -65,9 +68,10 @@ def _measured(study: BodeStudy) -> list[tuple[str, str]]:
         solref = ", ".join(f"{x[0]:g} {x[1]:g}" for x in c["solref"]) or "none"
         how = f"{study.method}, {study.simulated_steps} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
         differ = f"differ from the prediction by at most {deviation[0]:.2g} dB and {deviation[1]:.2g} deg"
-        return [
-            ("measured closed-loop responses", f"{differ} ({how}, {c['integrator']}, closure constraints' solref {solref})")
-        ]
+        text = f"{differ} ({how}, {c['integrator']}, closure constraints' solref {solref})"
+        if any(frictions_of(study.mechanism.model)):
+            text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
+        return [("measured closed-loop responses", text)]
     if study.method is None:
         return []
     why = "an unstable feedback loop holds no operating point"

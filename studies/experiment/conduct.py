@@ -55,7 +55,9 @@ def conduct(
         OSError: if a part cannot be written.
     """
     if not (folder / PLAN).is_dir():
-        keep_plan(folder, plan())
+        made = plan()
+        experiment_of(made, settings)  # what is refused leaves no folder
+        keep_plan(folder, made)
     folder = folder.resolve()
     written = _hash_of(folder / PLAN)
     experiment = replace(_opened(folder, settings, written), own=own)

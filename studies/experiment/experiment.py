@@ -236,11 +236,12 @@ def imperfections_asked(plan: Plan) -> dict:
 
 
 def defaults_note(plan: Plan) -> str | None:
-    """Return the note that the default imperfections are used, or None if the problem has a table of its own."""
-    if plan.problem.source.get("imperfections") is not None:
-        return None
-    names = ", ".join(default_imperfections(plan))
-    return f"without [imperfections], those of a carefully built machine are used: {names}"
+    """Return the note that the problem has no imperfections or the default ones, or None if it has its own."""
+    table = plan.problem.source.get("imperfections")
+    if table is None:
+        names = ", ".join(default_imperfections(plan))
+        return f"without [imperfections], those of a carefully built machine are used: {names}"
+    return None if table else "[imperfections] is empty: all machines are alike, and shares and intervals say nothing"
 
 
 def asked_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:

@@ -12,7 +12,7 @@ their own do not count.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,12 +52,16 @@ LAW_NAMES = {"pd": "PD", "pd+ff": "PD with feedforward", "lqr": "LQR"}
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class OperatingPoint:
-    """A closed pose (n_q,) with its velocity (n_s,) and effort `hold` (n_u,): at rest, or an instant of a motion."""
+    """A closed pose (n_q,) with its velocity (n_s,) and effort `hold` (n_u,): at rest, or an instant of a motion.
+
+    `told` are the independent joints in its name.
+    """
 
     mechanism: Mechanism
     pose: np.ndarray
     velocity: np.ndarray
     hold: np.ndarray
+    told: tuple[int, ...]
 
     @property
     def state(self) -> np.ndarray:
@@ -66,9 +70,16 @@ class OperatingPoint:
 
     @property
     def name(self) -> str:
-        """The positions of the independent joints with a feedback loop, as text."""
-        joints, channels = self.mechanism.independent_joints, list(self.mechanism.channels)
-        return where([joints[k] for k in channels], self.state[channels])
+        """The positions of the joints that tell it apart, as text."""
+        return self._places(self.told)
+
+    @property
+    def alike(self) -> str:
+        """The positions of the other joints with a feedback loop, the same at all points, as text."""
+        return self._places([k for k in self.mechanism.channels if k not in self.told])
+
+    def _places(self, joints: Sequence[int]) -> str:
+        return where([self.mechanism.independent_joints[k] for k in joints], self.state[list(joints)])
 
     @property
     def inertia(self) -> np.ndarray:
@@ -88,6 +99,13 @@ class OperatingPoint:
         )
 
 
+def told_apart(points: Sequence[OperatingPoint]) -> list[OperatingPoint]:
+    """Return the points with names that have only the coordinates in which the points differ."""
+    states = np.array([point.state for point in points])
+    differ = tuple(k for k in points[0].mechanism.channels if not np.allclose(states[:, k], states[0, k]))
+    return [replace(point, told=differ or point.told) for point in points]
+
+
 def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np.ndarray | None = None) -> OperatingPoint:
     """Return the mechanism held at independent positions (n_s,) [rad or m].
 
@@ -99,7 +117,8 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
     pose = close_at(mechanism, np.atleast_1d(position))
     still = np.zeros((1, mechanism.dof))
     hold, missed = needed_effort(mechanism, pose[None], still, still)
-    point = OperatingPoint(mechanism=mechanism, pose=pose, velocity=still[0], hold=hold[0])
+    told = tuple(mechanism.channels)
+    point = OperatingPoint(mechanism=mechanism, pose=pose, velocity=still[0], hold=hold[0], told=told)
     if not np.all(np.isfinite(hold)) or np.abs(missed).max() > HOLDING_TOLERANCE * max(1.0, np.abs(hold).max()):
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {point.name}")
     limit = mechanism.effort_limit if effort_limit is None else effort_limit

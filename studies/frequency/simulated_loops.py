@@ -111,7 +111,8 @@ class SimulatedLoops:
         t = len(reference)
         gains = np.broadcast_to(self.gain if gain is None else gain[:, None], (t, *self.gain.shape))
         drive = np.zeros((t, *self.gain.shape[:2]))
-        drive[:, ids] = feedforward + np.matmul(gains[:, ids], reference[:, :, :, None])[:, :, :, 0]
+        of = self.gain[ids] if gain is None else gain[:, None]
+        drive[:, ids] = feedforward + np.matmul(of, reference[:, :, :, None])[:, :, :, 0]
         log = run_loop(stepper, StateFeedback(drive=drive, gain=gains), t)
         self.periods += t
         position = log.pose[:, ids][:, :, stepper.independent]

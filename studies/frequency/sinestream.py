@@ -23,9 +23,9 @@ from linkplan.studies.frequency.simulated_loops import ExcitedLoops
 # The harmonics up to this order count as distortion.
 _DISTORTION_ORDER = 5
 # Control periods of one estimation window: at least this many, so that harmonics and noise can be separated.
-_MIN_WINDOW_PERIODS = 160
+_MIN_WINDOW_PERIODS = 80
 # Control periods between two checks of which simulations have settled.
-_CHECK_PERIODS = 256
+_CHECK_PERIODS = 64
 
 
 def run(
@@ -133,7 +133,7 @@ def _simulate(
             estimates[i].add(k, np.stack([signal[:, r], command[:, r], position[:, r], applied[:, r]]), cut[:, r])
         k, simulated_periods = k + _CHECK_PERIODS, simulated_periods + _CHECK_PERIODS * len(active)
         active = np.array([i for i in active if not estimates[i].finished(k - sinusoids.ramp[i] >= longest)], dtype=int)
-        if k % (20 * _CHECK_PERIODS) == 0 or not active.size:
+        if k % (80 * _CHECK_PERIODS) == 0 or not active.size:
             say(f"{k} control periods, {n - active.size} of {n} sinusoids settled")
     return estimates, simulated_periods
 

@@ -24,7 +24,8 @@ _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
 _LEAST_SITE_TRAVEL_M = 1e-3
 _HEAD = """\
 # Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. To set a key
-# take the # from its line: behind it stands the default, or an example where another is named.
+# take the # from its line, and from its section's: behind it stands the default, or an example where
+# another is named.
 """
 
 
@@ -41,7 +42,10 @@ def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], descriptio
     lines = [*(f"# {line}" for line in begin), _HEAD, f"description = {inline(description)}"]
     rows = key_table()
     for section in (row for row in rows if not row.section and row.name != "description"):
-        lines += ["", f"[{section.name}]".ljust(_COMMENT_COLUMN) + f"# {section.doc}"]
+        head, doc = f"[{section.name}]", section.doc
+        if section.name == "imperfections" and not tables.get(section.name):
+            head, doc = f"#{head}", _said(section)  # an empty table would mean perfect machines
+        lines += ["", *_laid_out(head, doc)]
         for key in (row for row in rows if row.section == section.name):
             lines += _lines(key, tables.get(section.name, {}), facts)
         if section.name == "motors":

@@ -101,12 +101,14 @@ def wrapped(text: str, most: int) -> str:
 
 def outside_legend(axes, row_letters: int = 56, **options) -> int:
     """Put a legend above the axes, where it hides no data, and return how many rows of `row_letters` it needs."""
-    handles, labels = axes.get_legend_handles_labels()
+    handles, names = axes.get_legend_handles_labels()
+    labels = [wrapped(name, row_letters - _LEGEND_MARK_LETTERS) for name in names]
+    lines = [line for label in labels for line in label.splitlines()]
     columns = max(1, len(labels))
     if sum(len(label) + _LEGEND_MARK_LETTERS for label in labels) > row_letters:
-        columns = max(1, row_letters // (max(map(len, labels)) + _LEGEND_MARK_LETTERS))
+        columns = max(1, row_letters // (max(map(len, lines)) + _LEGEND_MARK_LETTERS))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
-    return -(-len(labels) // columns)
+    return -(-len(lines) // columns)
 
 
 # A panel: a block of a document, a function of an Axes for what only one study draws, or None for an empty place.

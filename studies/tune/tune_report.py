@@ -181,10 +181,12 @@ def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
         blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))
     else:
         blocks.append(Facts(rows=gain_lines(tuning)))
+    if alike := tuning.best.loops[0].point.alike:
+        blocks.append(Facts(rows=[("at every pose", alike)]))
     for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
         loops = [loop for loop in tuning.best.loops if loop.channel == channel]
         blocks += [
-            _table(loops, joint, joints),
+            _table(loops, joint, len(joints) > 1),
             *tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"),
         ]
     if len(joints) > 1:
@@ -192,12 +194,12 @@ def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
     return blocks if tuning.note is None else [*blocks, Text(text=tuning.note, tone="note")]
 
 
-def _table(loops: Sequence[JudgedLoop], joint: Joint, joints: Sequence[Joint]) -> Table:
-    """Return the margins of one joint's loop at every pose as a table, with the positions of all joints."""
-    channels = loops[0].point.mechanism.channels
+def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
+    """Return the margins of one joint's loop at every pose as a table, with the positions that differ."""
+    shown, coordinates = loops[0].point.told, loops[0].point.mechanism.independent_joints
     rows = [
         [
-            *(one.said(loop.point.state[k], 5) for k, one in zip(channels, joints, strict=True)),
+            *(coordinates[k].said(loop.point.state[k], 5) for k in shown),
             loop.margins.stable,
             loop.margins.bandwidth_hz,
             loop.margins.phase_margin_deg,
@@ -209,8 +211,8 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, joints: Sequence[Joint]) -
         ]
         for loop in loops
     ]
-    heads: list = [(one.name, one.unit) for one in joints]
+    heads: list = [(coordinates[k].name, coordinates[k].unit) for k in shown]
     heads += ["stable", "bandwidth -3 dB [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
     heads += ["settling [s]", "damping", f"stiffness [{joint.gain_units[0]}]"]
-    of = "" if len(joints) == 1 else f", the loop of {joint.name}, the others closed"
+    of = f", the loop of {joint.name}, the others closed" if several else ""
     return table_of(f"At every position looked at{of}", heads, rows)

@@ -179,3 +179,21 @@ def test_the_start_gap_is_the_largest_distance_of_a_dependent_joint_from_the_clo
         ctx.prec, ctx.cap = before
     assert sweep.start_gap == pytest.approx(1e-3, rel=1e-6)
     assert anchor.z == pytest.approx(closed, abs=1e-9)
+
+
+def test_a_loop_that_stands_still_is_linked_over_the_last_digits_of_its_coordinates():
+    before = ctx.prec, ctx.cap
+    try:
+        ctx.prec = 100
+        problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
+        blocks, pose = blocks_of(problem.mechanism), np.array(motion.start_pose)
+        s, n = pose[list(blocks.independent)], len(motion.breaks_s) - 1
+        pose[list(blocks.dependent)] = newton(blocks, s, pose[list(blocks.dependent)])
+        at_rest = np.broadcast_to(s, (2, n, 2)) + 8 * np.spacing(s) * (np.arange(n) % 2)[:, None]
+        still = replace(motion, position=at_rest, velocity=np.zeros((1, n, 2)), start_pose=pose)
+        sweep = _Sweep(problem=problem, trajectory=still, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+        sweep.run()
+    finally:
+        ctx.prec, ctx.cap = before
+    assert sweep.closure.undecided == []
+    assert sweep.boxes == n

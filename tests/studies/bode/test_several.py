@@ -16,7 +16,7 @@ from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
-from linkplan.studies.frequency.measure import measure
+from linkplan.studies.frequency.measure import Setup, measure
 from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import CROSSOVER, MARGIN, MEASURED_DB, MEASURED_DEG
 
@@ -113,3 +113,31 @@ def test_a_loop_that_is_stable_in_the_model_and_not_in_mujoco_is_a_no(monkeypatc
     assert all(entry.margins.stable for entry in study.points)
     assert not study.stable
     assert study.message.startswith("stable by the sampled model and not in MuJoCo at O1 = ")
+
+
+def test_poses_are_told_apart_by_the_coordinates_that_differ():
+    mechanism = load_mechanism("five-bar", independent=LEG)
+    home = mechanism.home[mechanism.independent]
+    study = bode_study(mechanism, home + np.array([[0.0, 0.0], [0.0, 0.1]]), GAINS, mechanism.effort_limit, scanned=0)
+    assert {entry.point.name.split(" = ")[0] for entry in study.points} == {"E1"}
+    assert f"at every pose: O1 = {np.degrees(home[0]):.4g} deg" in text_of(summary(study))
+    alone = bode_study(mechanism, home, GAINS, mechanism.effort_limit, scanned=0)
+    assert alone.points[0].point.name.startswith("O1 = ")
+
+
+def test_dry_friction_is_said_to_damp_the_measured_motion(tmp_path):
+    arm = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="arm" axis="0 1 0" frictionloss="{}"/>
+      <inertial pos="0.5 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+      <actuator><motor joint="arm" ctrlrange="-20 20"/></actuator></mujoco>"""
+    words, deviations = "a larger test signal comes closer", []
+    for friction, amplitude in ((0.0, None), (0.3, None), (0.3, 0.5)):
+        (tmp_path / "arm.xml").write_text(arm.format(friction))
+        mechanism = load_mechanism(str(tmp_path / "arm.xml"))
+        gains, setup = Tracking(kp=20.0, kd=2.0, period_s=2e-3), Setup(amplitude=amplitude)
+        study = bode_study(
+            mechanism, np.zeros((1, 1)), gains, mechanism.effort_limit, setup=setup, frequency_hz=np.array([3.0]), scanned=0
+        )
+        assert (words in text_of(summary(study))) == (friction > 0)
+        deviations.append(study.worst_deviation[0])
+    free, held, moved = deviations
+    assert free < 1e-3 < moved < 1.0 < held

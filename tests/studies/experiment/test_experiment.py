@@ -302,7 +302,11 @@ def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaul
     none = replace(plan, problem=replace(plan.problem, source={**plan.problem.source, "imperfections": {}}))
     outcome = run_experiment({"name": "knee-reach"}, None, lambda: none, FEW, tmp_path / "none", silent)
     assert outcome.record["imperfections"] == {}
-    assert outcome.record["notes"] == []
+    (note,) = outcome.record["notes"]
+    assert note.startswith("[imperfections] is empty: all machines are alike")
+    with pytest.raises(ProblemError, match="needs an imperfection"):
+        run_experiment({}, None, lambda: none, replace(FEW, design="morris"), tmp_path / "refused", silent)
+    assert [path.name for path in tmp_path.iterdir()] == ["none"]  # the refused one has no parts
     errors = outcome.results["rms_error_deg"].reshape(6, 2)
     assert np.ptp(errors, axis=0).max() == 0.0
     (note,) = done(tmp_path / "defaults").record["notes"]

@@ -28,3 +28,13 @@ def test_curves_have_room_below_long_legends(tmp_path):
 def test_a_figure_of_few_curves_keeps_the_height_of_its_panels():
     figure = figure_of([panel(0, 2)] * 2, columns=2, panel_in=(5.3, 3.3))
     assert figure.get_size_inches().tolist() == [2 * 5.3, 3.3 + 0.4]
+
+
+def test_a_name_longer_than_its_panel_takes_several_lines_of_the_legend():
+    poses = [Series(name=", ".join(f"joint_{k} = {n} deg" for k in range(12)), y=[0.0, 1.0], colour=n) for n in range(3)]
+    axes = {"x_axis": Axis(label="x", unit="Hz"), "y_axis": Axis(label="y", unit="1")}
+    figure = figure_of([Plot(title="Gain", group="", x=[0.0, 1.0], series=poses, **axes)] * 2, columns=2)
+    figure.canvas.draw()
+    legend = figure.axes[0].get_legend().get_window_extent()
+    assert legend.x0 >= 0
+    assert legend.width < 0.5 * figure.bbox.width
