@@ -29,14 +29,14 @@ _DETAIL = "objective_as_modelled"
 
 
 def _with_time_to_wait(start: Climb) -> Climb:
-    """Return an attempt limited to a quarter of the time left, if several driven freedoms may wait.
+    """Return an attempt limited to half of the time left, if several driven freedoms may wait.
 
     The first start of a swing-up may otherwise use up all the time in refinement.
     """
 
     def climb(search: Search, budget: Budget) -> Plan | None:
         spare = search.problem.mechanism.dof > 1 and waiting.may_wait(search)
-        return start(search, replace(budget, share_of_time=0.25) if spare else budget)
+        return start(search, replace(budget, share_of_time=0.5) if spare else budget)
 
     return climb
 
