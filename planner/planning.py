@@ -114,6 +114,7 @@ REPAIRS: tuple[Repair, ...] = (
         name="finer meshes begun next to the coarser one's answer",
         tried=lambda _problem, plan: attempts.unsound(plan),
         mend=attempts.from_next_to_it,
+        always=False,
     ),
 )
 

@@ -41,7 +41,9 @@ _MAX_INTERVALS = 160
 _EXACT_TRACKING_SHARE = 1e-10
 
 
-def plan_from(search: Search, budget: Budget, what: str, guess: Guess, *, worth: float = np.inf) -> Plan | None:
+def plan_from(
+    search: Search, budget: Budget, what: str, guess: Guess, *, worth: float = np.inf, mended: bool = True
+) -> Plan | None:
     """Return the plan from a start, whether its certificate passes or not; None if no motion is found.
 
     Args:
@@ -50,6 +52,7 @@ def plan_from(search: Search, budget: Budget, what: str, guess: Guess, *, worth:
         what: the words on the start.
         guess: the start.
         worth: only solutions with an objective below this are refined.
+        mended: whether every repair is tried on a motion that does not pass; it is not before the phase plane's least time.
     """
     problem = search.within(budget)
     missed = None
@@ -61,7 +64,7 @@ def plan_from(search: Search, budget: Budget, what: str, guess: Guess, *, worth:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
         # A motion that was found in few iterations is worth more of them where it is refined.
-        missed = refined(search, search.within(replace(budget, iterations=None)), found)
+        missed = refined(search, search.within(replace(budget, iterations=None)), found, mended=mended)
         if missed.passed:
             return missed
     if missed is None or missed.trajectory is None or missed.certificate is None:
@@ -93,10 +96,10 @@ def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterat
     )
 
 
-def refined(search: Search, problem: Problem, found: Iterate) -> Plan:
+def refined(search: Search, problem: Problem, found: Iterate, *, mended: bool = True) -> Plan:
     """Return the plan of a first solution; if its certificate does not pass, the search's repairs are tried in turn."""
     plan = certified(problem, found)
-    for repair in search.repairs:
+    for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
         if not plan.passed and repair.tried(problem, plan):
             plan = repair.mend(problem, found) or plan
     return plan

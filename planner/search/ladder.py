@@ -279,6 +279,7 @@ class Repair:
     name: str
     tried: Callable[[Problem, Plan], bool]
     mend: Callable[[Problem, Iterate], Plan | None]
+    always: bool = True  # or only if every repair is to be tried
 
 
 def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:

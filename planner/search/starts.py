@@ -95,7 +95,7 @@ def _swings_may_be_better(search: Search) -> bool:
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that the user's guess leads to, or else the smoothest path."""
-    return _first_of(search, budget, search.first_starts())
+    return _first_of(search, budget, search.first_starts(), mended=not search.only_time_counts)
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
@@ -165,7 +165,7 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
     return _first_of(search, budget, (("a swing", swing) for swing in swings))
 
 
-def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]]) -> Plan | None:
+def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, mended: bool = True) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
     for what, guess in search.deadline.take(starts):
@@ -173,7 +173,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
             search.plans.append(missed)
             if not search.starts_are_worth_it:
                 return None
-        missed = plan_from(search, budget, what, guess)
+        missed = plan_from(search, budget, what, guess, mended=mended)
         if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed
@@ -204,7 +204,7 @@ def _better_plan(search: Search, budget: Budget) -> Plan | None:
         guess = _cheapest(search) or phase_plane_guess(search.problem, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
-    plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known)
+    plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, mended=False)
     return plan if plan is not None and plan.passed and plan.objective < known else None
 
 
@@ -232,7 +232,7 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
         free = search.of_another(_in_least_time(search.within(budget)))
         with recording():
             along = along_limits(free, HURRIED) if may_be_along_limits(free) else None
-            return along or plan_from(free, HURRIED, "the phase plane", search.quickest)
+            return along or plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
 
     return search.known.once(PHASE_PLANE_LEAST_TIME, look)
 

@@ -12,9 +12,8 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import least_limit
-from tests.bench.contradictions import weak_case
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import (
@@ -277,18 +276,3 @@ def test_the_least_factor_on_the_limits_is_kept_and_a_motion_within_them_ends_th
     answer = least_limit.least_limit_of_starts(problem, first_guess(problem, problem.start_pose()))
     assert answer is not None
     assert answer.factor == best
-
-
-@pytest.mark.slow
-def test_a_weak_four_bar_with_half_more_than_the_least_time_costs_little():
-    """At 1.1 times the least time of 2.046093 s it costs 7.74; the smooth path leads to 21.6 here."""
-    fourbar, start, goal, limit = weak_case(9200, 32)
-    ends = {"start_deg": {"O": float(np.degrees(start))}, "goal_deg": {"O": float(np.degrees(goal))}}
-    tables = {
-        "mechanism": {"model": fourbar.mjcf(start, limit=limit)},
-        "motion": {"kind": "reach", **ends, "duration_s": 1.5 * 2.046093},
-        "objective": {"minimize": "effort"},
-    }
-    plan = plan_motion(Problem.from_tables("weak", tables))
-    assert plan.status == "optimal", plan.message
-    assert plan.objective < 1.0
