@@ -23,7 +23,7 @@ from linkplan.studies.frequency.simulated_loops import ExcitedLoops
 # The harmonics up to this order count as distortion.
 _DISTORTION_ORDER = 5
 # Control periods of one estimation window: at least this many, so that harmonics and noise can be separated.
-_MIN_WINDOW_PERIODS = 80
+_MIN_WINDOW_PERIODS = 160
 # Control periods between two checks of which simulations have settled.
 _CHECK_PERIODS = 64
 

@@ -198,9 +198,8 @@ def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning(t
     assert again.objective == pytest.approx(fresh.objective, rel=SAME_FIGURE)
 
 
-def test_a_step_of_a_history_prints_as_one_line_without_its_solution():
+def test_a_step_of_a_history_prints_as_one_line():
     (step,) = plan_motion(load_problem("knee-reach")).history
-    assert step.answer is not None
     assert len(repr(step)) < 400
 
 

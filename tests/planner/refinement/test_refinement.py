@@ -1,20 +1,13 @@
 """Refinement: by default as far as a small mesh carries it, to a tolerance where one is asked for."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.actions import ReadSwitches
 from linkplan.planner.refinement.case import attempt, certify_iterate
-from linkplan.planner.refinement.history import recording
 from linkplan.planner.refinement.state import RefinementState
 from linkplan.planner.search.solving import first_mesh
-from linkplan.planner.solvers.solve import solve
-from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, body_problem
 from tests.support.data import KNEE_TABLE
 from tests.support.plans import optimal, planned
@@ -46,52 +39,6 @@ def test_a_tolerance_that_is_out_of_reach_is_said():
     plan = planned("knee-reach", "mesh.scheme=radau-1", "mesh.tolerance_deg=1e-7", "mesh.intervals=2", *short)
     assert plan.status == "failed"
     assert "the state integrated under the planned effort ends" in plan.message
-
-
-def test_what_failed_is_not_solved_again_as_it_was(monkeypatch):
-    problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
-    problem = replace(problem, solver=replace(problem.solver, max_iterations=2))
-    guess, solved = first_guess(problem, problem.start_pose()), []
-
-    def counted(*given, **how):
-        solved.append(solve(*given, **how))
-        return solved[-1]
-
-    monkeypatch.setattr("linkplan.planner.refinement.case.solve", counted)
-
-    def tried(duration: float, **how: bool):
-        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try", **how)
-
-    with recording() as steps:
-        assert tried(0.16) is None
-        assert tried(0.16) is None
-        assert len(solved) == len(steps) == 1
-        assert tried(0.16, warm=True) is None  # another way to solve it
-        assert len(solved) == len(steps) == 2
-
-
-def test_what_was_solved_is_not_solved_again_as_it_was(monkeypatch):
-    problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
-    guess, solved = first_guess(problem, problem.start_pose()), []
-
-    def counted(*given, **how):
-        solved.append(solve(*given, **how))
-        return solved[-1]
-
-    monkeypatch.setattr("linkplan.planner.refinement.case.solve", counted)
-
-    def tried(duration: float):
-        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try")
-
-    with recording() as steps:
-        first, again = tried(0.16), tried(0.16)
-    assert (len(solved), len(steps)) == (1, 2)
-    assert steps[1].solve_s == 0 < steps[0].solve_s
-    assert np.array_equal(first.solution.x, again.solution.x)
-    weaker = replace(problem, limits=replace(problem.limits, effort=0.9 * problem.limits.effort))
-    other = attempt(case_of(weaker), guess, uniform(8), np.array([0.16]), "weaker")
-    assert len(solved) == 2
-    assert other is None or not np.array_equal(other.solution.x, first.solution.x)
 
 
 def test_a_reading_of_switches_counts_as_a_round_and_holds_what_it_read():
