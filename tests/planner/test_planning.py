@@ -28,8 +28,8 @@ def test_several_starts_are_compared_where_they_are_asked_for(monkeypatch, start
     assert _first_starts(search(starts=starts), Share()) == made
 
 
-@pytest.mark.parametrize(("dof", "may_wait", "share"), [(1, True, 1.0), (2, True, 0.25), (2, False, 1.0), (1, False, 1.0)])
-def test_a_start_has_a_quarter_of_the_time_where_several_freedoms_may_wait(monkeypatch, dof, may_wait, share):
+@pytest.mark.parametrize(("dof", "may_wait", "share"), [(1, True, 1.0), (2, True, 0.5), (2, False, 1.0), (1, False, 1.0)])
+def test_a_start_has_half_of_the_time_where_several_freedoms_may_wait(monkeypatch, dof, may_wait, share):
     monkeypatch.setattr(planning.waiting, "may_wait", lambda _: may_wait)
     climb = _with_time_to_wait(lambda _, budget: budget.share_of_time)
     assert climb(search(dof=dof), Share()) == share

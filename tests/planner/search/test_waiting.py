@@ -9,10 +9,9 @@ from scipy.integrate import quad
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner import planning
 from linkplan.planner.planning import REPAIRS, plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.search import starts, waiting
+from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import PENDULUM, body_problem
@@ -185,12 +184,3 @@ def test_a_longer_motion_that_takes_the_time_asked_for_needs_no_rest(monkeypatch
     monkeypatch.setattr(waiting, "_held", lambda *_: None)
     assert waiting.from_waiting(search, PATIENT) is (longer if whole else None)
     assert (lasting in search.known.motions) is not whole
-
-
-@pytest.mark.parametrize(("name", "spared"), [("five-bar-reach", True), ("knee-reach", False)])
-def test_the_first_start_leaves_half_of_the_time_where_several_freedoms_may_wait(name, spared, monkeypatch):
-    given = []
-    monkeypatch.setattr(starts, "from_first_starts", lambda _, budget: given.append(budget.share_of_time))
-    problem = load_problem(name)
-    planning._first_starts(Search(problem=problem, start_pose=problem.start_pose()), PATIENT)
-    assert given == [0.5 if spared else 1.0]
