@@ -132,8 +132,10 @@ def couple_narrow_tendons(spec: mujoco.MjSpec) -> tuple[str, ...]:
     in the middle of the range, as soft as the limit, takes the limit's place.
     """
     fixed = [tendon for tendon in spec.tendons if len(tendon.path) > 1 and _is_fixed(tendon) and np.ptp(tendon.range) > 0]
-    coupled, model = [], spec.compile() if fixed else None
-    for tendon in fixed if not spec.option.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT else ():
+    if not fixed or spec.option.disableflags & mujoco.mjtDisableBit.mjDSBL_LIMIT:
+        return ()
+    coupled, model = [], spec.compile()
+    for tendon in fixed:
         low, high = model.tendon_range[tendon.id]
         joints = [(model.joint(wrap.target.name), wrap.coef) for wrap in tendon.path]
         stroke = sum(abs(coef) * np.ptp(joint.range) for joint, coef in joints if model.jnt_limited[joint.id])

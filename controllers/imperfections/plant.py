@@ -16,7 +16,7 @@ from linkplan.controllers.integrator import stay_servos
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
-from linkplan.models.closure.newton import OPEN_M, solve
+from linkplan.models.closure.newton import solve
 from linkplan.models.errors import AssemblyError, LinkplanError, choose
 from linkplan.models.kinematics import make_dry, tied_points
 from linkplan.models.mechanism import Mechanism
@@ -42,7 +42,7 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
     changed = np.linalg.svd(_equalities(model, data, mechanism, q)[1])[0][:, : len(mechanism.dependent)]
     residual = float(np.abs(changed.T @ r).max(initial=0.0))
-    if residual > OPEN_M:
+    if residual > mechanism.closed_m:
         at = where(mechanism.independent_joints, q[mechanism.independent])
         raise AssemblyError(
             f"the loop does not close at the start, {at}, with this machine's lengths: {1e3 * residual:.3g} mm are left"

@@ -121,7 +121,8 @@ def solve(
     """Return the pose of least residual that Newton reaches by moving the joints in `free`, and its residual phi.
 
     The steps have minimum norm, so redundant rows and spare freedom do no harm. Steps are shortened if they are too long or
-    do not reduce the residual.
+    do not reduce the residual. It ends where a step would remove only rounding, or so small a share of a gap that stays that
+    the norm does not show it.
 
     Args:
         residual: q -> phi, J.
@@ -138,7 +139,7 @@ def solve(
         step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=rcond)[0]
         size = np.abs(step).max()
         norm, removed = np.linalg.norm(phi), np.linalg.norm(jacobian @ step)
-        if not np.isfinite(size) or size < 1e-15 or removed <= max(1e-15, 1e-4 * norm):
+        if not np.isfinite(size) or size < 1e-15 or removed <= max(1e-15, 1e-8 * norm):
             break
         scale = min(1.0, _MAX_STEP / size)
         while scale > 1e-6:
@@ -381,7 +382,7 @@ def _moved_to_reference(
     loop: KinematicLoop, pose: np.ndarray, reference: np.ndarray, measure, deadline: Deadline
 ) -> np.ndarray:
     """Return the closed pose reached from `pose` by steps towards the reference that each decrease `measure`."""
-    moved = np.abs(loop.jacobian(pose) * loop.unit).max(axis=0)
+    moved = np.abs(loop.jacobian(pose)).max(axis=0)
     trial, step = _closed(loop, np.where(moved > 1e-6 * moved.max(), pose, reference)), 1.0  # what is in no loop stays
     pose = pose if trial is None else min(pose, trial, key=measure)
     for _ in range(100):

@@ -69,8 +69,8 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
             errors[k], added[k] = np.abs(error), np.abs(states[k, -1, :n_x] - planned[k + 1]) / size
             spent[k], beyond[k] = inside[-1, n_x], relative_violation(inside[:, :n_x], problem.state_limit.T, size)
             carried = transitions[k, -1, :n_x] * size / size[:, None] @ carried
-            # The spectral norm of a product is at most the product of theirs: an error that is less than one made now is
-            # forgotten, and nothing is lost.
+            # By the spectral norm, as that of a product is at most the product of the norms: an error that has shrunk below
+            # one made now can be forgotten.
             grown = np.linalg.norm(carried, 2)
             if grown > most:
                 error, restarts = np.zeros(n_x), restarts + 1
@@ -83,11 +83,11 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
             errors=errors, defects=defects, objective=objective, misjudged=off, beyond=beyond, restarts=restarts
         )
 
-    # Beyond this growth rounding alone decides where one integration would end.
+    # If errors grow by more than this factor, rounding alone decides where one integration ends.
     whole = propagated(problem.tolerance / np.finfo(float).eps)
     if not whole.restarts and whole.errors.max() <= problem.tolerance:
         return whole
-    # The growth of an error up to which the integrator's own error stays within the tolerance.
+    # If errors grow by this factor at most, the integrator's own error stays within the tolerance.
     return propagated(max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL))
 
 

@@ -236,7 +236,7 @@ def imperfections_asked(plan: Plan) -> dict:
 
 
 def defaults_note(plan: Plan) -> str | None:
-    """Return the note that the problem has no imperfections or the default ones, or None if it has its own."""
+    """Return the note on a missing or an empty [imperfections] table, or None if the table has imperfections."""
     table = plan.problem.source.get("imperfections")
     if table is None:
         names = ", ".join(default_imperfections(plan))

@@ -24,8 +24,8 @@ _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
 _LEAST_SITE_TRAVEL_M = 1e-3
 _HEAD = """\
 # Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. To set a key
-# take the # from its line, and from its section's: behind it stands the default, or an example where
-# another is named.
+# remove the # of its line and of its section's line. The value there is the default, or an example
+# if the comment names another default.
 """
 
 

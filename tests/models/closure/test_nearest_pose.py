@@ -82,7 +82,7 @@ def test_the_lines_pasted_into_a_problem_mend_it_and_name_joints_with_blanks():
 
 
 def test_the_offer_leaves_what_is_in_no_loop_where_it_stands():
-    """A parallelogram drawn flat is singular: the random poses from which a regular one is found move the trunk, too."""
+    """A flat parallelogram is singular. A regular pose is found from random ones, in which the trunk has moved, too."""
     flat = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint name="float"/><geom size=".1"/>
     <body name="head"><joint name="neck" axis="0 1 0"/><geom size=".05" pos="0 0 .1"/></body>
     <body name="crank"><joint name="motor" axis="0 1 0"/><geom size=".01" pos=".05 0 0"/><body name="coupler" pos=".1 0 0">

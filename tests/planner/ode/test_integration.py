@@ -25,7 +25,7 @@ def straight(ends: list[float], breaks_s: np.ndarray, n_x: int = 1) -> OdeTrajec
 
 
 def restarts(problem: OdeProblem) -> int:
-    """Return how often an integration over two seconds begins anew."""
+    """Return the number of restarts of an integration over two seconds."""
     still = straight([1.0, 1.0, 1.0], np.array([0.0, 1.0, 2.0]))
     return integrate(problem, still, np.ones(1), np.linspace(0.0, 1.0, 5)).restarts
 
@@ -48,7 +48,7 @@ def test_what_grows_late_is_unstable_and_what_fades_is_not(slope, unstable):
 
 
 def test_errors_that_grow_beyond_rounding_are_carried_on_from_restart_to_restart():
-    """x' = a x: an interval makes p of e^(a h) p, a factor of e^5, and each two intervals the integration begins anew."""
+    """x' = a x: an interval multiplies an error by e^(a h) = e^5, and the integration is restarted after every two."""
     ends, h, size = [1.0, 2.0, -1.0, 3.0, 0.5], 0.5, np.array([2.0, 1.0])
     problem = growing(lambda t: 10.0 + 0 * t, n_x=2)
     found = integrate(problem, straight(ends, h * np.arange(5.0), 2), size, np.linspace(0.0, 1.0, 5))

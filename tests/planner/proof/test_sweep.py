@@ -164,36 +164,40 @@ def test_the_next_interval_begins_with_the_largest_boxes_that_were_decided_and_e
     assert boxes == [1 + 2 + 4 + 4, 4 + 4, 4 + 4, 4 + 4, 2 + 4 + 4]
 
 
-def test_the_start_gap_is_the_largest_distance_of_a_dependent_joint_from_the_closed_pose():
+@pytest.fixture
+def five_bar():
+    """A random motion of a five-bar, its problem and its blocks, in numbers of 100 bits."""
     before = ctx.prec, ctx.cap
-    try:
-        ctx.prec = 100
-        problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
-        blocks, pose = blocks_of(problem.mechanism), np.array(motion.start_pose)
-        closed = newton(blocks, pose[list(blocks.independent)], pose[list(blocks.dependent)])
-        pose[list(blocks.dependent)] = closed + np.array([1e-3, -2e-4])
-        off = replace(motion, start_pose=pose)
-        sweep = _Sweep(problem=problem, trajectory=off, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
-        anchor = sweep._start(Piece.of(off, 0))
-    finally:
-        ctx.prec, ctx.cap = before
+    ctx.prec = 100
+    problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
+    yield problem, motion, blocks_of(problem.mechanism)
+    ctx.prec, ctx.cap = before
+
+
+def sweep_of(problem, motion, blocks) -> _Sweep:
+    return _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+
+
+def test_the_start_gap_is_the_largest_distance_of_a_dependent_joint_from_the_closed_pose(five_bar):
+    problem, motion, blocks = five_bar
+    pose = np.array(motion.start_pose)
+    closed = newton(blocks, pose[list(blocks.independent)], pose[list(blocks.dependent)])
+    pose[list(blocks.dependent)] = closed + np.array([1e-3, -2e-4])
+    off = replace(motion, start_pose=pose)
+    sweep = sweep_of(problem, off, blocks)
+    anchor = sweep._start(Piece.of(off, 0))
     assert sweep.start_gap == pytest.approx(1e-3, rel=1e-6)
     assert anchor.z == pytest.approx(closed, abs=1e-9)
 
 
-def test_a_loop_that_stands_still_is_linked_over_the_last_digits_of_its_coordinates():
-    before = ctx.prec, ctx.cap
-    try:
-        ctx.prec = 100
-        problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
-        blocks, pose = blocks_of(problem.mechanism), np.array(motion.start_pose)
-        s, n = pose[list(blocks.independent)], len(motion.breaks_s) - 1
-        pose[list(blocks.dependent)] = newton(blocks, s, pose[list(blocks.dependent)])
-        at_rest = np.broadcast_to(s, (2, n, 2)) + 8 * np.spacing(s) * (np.arange(n) % 2)[:, None]
-        still = replace(motion, position=at_rest, velocity=np.zeros((1, n, 2)), start_pose=pose)
-        sweep = _Sweep(problem=problem, trajectory=still, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
-        sweep.run()
-    finally:
-        ctx.prec, ctx.cap = before
+def test_a_loop_that_stands_still_is_linked_over_the_last_digits_of_its_coordinates(five_bar):
+    problem, motion, blocks = five_bar
+    pose = np.array(motion.start_pose)
+    s, n = pose[list(blocks.independent)], len(motion.breaks_s) - 1
+    pose[list(blocks.dependent)] = newton(blocks, s, pose[list(blocks.dependent)])
+    at_rest = np.broadcast_to(s, (2, n, 2)) + 8 * np.spacing(s) * (np.arange(n) % 2)[:, None]
+    still = replace(motion, position=at_rest, velocity=np.zeros((1, n, 2)), start_pose=pose)
+    sweep = sweep_of(problem, still, blocks)
+    sweep.run()
     assert sweep.closure.undecided == []
     assert sweep.boxes == n

@@ -150,7 +150,7 @@ def test_a_joint_that_its_range_fixes_is_locked_there(range_deg, lock):
     assert any("ranges let these joints move nowhere" in note for note in notes) == bool(lock)
 
 
-# A crank at its dead centre, where the motor of its slider has no arm, on a driven hip whose leg hangs on a spring.
+# A driven hip carries a leg on a spring. The leg's slider-crank stands at a dead centre, where its motor has no arm.
 DEAD_CENTRE = """<mujoco><compiler autolimits="true"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
 <body><joint name="hip" axis="1 0 0" range="-40 40"/><geom size=".05" mass="1"/>
 <body><joint name="leg" axis="0 1 0" stiffness="500" damping="2"/>
