@@ -249,7 +249,7 @@ class Plan:
         return self._proved(NO_DEADLINE)
 
     def with_proof(self, until: Deadline = NO_DEADLINE, *, existence: bool = True) -> Self:
-        """Return this plan with its proof; claims that are open when the deadline passes are undecided.
+        """Return this plan with its proof.
 
         Args:
             until: the deadline.
@@ -257,6 +257,8 @@ class Plan:
 
         Raises:
             LinkplanError: if the plan has no motion.
+            OutOfTimeError: if the deadline passes before all claims are judged, or some intervals show that they take
+                twice the time to it.
         """
         return replace(self, proof=self._proved(until, existence=existence))
 

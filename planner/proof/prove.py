@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from flint import arb, arb_poly, arb_series, ctx
 
-from linkplan.models.deadline import NO_DEADLINE, Deadline
+from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
 from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
@@ -80,9 +80,12 @@ def prove(
         problem: the problem with its limits.
         trajectory: the motion.
         failures: sentences of its certificate on what samples have refuted.
-        until: when this deadline passes, the open claims are undecided.
+        until: the deadline of the claims; when it passes, no more motions are looked for.
         order: the coefficients of Taylor forms before their remainder.
         existence: whether a motion of the model is looked for near the trajectory.
+
+    Raises:
+        OutOfTimeError: if the deadline passes before all claims are judged, or intervals show that they take twice the time.
     """
     begun, before = time.process_time(), (ctx.prec, ctx.cap)
     ctx.prec = _PRECISION_BITS
@@ -154,11 +157,14 @@ class _Sweep:
         self.records = [Record() for _ in self.claims]
         self.marks = [tuple(map(arb, claim.marks)) for claim in self.claims]
         self.slack = [arb(0, float(JOIN_SHARE * x)) for x in position_spans(self.problem, trajectory)]
-        pieces = (Piece.of(trajectory, k) for k in range(n))
-        anchor = None
-        for piece in pieces:
+        begun_s, anchor = self.until.left_s, None
+        for k in range(n):
+            left_s = self.until.left_s
             if self.near and self.near.failure:
                 return
+            if k and not self.near and (begun_s - left_s) * (n - k) > 2 * k * left_s:
+                raise OutOfTimeError(f"{k} of {n} intervals show that the proof takes more than twice the time that it has")
+            piece = Piece.of(trajectory, k)
             anchor = self._start(piece) if anchor is None else anchor
             anchor = self._interval(piece, replace(anchor, slope=0 * anchor.slope, tau=0.0))
 
@@ -191,7 +197,7 @@ class _Sweep:
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
         """Decide the claims on one interval; return where the branch is at its end."""
         asked = [_NEAR_PLAN] if self.near else list(range(len(self.claims)))
-        stack = _boxes(0 if self.until.passed else self.depth, asked)
+        stack = _boxes(self.depth, asked)
         coarsest = _MAX_HALVINGS
         most = _MAX_BOXES_PER_INTERVAL * max(20, len(self.trajectory.breaks_s) - 1)
         while stack:
@@ -200,6 +206,8 @@ class _Sweep:
             if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
                 continue
             if self.until.passed:
+                if not self.near:
+                    raise OutOfTimeError("the time for the proof is over")
                 self._leave(piece, box, open_claims, closed=False)
                 continue
             lost = len(self.closure.undecided) >= _MAX_LOST

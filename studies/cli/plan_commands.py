@@ -1,11 +1,12 @@
 """The commands `plan`, `prove` and `batch`."""
 
 import argparse
+import contextlib
 import time
 from dataclasses import asdict
 from pathlib import Path
 
-from linkplan.models.deadline import NO_DEADLINE
+from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion, price_of, with_price
@@ -65,11 +66,10 @@ def _proved(plan: Plan, asked: bool, seconds: float, say: Progress) -> Plan:
         say(PROVING)
         return plan.with_proof()
     until = NO_DEADLINE.within(max(_PROOF_SHARE * seconds, _PROOF_SECONDS))
-    proved = plan.with_proof(until, existence=False)
-    if until.passed:
-        say.keep("not proved: the proof takes long beside the plan; linkplan plan --prove and linkplan prove make it")
-        return plan
-    return proved
+    with contextlib.suppress(OutOfTimeError):
+        return plan.with_proof(until, existence=False)
+    say.keep("not proved: the proof takes long beside the plan; linkplan plan --prove and linkplan prove make it")
+    return plan
 
 
 def run_batch(arguments: argparse.Namespace) -> int:

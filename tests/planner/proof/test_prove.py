@@ -1,11 +1,12 @@
 """Proofs: plans that keep their limits are proved, and plans that are spoilt between the samples are refuted."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from linkplan.models.deadline import NO_DEADLINE, Deadline
+from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
@@ -214,29 +215,22 @@ def test_a_plan_without_a_motion_has_no_proof():
         planned("knee-reach", "motion.duration_s=0.01").prove()
 
 
-def test_a_proof_whose_time_is_up_examines_no_box():
+def test_a_proof_whose_time_is_up_is_not_made():
     plan = optimal("knee-reach")
-    proof = prove_all(plan.problem, plan.trajectory, (), NO_DEADLINE.within(0.0))
-    assert proof.boxes == 0
-    assert {"the loops close, on one branch without a singular pose", "planned effort of act_O"} <= {
-        finding.name for finding in proof.of("undecided")
-    }
+    with pytest.raises(OutOfTimeError, match="the time for the proof is over"):
+        prove_all(plan.problem, plan.trajectory, (), NO_DEADLINE.within(0.0))
 
 
-def test_a_proof_whose_time_is_up_leaves_whole_intervals():
+@pytest.mark.parametrize(("share", "is_made"), [(1.0, True), (0.4, False)])
+def test_a_proof_that_needs_twice_its_time_ends_after_the_first_intervals(share, is_made):
+    """The deadline's clock counts intervals, so that a share of them fits into the time to the deadline."""
     plan = optimal("knee-reach")
-    clock = iter([0.0] * 400)  # then it is one second
-
-    def now() -> float:
-        return next(clock, 1.0)
-
-    problem = plan.problem
+    problem, n = plan.problem, len(plan.trajectory.breaks_s) - 1
     shared = {"problem": problem, "trajectory": plan.trajectory, "blocks": blocks_of(problem.mechanism), "order": 12}
-    sweep = _Sweep(claims=[], until=Deadline(at_s=0.5, clock=now), depth=12, **shared)
-    sweep.run()
-    assert next(clock, None) is None, "the deadline passes within the first interval"
-    first = [end for _, end in sweep.closure.undecided if end <= plan.trajectory.breaks_s[1]]
-    assert len(sweep.closure.undecided) - len(first) == plan.intervals - 1
+    sweep = _Sweep(claims=[], until=Deadline(at_s=share * n, clock=lambda: sweep.interval), **shared)
+    with contextlib.nullcontext() if is_made else pytest.raises(OutOfTimeError, match=f"1 of {n} intervals"):
+        sweep.run()
+    assert sweep.interval == (n if is_made else 1)
 
 
 def joins(plan: Plan, jump: float) -> str:

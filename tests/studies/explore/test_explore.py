@@ -24,8 +24,11 @@ def served(folder):
     """Yield the address of a running server; it ends by Ctrl-C, with the exit code of an interrupted command."""
     run = [sys.executable, "-m", "linkplan", "explore", "knee-reach", "--json"]
     piped: dict = {"cwd": folder, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    # A process of a script's background inherits that SIGINT is ignored; a terminal's does not.
-    with subprocess.Popen(run, **piped, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)) as process:
+    # A process of a script's background inherits that SIGINT is ignored; a terminal's does not. A handler is not inherited.
+    # A `preexec_fn` would first copy the process of the tests, for which memory may be lacking.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    with subprocess.Popen(run, **piped) as process:
+        signal.signal(signal.SIGINT, before)
         said = json.loads(process.stdout.readline())
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", said["address"])
         assert said["problem"] == "knee-reach"
