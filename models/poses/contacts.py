@@ -5,6 +5,7 @@ if the distance of two surfaces is below the margin, and its depth is the differ
 """
 
 import copy
+import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -13,7 +14,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
-from linkplan.models.deadline import NO_DEADLINE, Deadline
+from linkplan.models.deadline import NO_DEADLINE, Deadline, one_thread_at_a_time
 from linkplan.models.kinematics import BALL, HINGE, data_at, in_body, in_world, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
@@ -109,6 +110,7 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
     )
 
 
+@one_thread_at_a_time
 def meetings(
     mechanism: Mechanism,
     time: np.ndarray,
@@ -136,7 +138,7 @@ def meetings(
     size, sample = _bounding_radii(mechanism), _pose_sampler(mechanism, model, deadline)
     first = list(sample(poses))
     span = max((_travel(a, b, size).max() for a, b in pairwise(first)), default=0.0)
-    sample = _pose_sampler(mechanism, _with_wider_gaps(model, 2 * float(span)), deadline)
+    sample = _pose_sampler(mechanism, _with_wider_gaps(mechanism, 2 * float(span)), deadline)
     (at_home,) = sample(mechanism.home[None])
     seen = [(float(t), pose, one) for t, pose, one in zip(time, poses, sample(poses), strict=True)]
     seen = _sampled_between(mechanism, seen, sample, position_at, size)
@@ -211,7 +213,7 @@ def _pose_sampler(
     mechanism: Mechanism, model: mujoco.MjModel, deadline: Deadline = NO_DEADLINE
 ) -> Callable[[np.ndarray], Iterator[_PoseSample]]:
     """Return a function that yields the collision sample of each pose (n, n_q)."""
-    pins = shared_pins(mechanism.model, mechanism.qpos_of(mechanism.home), mechanism.extent_m)
+    pins = _shared_pins(mechanism)
     data = mujoco.MjData(model)
     weld, body, radius = model.body_weldid, model.geom_bodyid, _bounding_radii(mechanism)
 
@@ -250,20 +252,17 @@ def _detected(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> t
     return pairs[of_geoms], (contact.dist - contact.includemargin)[of_geoms], contact.pos[of_geoms]
 
 
-def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mapping[tuple[int, int], tuple[Point, ...]]:
+@functools.lru_cache(maxsize=16)
+def _shared_pins(mechanism: Mechanism) -> Mapping[tuple[int, int], tuple[Point, ...]]:
     """Return the pins that pairs of bodies share. Keys are pairs of `body_weldid`, the smaller first.
 
     Geoms overlap at a shared pin by construction, which is no collision. The anchor of a joint lies on its body and on the
     parent. The point of a connect or weld lies on both bodies that it ties. Two bodies share a pin if two of their points
     coincide at home, which includes siblings on a pivot and three links on a bolt. Bodies without a joint between them count
     as one body, as in MuJoCo's own collision filter.
-
-    Args:
-        model: the compiled model.
-        home: the closed home pose (nq,).
-        extent: the mechanism's size [m].
     """
-    data = data_at(model, home)
+    model, extent = mechanism.model, mechanism.extent_m
+    data = data_at(model, mechanism.qpos_of(mechanism.home))
     found: list[tuple[int, np.ndarray]] = []
     for joint in range(model.njnt):
         if int(model.jnt_type[joint]) in (HINGE, BALL):
@@ -293,13 +292,19 @@ def _travel(one: _PoseSample, other: _PoseSample, size: np.ndarray) -> np.ndarra
     return np.linalg.norm(other.centres - one.centres, axis=1) + size * angle
 
 
-def _with_wider_gaps(model: mujoco.MjModel, width: float) -> mujoco.MjModel:
-    """Return a copy of a model whose collision detection reports distances up to `width` [m] beyond its own."""
-    wider = copy.copy(model)
-    wider.geom_gap += width / 2
-    wider.pair_gap += width
-    wider.body_margin += width
+def _with_wider_gaps(mechanism: Mechanism, width: float) -> mujoco.MjModel:
+    """Return the second model, whose collision detection reports distances up to `width` [m] beyond those of the first."""
+    model, wider = mechanism.model, _second_model(mechanism)
+    wider.geom_gap[:] = model.geom_gap + width / 2
+    wider.pair_gap[:] = model.pair_gap + width
+    wider.body_margin[:] = model.body_margin + width
     return wider
+
+
+@functools.lru_cache(maxsize=1)
+def _second_model(mechanism: Mechanism) -> mujoco.MjModel:
+    """Return a copy of a mechanism's model. With meshes it takes longer than the search for contacts along a motion."""
+    return copy.copy(mechanism.model)
 
 
 def geom_name(model: mujoco.MjModel, index: int) -> str:

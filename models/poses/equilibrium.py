@@ -21,6 +21,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import Joint
 
 
+@functools.lru_cache(maxsize=16)
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
     """Return the independent coordinates (columns) with springs at home that are neither driven nor passive freedoms."""
     stiffness = _stiffness(mechanism).diagonal()
@@ -141,6 +142,7 @@ def lock_words(places: Sequence[tuple[Joint, float]]) -> str:
     return f"mechanism.{home_text({'lock': {joint.name: round(joint.shown(x), 6) + 0.0 for joint, x in places}})}"
 
 
+@functools.lru_cache(maxsize=16)
 def _stiffness(mechanism: Mechanism) -> np.ndarray:
     """Return the springs' stiffness matrix (n_s, n_s) at home."""
     still, gamma = np.zeros(mechanism.n_q), np.array(mechanism.dynamics.velocity_map(mechanism.home))

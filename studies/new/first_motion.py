@@ -168,11 +168,14 @@ def _first_try_s(mechanism: Mechanism) -> float:
 def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
     """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan.
 
-    The limit is at least twice the time [s] that the plan took: with less, its certificate may not be reached.
+    For a large robot, whose smooth path is tried first, the limit is at least twice the time [s] that this took: with less,
+    its certificate may not be reached.
     """
     if plan.solved is not None:
         return found
-    limit = max(_first_try_s(found.mechanism), float(np.ceil(2 * took_s)))
+    limit = _first_try_s(found.mechanism)
+    if is_large(found.mechanism):
+        limit = max(limit, float(np.ceil(2 * took_s)))
     note = (
         f"the smooth path keeps every limit: planning searches for a better motion for {limit:g} s of work and no longer"
         " (solver.max_time_s)"
@@ -351,7 +354,8 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
     and let the springs ring. The motion of least effort rate stays near the holding efforts.
     """
     motion: dict = {"kind": "reach"}
-    named = [k for k in range(mechanism.dof) if k in driven_columns(mechanism) or not rests_by_itself(mechanism, k)]
+    driven = driven_columns(mechanism)
+    named = [k for k in range(mechanism.dof) if k in driven or not rests_by_itself(mechanism, k)]
     for name, values in (("start", start), ("goal", goal)):
         for column in named:
             joint = mechanism.independent_joints[column]
