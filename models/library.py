@@ -292,7 +292,8 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
     _name_all(spec.bodies, "body")
     if selection:
         _name_all(spec.joints, "joint")
-        notes += select(spec, spec.compile(), selection)
+        # Deletion is slow in a compiled specification, which holds its meshes. Compilation may fuse its bodies, though.
+        notes += select(spec, (spec if spec.compiler.fusestatic else spec.copy()).compile(), selection)
     notes += couple_narrow_tendons(spec) if spec.tendons else ()
     if root is not None:
         notes += tuple(conversion_notes(root, driven=len(spec.actuators) > 0))

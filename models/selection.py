@@ -186,6 +186,8 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         ModelError: for unknown names, or a joint that cannot be locked.
     """
     qpos = home_qpos(model, asked.keyframe)
+    for key in list(spec.keys):
+        spec.delete(key)
     chosen = [_body_of(model, name) for name in asked.keep]
     below = _closed_chain(model, chosen) if chosen else set(range(1, model.nbody))
     above = {ancestor for body in below for ancestor in _ancestors(model, body)} - below
@@ -212,8 +214,6 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     notes += _exclude(spec, asked.exclude_contacts)
     still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
-    for key in list(spec.keys):
-        spec.delete(key)
     if model.nkey:
         small = spec.compile()
         home = np.array(small.qpos0)
