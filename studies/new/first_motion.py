@@ -162,7 +162,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
 
 def _first_try_s(mechanism: Mechanism) -> float:
     """Return the time [s] of a first try: an easy motion needs no more."""
-    return (0.175 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
+    return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
 
 
 def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
