@@ -55,6 +55,7 @@ def test_pieces_join_to_a_hundred_millionth_of_the_span_or_speed(share, answer):
         found = finding(shifted(name, 1, share * size), f"the pieces of {name} join")
         assert found.answer == answer
         assert found.bound == pytest.approx(abs(share), rel=2e-2)
+        assert found.margin == pytest.approx(1e-8 - found.bound)
         assert found.time_s == pytest.approx(0.5)
 
 

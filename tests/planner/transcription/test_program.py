@@ -82,10 +82,12 @@ def assert_same(actual, expected) -> None:
     assert np.abs(actual - expected).max() <= DERIVATIVE * np.abs(expected).max()
 
 
-every_case = pytest.mark.parametrize("case", CASES, ids=name_of)
+# The first case is quick, for mutants of the assembly.
+every_case = pytest.mark.parametrize(
+    "case", [CASES[0], *(pytest.param(case, marks=pytest.mark.slow) for case in CASES[1:])], ids=name_of
+)
 
 
-@pytest.mark.slow
 @every_case
 def test_the_assembled_jacobian_is_the_derivative_of_the_rows(case):
     transcribed = built(case)
@@ -98,7 +100,6 @@ def test_the_assembled_jacobian_is_the_derivative_of_the_rows(case):
         assert_same(rows, transcribed.program.functions["nlp"](*at)[1])
 
 
-@pytest.mark.slow
 @every_case
 def test_the_assembled_gradient_is_the_derivative_of_the_objective(case):
     transcribed = built(case)
@@ -111,7 +112,6 @@ def test_the_assembled_gradient_is_the_derivative_of_the_objective(case):
         assert_same(value, transcribed.program.functions["nlp"](*at)[0])
 
 
-@pytest.mark.slow
 @every_case
 def test_the_assembled_hessian_is_the_upper_triangle_of_the_lagrangian_s(case):
     transcribed = built(case)
