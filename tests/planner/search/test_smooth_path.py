@@ -10,6 +10,7 @@ from linkplan.planner.diagnosis.reasons import nothing_found
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search import smooth_path
 from linkplan.planner.search.ladder import HURRIED, Rung, Search
 from linkplan.planner.search.smooth_path import _is_carried
 from tests.support.plans import optimal
@@ -82,3 +83,15 @@ def test_a_path_is_carried_where_the_actuators_give_every_effort_that_it_needs(n
     problem = load_problem(name, [STRONG] if name == "five-bar-reach" else [])
     search = Search(problem=problem, start_pose=problem.start_pose())
     assert _is_carried(problem, search) is carried
+
+
+@pytest.mark.parametrize(("missing", "carried"), [(0.9e-9, True), (1.1e-9, False)])
+def test_an_effort_that_is_missing_to_rounding_of_the_largest_one_is_none(monkeypatch, missing, carried):
+    """One of the actuators rests, which makes the missing efforts no more important."""
+
+    def needed(mechanism, poses, *_motion):
+        return np.tile([0.0, 2.0], (len(poses), 1)), np.full((len(poses), mechanism.dof), 2.0 * missing)
+
+    monkeypatch.setattr(smooth_path, "needed_effort", needed)
+    problem = load_problem("five-bar-reach", [STRONG])
+    assert _is_carried(problem, Search(problem=problem, start_pose=problem.start_pose())) is carried
