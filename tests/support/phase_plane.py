@@ -190,7 +190,7 @@ def domain_of(fourbar: FourBar, at: float, least: float, ranges: dict[str, tuple
     """Return the crank angles about `at` that a motion may pass: within ranges, the transmission at least `least`."""
     ends = []
     for way in (-1, 1):
-        s = at + way * np.linspace(0.0, 7.5, 7501)
+        s = at + way * np.linspace(0.0, 10.0, 10001)
         with np.errstate(invalid="ignore"):
             angles = joint_angles(fourbar, s)
             good = np.nan_to_num(fourbar.transmission(s)) >= least
