@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.proof import existence
 from linkplan.planner.proof.contraction import LinearBox, contracted
-from linkplan.planner.proof.existence import Neighbourhood, NoMotionError, Tube, _sizes, first_tube
+from linkplan.planner.proof.existence import Neighbourhood, NoMotionError, Tube, _sizes, _slopes_at, first_tube
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import prove, states_of
@@ -252,6 +252,16 @@ def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():
     assert float(defect.remainder) < 1e-12
 
 
+@pytest.mark.parametrize("acceleration", [0.0, 30.0])
+def test_slopes_of_the_motion_equation_are_those_of_the_model_from_any_acceleration(acceleration):
+    mechanism = load_mechanism("optimus-knee")
+    q, v, u = mechanism.home, np.array([2.0]), np.array([40.0])
+    balls = [[arb(float(x)) for x in values] for values in (q, v, [acceleration], u)]
+    (found,) = _slopes_at(mechanism, *balls)
+    by_s, by_v, _ = mechanism.dynamics.linearisation(q, v, u)
+    assert [float(x.mid()) for x in found] == pytest.approx([float(by_s), float(by_v)], rel=1e-9)
+
+
 def test_the_first_tube_is_a_millionth_of_the_motion_wide_which_is_far_below_a_certificate_s_error():
     tube = first_tube(without_efforts())
     np.testing.assert_allclose(tube.at(0.3 * DURATION_S), [1e-6 * TURN, 1e-6 * SPEED])
@@ -263,4 +273,5 @@ def test_the_times_of_a_proof_s_parts_add_up_to_at_most_the_processor_time_that_
     proof = prove(problem, without_efforts())
     assert proof.seconds >= 0.0
     assert proof.existence_seconds >= 0.0
+    assert ("existence in" in proof.sentence()) is (proof.existence_seconds >= 0.01)
     assert proof.seconds + proof.existence_seconds <= time.process_time() - begin
