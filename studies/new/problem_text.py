@@ -10,9 +10,9 @@ import numpy as np
 from linkplan.models.catalogue import MODELS
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.models.poses.reach import reach
+from linkplan.models.poses.assembly import advance
 from linkplan.models.tree.dynamics import site_names
-from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.files.tables import inline, key_text
 from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES
@@ -20,7 +20,7 @@ from linkplan.studies.new.first_motion import FirstMotion, model_beside
 
 # The largest width of lines, and the column of the comments after values.
 _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
-# A site that moves less within reach [m] is no example for a motion.
+# A site that moves less [m] is no example for a motion.
 _LEAST_SITE_TRAVEL_M = 1e-3
 _HEAD = """\
 # Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. To set a key
@@ -132,10 +132,11 @@ def _joint_facts(mechanism: Mechanism) -> dict:
 
 
 def _place(mechanism: Mechanism) -> tuple[str, str] | None:
-    """Return the site that moves most and its position at home, as TOML, with one axis for each degree of freedom."""
+    """Return the site that moves most next to home, and its position there with an axis for each degree of freedom, as TOML."""
     names = site_names(mechanism.model)
-    reaches = [reach(mechanism, column).poses for column in range(mechanism.dof)]
-    poses = np.vstack([mechanism.home, *(one[np.linspace(0, len(one) - 1, 9).astype(int)] for one in reaches)])
+    s = mechanism.home[mechanism.independent]
+    steps = np.diag(unit_steps(mechanism.independent_joints, mechanism.extent_m))
+    poses = np.vstack([mechanism.home, *(advance(mechanism, mechanism.home, s + 0.1 * step)[0] for step in steps)])
     places = sampled(mechanism.dynamics.site_places, poses)[:, :, [mechanism.model.site(name).id for name in names]]
     spans = np.ptp(places, axis=0)
     if spans.max(initial=0.0) < _LEAST_SITE_TRAVEL_M:
