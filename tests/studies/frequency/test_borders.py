@@ -82,6 +82,20 @@ def test_a_loop_whose_soft_closures_sink_under_the_weight_settles_all_the_same(s
     assert settle_trials(loops, mechanism.effort_limit).tolist() == [True, False]
 
 
+PENDULUM = """<mujoco><option timestep="1e-3"/><worldbody><body><joint name="q" axis="0 1 0" damping=".05"/>
+<geom type="capsule" fromto="0 0 0 0 0 .3" size=".01" mass="1"/></body></worldbody>
+<actuator><motor joint="q" ctrlrange="-10 10"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("period_s", [5e-3, 0.02, 0.05])
+def test_a_pendulum_that_comes_to_rest_where_it_fell_to_has_not_settled(period_s):
+    """Upright, it stays where kp > m g l = 1.47 N.m/rad. At 1.2 it falls to 62 deg, within a few periods if these are long."""
+    mechanism = load_mechanism(PENDULUM)
+    timing, point = sampling(mechanism, period_s), operating_point(mechanism, np.zeros(1))
+    loops = [pd_loop(point, kp, kd, timing) for kp in (1.2, 2.0) for kd in (0.05, 0.2)]
+    assert settle_trials(loops, mechanism.effort_limit).tolist() == [False, False, True, True]
+
+
 def test_the_documents_gains_are_beyond_the_border_at_every_angle_and_within_it_at_a_tenth_of_the_period(knee):
     points = [at(knee, angle) for angle in NINE_DEG]
     for period, stable in ((1e-4, False), (1e-5, True)):
