@@ -16,7 +16,7 @@ _KICK_EFFORT_SHARE = 1e-3
 _DECISIVE_FACTOR = 300.0
 # A speed of this many kicks is growth; the command is then still well inside the limits.
 _GROWTH_FACTOR = 100.0
-# A loop that rests this far [rad; on a slide, as a share of the extent] from where it is held has fallen: no soft loop sinks so.
+# At rest this far [rad; on a slide, share of the extent] from where it is held, a loop has fallen; soft ones sink a third.
 _FALL_DISTANCE = 0.1
 MAX_TRIAL_PERIODS = 40_000
 
