@@ -64,7 +64,8 @@ class OdeProblem:
     the next, relative: None asks for 1e-6 where that is cheap. Mesh and solver settings mean what they do for mechanisms,
     tolerance_deg and breaks apart.
 
-    Example:
+    Example::
+
         cart = linkplan.OdeProblem(
             name="cart",
             rate=lambda x, u, p, t: [x[1], u[0]],
