@@ -249,11 +249,14 @@ class OdePlan(ode_planned.OdePlan):
         """Return columns (n,) by name: time [s], states and efforts, at times (n,) [s] or ten in each interval.
 
         Raises:
-            LinkplanError: if there is no motion.
+            LinkplanError: if there is no motion, or a time is not within it.
         """
         if self.trajectory is None:
             raise LinkplanError(f"no motion to sample: {self.message}")
-        time = self.trajectory.dense_times(10) if time_s is None else np.atleast_1d(np.asarray(time_s, dtype=float))
+        time = self.trajectory.dense_times(10) if time_s is None else np.atleast_1d(planned.asked_times(time_s))
+        end = self.trajectory.duration_s
+        if np.any(np.abs(2 * time - end) > end * (1 + 1e-9)):
+            raise ProblemError(f"times are from 0 to {end:.7g} s, where the motion ends, got {time_s!r}")
         columns = {"time [s]": time}
         for names, values in (
             (self.problem.states, self.trajectory.state_at(time)),
