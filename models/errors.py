@@ -23,7 +23,8 @@ def shown(text: object, most: int = 200) -> str:
 class LinkplanError(Exception):
     """The base of all errors that linkplan raises. Its text is one line for the user.
 
-    Example:
+    Example::
+
         try:
             linkplan.load_mechanism("no-such-model")
         except linkplan.LinkplanError as error:

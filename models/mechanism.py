@@ -66,10 +66,10 @@ class Mechanism:
     They count as closed below a gap of `closed_m`, which is larger if the file's numbers are rounded. Overconstrained loops
     are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
     that move while all other bodies rest, as the spin of a rod between balls does. On `coasting_dofs` only damping acts, as
-    on a loose cart. `notes` are remarks on the assembly, `faults` what a file's rounding takes from it. `source` is the
-    [mechanism] table. `equations` has mass matrix, bias, closure, transmission and inverse dynamics.
+    on a loose cart. `notes` are about the assembly, `faults` what a file's rounding takes from it; `source` is its table.
 
-    Example:
+    Example::
+
         knee = linkplan.load_mechanism("optimus-knee")
         print(knee.dof, [joint.name for joint in knee.independent_joints], knee.effort_limit)  # N.m
     """

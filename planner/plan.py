@@ -96,6 +96,17 @@ class MotionTable(RenamedFields):
         return variables, coordinates
 
 
+def asked_times(time_s: object) -> np.ndarray:
+    """Return times [s], (n,) or a single one (); refuse what are no finite numbers."""
+    try:
+        time = np.asarray(time_s, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        time = np.full((), np.nan)
+    if time.ndim > 1 or not np.all(np.isfinite(time)):
+        raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
+    return time
+
+
 def sample_motion(problem: Problem, trajectory: Trajectory, time_s: object = None, *, jumps: bool = False) -> MotionTable:
     """Return a motion at times (n,) [s], or at a single time as numbers; otherwise as `motion_table`.
 
@@ -103,12 +114,7 @@ def sample_motion(problem: Problem, trajectory: Trajectory, time_s: object = Non
         ProblemError: for times that are not finite numbers.
         AssemblyError: when the loops do not close along the motion.
     """
-    try:
-        time = None if time_s is None else np.asarray(time_s, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        time = np.full((), np.nan)
-    if time is not None and (time.ndim > 1 or not np.all(np.isfinite(time))):
-        raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
+    time = None if time_s is None else asked_times(time_s)
     table = motion_table(problem, trajectory, None if time is None else np.atleast_1d(time), jumps=jumps)
     return table.single() if time is not None and time.ndim == 0 else table
 

@@ -46,7 +46,8 @@ def added(terms: np.ndarray) -> np.ndarray:
 class Tracker(Protocol):
     """A law u = f(k, s, v) without history, filter, saturation or delay, which belong to the feedback loop.
 
-    Example:
+    Example::
+
         class Stiff:
             name = "stiff"
 

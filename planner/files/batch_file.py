@@ -90,7 +90,7 @@ def _swept(table: dict) -> list[tuple[str, list[str]]]:
     axes = []
     for key, values in _flat(table):
         if not isinstance(values, list) or not values:
-            raise ProblemError(f"sweep.{key} is a list of values, got {values!r}")
+            raise ProblemError(f"sweep.{key} is a list of one or more values, got {values!r}")
         axes.append([(key, item) for item in values])
     total = 1
     for axis in axes:

@@ -64,7 +64,8 @@ class OdeProblem:
     the next, relative: None asks for 1e-6 where that is cheap. Mesh and solver settings mean what they do for mechanisms,
     tolerance_deg and breaks apart.
 
-    Example:
+    Example::
+
         cart = linkplan.OdeProblem(
             name="cart",
             rate=lambda x, u, p, t: [x[1], u[0]],
@@ -147,12 +148,17 @@ class OdeProblem:
         if any(not isinstance(i, int | np.integer) or not 0 <= i < n_x for i in self.returns):
             raise ProblemError(f"returns are states from 0 to {n_x - 1}, got {list(self.returns)}")
         for guess in self.guesses:
+            if not isinstance(guess, StateGuess):
+                raise ProblemError(f"guesses are {StateGuess.__module__}.StateGuess objects, got {guess!r}")
             wrong = guess.state.shape[1] != n_x or (guess.effort is not None and guess.effort.shape[1] != self.n_u)
             if wrong:
                 raise ProblemError(f"a guess has {n_x} states and {self.n_u} efforts, got {guess.state.shape[1]} states")
 
     def _check_settings(self) -> None:
-        """Refuse tolerances that mean nothing, and a problem without a cost."""
+        """Refuse tolerances and settings that mean nothing, and a problem without a cost."""
+        for name, kind in (("mesh", MeshSettings), ("solver", SolverSettings)):
+            if not isinstance(getattr(self, name), kind):
+                raise ProblemError(f"{name} is a {kind.__module__}.{kind.__name__}, got {getattr(self, name)!r}")
         for name in ("tolerance", "objective_tolerance"):
             value = getattr(self, name)
             if (value is not None or name == "tolerance") and not (_is_number(value) and 0 < value <= 1):

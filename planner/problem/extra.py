@@ -74,7 +74,8 @@ class ExtraLimit:
         lower, upper: bounds, one of them finite.
         unit: of the expression, for messages.
 
-    Example:
+    Example::
+
         bent = linkplan.ExtraLimit(name="angle of C", expression=lambda at: at.position_rad["C"], lower=-3.0, unit="rad")
         linkplan.Problem.from_file("knee-reach").replace(extra_limits=[bent])
     """
@@ -111,7 +112,8 @@ class ExtraCost:
         weight: positive, per SI unit of the integral.
         unit: of the integral, for messages.
 
-    Example:
+    Example::
+
         def swing(at):
             return at.velocity_rad_s["A"] ** 2
 

@@ -71,7 +71,8 @@ class Problem:
     `from_tables`, and `dataclasses.replace`, by which the planner varies a problem, check consistency only. `source` is the
     problem as a file's tables with every value that was set, as `plan.json` keeps it.
 
-    Example:
+    Example::
+
         knee = linkplan.load_mechanism("optimus-knee", payload="shank")
         reach = linkplan.Problem.reach(knee, start_deg={"O": -49.07}, goal_deg={"O": 56.27}, duration_s=0.16)
     """

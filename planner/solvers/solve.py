@@ -39,7 +39,7 @@ def why_stopped(status: str, max_time_s: float) -> str | None:
     """Return a phrase on a solver that stopped without a result on the problem; None for other statuses."""
     return {
         OUT_OF_TIME: f"the solver ran out of its {max_time_s:g} s {OF_TIME}",
-        INVALID: "the dynamics gave a number that is not finite (NaN) along the motion, or the solver could not begin",
+        INVALID: "the dynamics, a cost or a limit gave a number that is not finite (NaN), or the solver could not begin",
     }.get(status)
 
 

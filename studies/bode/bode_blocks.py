@@ -87,17 +87,27 @@ def _margins(study: BodeStudy) -> Table:
     heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
     heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
     heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
+    topples = any(entry.margins.gain_reduction_margin_db is not None for entry in study.points)
+    heads += ["gain reduction margin [dB]"] if topples else []
     rows = []
     for entry in study.points:
         m, name = entry.margins, entry.point.name
         delay = None if m.delay_margin_s is None else 1e3 * m.delay_margin_s
         figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
         figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
+        figures += [m.gain_reduction_margin_db] if topples else []
         inertia = entry.point.inertia[entry.channel, entry.channel]
         verdicts = [bool(m.stable), bool(entry.settles_in_mujoco), radius_figure(m.spectral_radius)]
         loop = f"{mechanism.independent_joints[entry.channel].name} at {name}" if several else name
         rows.append([loop, inertia, *verdicts, *figures])
     return table_of("Margins at every pose", heads, rows)
+
+
+_LEAST_MARGINS = (
+    ("gain_margin_db", "gain margin", "dB"),
+    ("gain_reduction_margin_db", "gain reduction margin", "dB"),
+    ("phase_margin_deg", "phase margin", "deg"),
+)
 
 
 def _worst_of(study: BodeStudy, scan: Scan) -> str:
@@ -106,7 +116,7 @@ def _worst_of(study: BodeStudy, scan: Scan) -> str:
     of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
     worst = f"{line.place(scan.positions[scan.worst])}: {bounds_text(scan.margins[scan.worst])}"
     text = f"over {line.name} from {ends} the worst{of_loop} is {worst}"
-    for name, words, unit in (("gain_margin_db", "gain margin", "dB"), ("phase_margin_deg", "phase margin", "deg")):
+    for name, words, unit in _LEAST_MARGINS:
         least = scan.least(name) if all(m.stable for m in scan.margins) else None
         if least is not None:
             text += f"; least {words} {least[0]:.3g} {unit} at {line.place(scan.positions[least[1]])}"

@@ -79,7 +79,7 @@ def _scan_record(study: BodeStudy, scan: Scan) -> dict:
         **asdict(scan.margins[scan.worst]),
         "least": {
             name: {"value": found[0], key: line.shown(scan.positions[found[1]])}
-            for name in ("gain_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
+            for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
             if (found := scan.least(name)) is not None
         },
     }

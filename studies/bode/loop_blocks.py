@@ -58,12 +58,12 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
         Line(name=name, values=np.full(len(at), kd), unit=damping, look="dash", colour=1 + k)
         for k, (name, _, kd) in enumerate(marked)
     ]
-    for settles, name in ((True, "settles in MuJoCo"), (False, "does not settle")):
+    for settles, look, name in ((True, "points", "settles in MuJoCo"), (False, "cross", "does not settle")):
         for column, share in enumerate((1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE)):
             tried_kd = np.where(study.settles_near_border[:, column] == settles, share * high, np.nan)
             if np.isfinite(tried_kd).any():
                 name = "" if any(line.name == name for line in lines) else name
-                lines.append(Line(name=name, values=tried_kd, unit=damping, look="points", colour=None if settles else 5))
+                lines.append(Line(name=name, values=tried_kd, unit=damping, look=look, colour=None))
     critical = plots("Stable kd over the position", "kd", axis, at, lines, group=f"along:map:{joint.name}", log=True)
     return [Facts(rows=rows), table, _gains(study, marked, stiffness, damping), *critical]
 

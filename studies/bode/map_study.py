@@ -70,10 +70,14 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     inertia = np.array([float(point.inertia[0, 0]) for point in points])
     # 2 J / T is the largest stable kd without delay, and J / T^2 the natural scale of kp.
     largest_kd = 2 * inertia.max() / law.timing.period_s
-    kd = np.geomspace(1e-3 * largest_kd, 4.0 * max(largest_kd, own_kd), _GRID_POINTS)
     scale = inertia / law.timing.period_s**2
-    own = [own_kp] if own_kp > 0 else []
-    kp = np.geomspace(min([*own, 1e-4 * scale.min()]) / 3, max([*own, 5 * scale.max()]) * 2, _GRID_POINTS)
+    kp, kd = (
+        np.geomspace(min([*own, low]) / 3, 2 * max([*own, high]), _GRID_POINTS)
+        for own, low, high in (
+            ([own_kp] if own_kp > 0 else [], 1e-4 * scale.min(), 5 * scale.max()),
+            ([own_kd] if own_kd > 0 else [], 3e-3 * largest_kd, 2 * largest_kd),
+        )
+    )
     found = stability_map(points, law.timing, kp, kd, law.effort_limit, say)
     delay = law.timing.delay_steps / law.timing.substeps
     longest, where = longest_period(points, own_kp, own_kd, delay, law.timing.period_s)

@@ -131,7 +131,7 @@ def scan_line(mechanism: Mechanism, line: Line, law: SampledLaw, channel: int, c
     even = np.linspace(line.low, line.high, count)
     places = {float(x) for x in even} | set(local_minima(lambda x: stability(at(x)), even))
     if all(bounds is None or bounds.stable for bounds in map(at, places)):
-        for name in ("gain_margin_db", "phase_margin_deg"):
+        for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"):
             places |= set(local_minima(functools.partial(figure, name), even))
     known = {x: bounds for x in sorted(places) if (bounds := at(x)) is not None}
     if not known:

@@ -134,6 +134,10 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     # A sampled gain is real at the Nyquist frequency: this phase crossing lies on the grid's last point.
     if radius is not None and gain[-1].real < 0:
         gm = np.append(gm, 1.0 / abs(gain[-1].real))
+    # Less gain does not hold the weight where the gain at rest is finite and negative. A double integrator's is infinite.
+    still = at(0.1 * frequency[0])
+    if still.real < 0 and abs(still) < 2 * abs(gain[0]):
+        gm = np.append(gm, 1.0 / abs(still))
     raised, lowered = gm[gm > 1], gm[(gm < 1) & (gm > 0)]
     delays = np.mod(pm, 2 * np.pi) / (2 * np.pi * crossover)
     complementary = 1.0 - sensitivity

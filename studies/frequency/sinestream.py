@@ -123,6 +123,7 @@ def _simulate(
         for i in range(n)
     ]
     longest = int(np.ceil(setup.longest_s / sinusoids.period_s))
+    said_after = 1_000_000 // excited.simulations.timing.substeps  # simulator steps take alike, periods do not
     active, k, simulated_periods = np.arange(n), 0, 0
     while active.size:
         signal, rate, forward = sinusoids.sampled(np.arange(k, k + _CHECK_PERIODS)[:, None], active)
@@ -131,9 +132,10 @@ def _simulate(
         applied = np.sum((np.clip(commands, low, high) - excited.hold[active]) * excited.read[active], axis=2)
         for r, i in enumerate(active):
             estimates[i].add(k, np.stack([signal[:, r], command[:, r], position[:, r], applied[:, r]]), cut[:, r])
-        k, simulated_periods = k + _CHECK_PERIODS, simulated_periods + _CHECK_PERIODS * len(active)
+        k, before = k + _CHECK_PERIODS, simulated_periods
+        simulated_periods += _CHECK_PERIODS * len(active)
         active = np.array([i for i in active if not estimates[i].finished(k - sinusoids.ramp[i] >= longest)], dtype=int)
-        if k % (80 * _CHECK_PERIODS) == 0 or not active.size:
+        if simulated_periods // said_after > before // said_after or not active.size:
             say(f"{k} control periods, {n - active.size} of {n} sinusoids settled")
     return estimates, simulated_periods
 

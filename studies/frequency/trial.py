@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
@@ -15,6 +16,8 @@ _KICK_EFFORT_SHARE = 1e-3
 _DECISIVE_FACTOR = 300.0
 # A speed of this many kicks is growth; the command is then still well inside the limits.
 _GROWTH_FACTOR = 100.0
+# At rest this far [rad; on a slide, share of the extent] from where it is held, a loop has fallen; soft ones sink a third.
+_FALL_DISTANCE = 0.1
 MAX_TRIAL_PERIODS = 40_000
 
 
@@ -40,6 +43,7 @@ def settle_trials(
         effort_limit=effort_limit,
     )
     settles = np.zeros(n, dtype=bool)
+    unit = unit_steps(mechanism.joints, mechanism.extent_m)[mechanism.independent][mechanism.steered]
     active, history = np.arange(n), []
     while active.size:
         reference, push = (np.repeat(value[None, active], 100, axis=0) for value in (state, hold))
@@ -61,6 +65,8 @@ def settle_trials(
         grown = ~(speed[active] < _GROWTH_FACTOR * kick[active]) & ~falls[active]
         finished = decisive | decayed | grown | (batch.periods >= most_periods)
         trend = np.where(decisive, change, late_change)
-        settles[active[finished]] = (decayed | (~grown & (trend < 0)))[finished]
+        off = np.abs(x[-1, :, :n_s] - state[active, :n_s])[:, mechanism.steered] / unit
+        near = off.max(axis=1) < _FALL_DISTANCE
+        settles[active[finished]] = (near & (decayed | (~grown & (trend < 0))))[finished]
         active = active[~finished]
     return settles

@@ -111,16 +111,16 @@ def _title(title: str, units: Sequence[str], drawn: Sequence[Line], lines: Seque
 def _limits(lines: Sequence[Line], values: np.ndarray) -> list[Limit]:
     """Return the limits of lines; limits that several lines share appear once.
 
-    A limit of more than twice the line's largest value is left out: it would press the lines flat.
+    A limit of more than twice the largest value of each of its lines is left out: it would press the lines flat.
     """
     named: dict[float, list[str]] = {}
+    near: set[float] = set()
     for line, row in zip(lines, values.T, strict=True):
         known = np.abs(row[np.isfinite(row)])
-        peak = float(known.max(initial=0.0))
-        for bound in line.limits:
-            if np.isfinite(bound) and abs(bound) <= 2 * peak:
-                named.setdefault(float(f"{bound:.6g}"), []).append(line.name)
-    return [Limit(name=_of(names, len(lines)), value=value) for value, names in named.items()]
+        for bound in (float(f"{bound:.6g}") for bound in line.limits if np.isfinite(bound)):
+            named.setdefault(bound, []).append(line.name)
+            near |= {bound} if abs(bound) <= 2 * known.max(initial=0.0) else set()
+    return [Limit(name=_of(names, len(lines)), value=value) for value, names in named.items() if value in near]
 
 
 def _of(names: Sequence[str], n_lines: int) -> str:

@@ -49,7 +49,8 @@ def decompose(
     Raises:
         LinkplanError: if the plan has no motion, or an argument is invalid.
 
-    Example:
+    Example::
+
         print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], samples=4))
     """
     with_motion(plan, "track")

@@ -74,7 +74,8 @@ def experiment(
     Raises:
         LinkplanError: if the plan has no motion, an argument is invalid, or the folder has other files.
 
-    Example:
+    Example::
+
         print(linkplan.experiment(linkplan.plan("knee-reach"), ["pd+ff"], samples=8))
     """
     with_motion(plan, "track")

@@ -65,7 +65,8 @@ def bode(
     Raises:
         LinkplanError: if a pose cannot be held, or an argument is invalid.
 
-    Example:
+    Example::
+
         loop = linkplan.bode("optimus-knee", at_deg=[{"O": 0.0}], measure=None)
         print(loop.stable, loop.message)
     """
@@ -129,7 +130,8 @@ def tune(
         LinkplanError: for a bandwidth above half the sampling rate, LQR with several degrees of freedom, or an
             invalid argument.
 
-    Example:
+    Example::
+
         gains = linkplan.tune("optimus-knee", bandwidth_hz=10.0)
         print(gains.tracking)
     """

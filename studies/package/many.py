@@ -40,7 +40,8 @@ def batch(
     Raises:
         LinkplanError: for an invalid case, before any case is planned, or if the folder has other files.
 
-    Example:
+    Example::
+
         linkplan.batch({"problem": "knee-reach", "sweep": {"motion.duration_s": [0.16, 0.2]}})
     """
     from linkplan.planner.files.batch_file import batch_from, read_batch

@@ -70,7 +70,8 @@ def load_mechanism(
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
             (`AssemblyError`), or a value is invalid (`ProblemError`).
 
-    Example:
+    Example::
+
         knee = linkplan.load_mechanism("optimus-knee", payload="shank")
     """
     said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
@@ -105,7 +106,8 @@ def check(
     Raises:
         LinkplanError: if a pose is out of reach, or the subject cannot be read.
 
-    Example:
+    Example::
+
         found = linkplan.check("optimus-knee")
         print(found.problems, found)
     """

@@ -41,7 +41,8 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None, *, pro
     Raises:
         LinkplanError: if the problem is invalid.
 
-    Example:
+    Example::
+
         print(linkplan.plan("knee-reach"))
     """
     found = Plan.of(plan_motion(_problem(problem), listener(progress)))
@@ -68,7 +69,8 @@ def read_plan(
         CertificateError: if the motion does not pass.
         LinkplanError: if the folder or a file in it is missing, truncated, or not that of a plan, or its model has changed.
 
-    Example:
+    Example::
+
         linkplan.plan("knee-reach").save("reach")
         print(linkplan.read_plan("reach").duration_s)
     """
@@ -95,7 +97,8 @@ def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
     Raises:
         LinkplanError: if `problem` is not an `OdeProblem`.
 
-    Example:
+    Example::
+
         cart = linkplan.OdeProblem(
             name="cart",
             rate=lambda x, u, p, t: [x[1], u[0]],
@@ -121,7 +124,8 @@ class Planner:
     Args:
         progress: called with lines on the progress.
 
-    Example:
+    Example::
+
         planner = linkplan.Planner()
         reach = linkplan.Problem.from_file("knee-reach")
         for goal in (56.27, 55.0):
@@ -162,7 +166,8 @@ class Plan(planned.Plan):
     Times are in seconds from the motion's start. It is the planner's plan; its own members need files, figures and reports,
     which the planner cannot import.
 
-    Example:
+    Example::
+
         plan = linkplan.plan("knee-reach").require()
         print(plan.status, plan.objective, plan.sample(0.08).effort["act_O"])  # N.m
     """
@@ -244,11 +249,14 @@ class OdePlan(ode_planned.OdePlan):
         """Return columns (n,) by name: time [s], states and efforts, at times (n,) [s] or ten in each interval.
 
         Raises:
-            LinkplanError: if there is no motion.
+            LinkplanError: if there is no motion, or a time is not within it.
         """
         if self.trajectory is None:
             raise LinkplanError(f"no motion to sample: {self.message}")
-        time = self.trajectory.dense_times(10) if time_s is None else np.atleast_1d(np.asarray(time_s, dtype=float))
+        time = self.trajectory.dense_times(10) if time_s is None else np.atleast_1d(planned.asked_times(time_s))
+        end = self.trajectory.duration_s
+        if np.any(np.abs(2 * time - end) > end * (1 + 1e-9)):
+            raise ProblemError(f"times are from 0 to {end:.7g} s, where the motion ends, got {time_s!r}")
         columns = {"time [s]": time}
         for names, values in (
             (self.problem.states, self.trajectory.state_at(time)),

@@ -41,7 +41,8 @@ def new(
     Raises:
         LinkplanError: if the model cannot be used, no actuator drives it, or a file exists at the path.
 
-    Example:
+    Example::
+
         first = linkplan.new("five-bar", "problem.toml")
         print(first.text)
     """

@@ -51,7 +51,8 @@ def track(
     Raises:
         LinkplanError: if the plan has no motion, or the tracker or another argument is invalid.
 
-    Example:
+    Example::
+
         print(linkplan.track(linkplan.plan("knee-reach"), "lqr"))
     """
     answer, say = _to_track(plan, tracking), listener(progress)
@@ -84,7 +85,8 @@ def compare(
     Raises:
         LinkplanError: as for `track`.
 
-    Example:
+    Example::
+
         print(linkplan.compare(linkplan.plan("knee-reach"), ["pd", "lqr"]))
     """
     answer = _to_track(plan, tracking)

@@ -66,7 +66,8 @@ def transfer(
     Raises:
         LinkplanError: if the joints cannot be coordinates at home, such as at a dead centre, or a value is invalid.
 
-    Example:
+    Example::
+
         table = linkplan.transfer("optimus-knee", ["C"])
         print(table.message)
     """

@@ -38,7 +38,8 @@ def report(result: Result | str | Path, path: str | Path) -> Path:
     Raises:
         LinkplanError: for anything else, or if the file cannot be written.
 
-    Example:
+    Example::
+
         linkplan.report(linkplan.plan("knee-reach"), "reach.html")
     """
     from linkplan.studies.report.render import write_report
@@ -103,7 +104,8 @@ def render(
     Raises:
         LinkplanError: if the plan has no motion, or an argument is invalid.
 
-    Example:
+    Example::
+
         linkplan.render(linkplan.plan("knee-reach"), "reach.png", at_s=0.08)
     """
     from linkplan.studies.render.gl import find_gl
@@ -140,7 +142,8 @@ def export(plan: Plan, path: str | Path, to: str, *, every_s: float | None = Non
     Raises:
         LinkplanError: if the plan has no motion, the format is unknown, or a file exists at the path.
 
-    Example:
+    Example::
+
         linkplan.export(linkplan.plan("knee-reach"), "reach.yaml", "ros", every_s=0.001)
     """
     from linkplan.planner.files.single_file import write_new

@@ -11,8 +11,8 @@ import linkplan
 def example(name: str) -> str:
     """Return the code of a public name's example, the last section of its docstring."""
     said = inspect.getdoc(getattr(linkplan, name)) or ""
-    assert "\nExample:\n" in said, f"linkplan.{name} has no example"
-    return textwrap.dedent(said.split("\nExample:\n")[1])
+    assert "\nExample::\n\n" in said, f"linkplan.{name} has no example"
+    return textwrap.dedent(said.split("\nExample::\n\n")[1])
 
 
 @pytest.mark.slow

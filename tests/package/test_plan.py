@@ -228,7 +228,14 @@ def test_a_differential_equation_of_ones_own_is_solved():
         final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
     )
     told = []
-    assert linkplan.solve_ocp(problem, told.append).require().objective == pytest.approx(2.0, rel=1e-8)
+    plan = linkplan.solve_ocp(problem, told.append).require()
+    assert plan.objective == pytest.approx(2.0, rel=1e-8)
+    assert plan.sample([0.0, 2.0])["state0"] == pytest.approx([0.0, 1.0])
+    for beyond in (-0.1, [1.0, 2.1]):  # the polynomials go on, and mean nothing there
+        with pytest.raises(ProblemError, match="times are from 0 to 2 s, where the motion ends"):
+            plan.sample(beyond)
+    with pytest.raises(ProblemError, match="times are finite numbers"):
+        plan.sample("late")
     with pytest.raises(ProblemError, match="solve_ocp takes an OdeProblem, got 3"):
         linkplan.solve_ocp(3)
 

@@ -71,6 +71,9 @@ MALFORMED = {
     "parameters that are no numbers": ({"parameters": [NAN]}, "parameters are finite numbers"),
     "too few names": ({"states": ["x"]}, "states has 2 names, got 1"),
     "no tolerance": ({"tolerance": 0}, "tolerance is above 0"),
+    "a guess that is a table": ({"guesses": [{"state": [[0, 0], [1, 0]]}]}, "StateGuess objects, got {'state'"),
+    "settings of the solver in a table": ({"solver": {"starts": 4}}, "solver is a .*SolverSettings, got {'starts'"),
+    "settings of the mesh in a table": ({"mesh": {"intervals": 4}}, "mesh is a .*MeshSettings, got {'intervals'"),
     "a guess of one state": ({"guesses": [StateGuess(state=[[0], [1]])]}, "a guess has 2 states"),
     "a guess of two efforts": (
         {"guesses": [StateGuess(state=[[0, 0], [1, 0]], effort=[[0, 0], [0, 0]])]},

@@ -69,3 +69,12 @@ def test_the_highest_margin_is_below_the_top_of_its_axes():
     axes = figures["margins-O2.png"].axes[1]
     highest = max(float(np.nanmax(y)) for name, (_, y) in curves(axes).items() if "margin" in name)
     assert axes.get_ylim()[1] > 1.05 * highest
+
+
+def test_gains_far_from_the_border_are_on_the_map_too():
+    axes = drawn("optimus-knee", "--kp", "1", "--kd", "1e-5", "--map", "--at-deg=O=0")["map.png"].axes[0]
+    ((x,), (y,)) = curves(axes)["these gains"]
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    assert (x, y) == pytest.approx((1e-5, 1.0))
+    assert left < x < right
+    assert low < y < high

@@ -110,6 +110,22 @@ def test_gains_that_a_problem_does_not_give_are_said():
         assert "linkplan tune" in note
 
 
+def test_a_run_beyond_the_torque_speed_line_that_its_plan_keeps_is_said():
+    """The motor's line: its plan keeps it, and no drive in MuJoCo does. O is driven directly."""
+    comparison = compared("optimus-knee")
+    run = comparison.nominal["pd"]
+    stall, no_load = 0.9 * np.abs(run.applied).max(), 2000.0
+    line = {"stall_effort": stall, "no_load_speed_deg_s": no_load}
+    problem = comparison.plan.problem.replace(motors={"act_O": line})
+    (note,) = comparison_notes(replace(comparison, plan=replace(comparison.plan, problem=problem)))
+    reached = np.abs(run.applied / stall + np.degrees(run.velocity_rad_s) / no_load).max()
+    assert reached > 1.02
+    assert f"pd, {comparison.title}, reaches {reached:.3g} of it" in note
+    strong = {key: 2 * reached * value for key, value in line.items()}
+    problem = problem.replace(motors={"act_O": strong})
+    assert comparison_notes(replace(comparison, plan=replace(comparison.plan, problem=problem))) == []
+
+
 GEARS = """<mujoco model="gears"><default><geom contype="0" conaffinity="0"/></default><worldbody>
   <body name="arm"><joint name="O" axis="0 -1 0"/><geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0"/></body>
   <body name="flap" pos="0.5 0 0"><joint name="B" axis="0 -1 0"/><geom type="sphere" size="0.05" pos="0.2 0 0"/></body>

@@ -20,7 +20,7 @@ from linkplan.studies.frequency.stability_map import (
 )
 from linkplan.studies.frequency.trial import settle_trials
 from tests.support.oscillators import inertia_alone
-from tests.support.tolerances_loops import CRITICAL_KD, DELAY_MARGIN, LONGEST_PERIOD, QUICK, QUICK_DEG, RADIUS
+from tests.support.tolerances_loops import CRITICAL_KD, DELAY_MARGIN, LONGEST_PERIOD, MARGIN, QUICK, QUICK_DEG, RADIUS
 
 NINE_DEG = np.linspace(-49.07, 56.27, 9)
 # The critical gain predicted brackets MuJoCo's own border within this. Measured 5e-4.
@@ -80,6 +80,28 @@ def test_a_loop_whose_soft_closures_sink_under_the_weight_settles_all_the_same(s
     kp, kd = inertia * omega**2, 2 * inertia * omega
     loops = [pd_loop(point, kp, kd, timing), pd_loop(point, kp, 1.2 * critical_kd(point, kp, timing)[1], timing)]
     assert settle_trials(loops, mechanism.effort_limit).tolist() == [True, False]
+
+
+PENDULUM = """<mujoco><option timestep="1e-3"/><worldbody><body><joint name="q" axis="0 1 0" damping=".05"/>
+<geom type="capsule" fromto="0 0 0 0 0 .3" size=".01" mass="1"/></body></worldbody>
+<actuator><motor joint="q" ctrlrange="-10 10"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("period_s", [5e-3, 0.02, 0.05])
+def test_a_pendulum_that_comes_to_rest_where_it_fell_to_has_not_settled(period_s):
+    """Upright, it stays where kp > m g l = 1.47 N.m/rad. At 1.2 it falls to 62 deg, in few periods if these are long."""
+    mechanism = load_mechanism(PENDULUM)
+    timing, point = sampling(mechanism, period_s), operating_point(mechanism, np.zeros(1))
+    loops = [pd_loop(point, kp, kd, timing) for kp in (1.2, 2.0) for kd in (0.05, 0.2)]
+    assert settle_trials(loops, mechanism.effort_limit).tolist() == [False, False, True, True]
+
+
+def test_the_gain_reduction_margin_of_a_pendulum_held_upright_is_the_stiffness_over_the_weights():
+    mechanism = load_mechanism(PENDULUM)
+    found = margins(pd_loop(operating_point(mechanism, np.zeros(1)), 3.0, 0.2, sampling(mechanism, 1e-3)))
+    assert found.gain_reduction_margin_db == pytest.approx(20 * np.log10(3.0 / (9.81 * 0.15)), abs=MARGIN)
+    hanging = margins(pd_loop(operating_point(mechanism, np.array([np.pi])), 3.0, 0.2, sampling(mechanism, 1e-3)))
+    assert hanging.gain_reduction_margin_db is None
 
 
 def test_the_documents_gains_are_beyond_the_border_at_every_angle_and_within_it_at_a_tenth_of_the_period(knee):

@@ -15,7 +15,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.frequency.excitation import METHODS, Setup
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, EXACT, SIMULATED, feedback_loop, operating_point
 from linkplan.studies.frequency.measure import measure
-from tests.support.oscillators import mass_on_a_spring, pendulum
+from linkplan.studies.frequency.stability_map import pd_loop
+from tests.support.oscillators import inertia_alone, mass_on_a_spring, pendulum
 from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG, SHORT_HOLD, STEPPED, WHOLE_PERIODS
 
 # Closed forms, relative: only rounding, times the loop's condition. Measured 4e-13.
@@ -213,3 +214,11 @@ def test_every_way_to_measure_finds_the_same_loop(method):
         assert np.abs(db).max() < MEASURED_DB, name
         assert np.abs(deg).max() < MEASURED_DEG, name
         assert method in response.origin
+
+
+@pytest.mark.slow
+def test_a_measurement_of_long_control_periods_says_how_far_it_is():
+    mechanism, said = load_mechanism(inertia_alone().replace('timestep="1e-3"', 'timestep="1e-4"')), []
+    loop = pd_loop(operating_point(mechanism, np.zeros(1)), 5.0, 0.5, sampling(mechanism, 0.05))
+    taken = measure([loop], np.array([0.5, 1.0]), mechanism.effort_limit, say=said.append)
+    assert 1 < len(said) <= 2 + taken.simulated_steps // 1_000_000

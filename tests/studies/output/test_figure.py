@@ -2,8 +2,11 @@
 
 import warnings
 
+import numpy as np
+
 from linkplan.studies.output.document import Axis, Plot, Series
 from linkplan.studies.output.figure import figure_of, one_screen
+from linkplan.studies.output.lines import TIME, Line, plots
 
 
 def panel(number: int, n_lines: int) -> Plot:
@@ -38,3 +41,12 @@ def test_a_name_longer_than_its_panel_takes_several_lines_of_the_legend():
     legend = figure.axes[0].get_legend().get_window_extent()
     assert legend.x0 >= 0
     assert legend.width < 0.5 * figure.bbox.width
+
+
+def test_a_limit_of_all_lines_is_named_so_where_some_stay_far_below_it():
+    rows = {"far": np.array([0.0, 100.0]), "near": np.array([0.0, 200.0])}
+    lines = [Line(name=name, values=row, unit="N.m", limits=(-300.0, 300.0)) for name, row in rows.items()]
+    (plot,) = plots("Effort", "effort", TIME, np.array([0.0, 1.0]), lines)
+    assert [(limit.name, limit.value) for limit in plot.limits] == [("limit", -300.0), ("limit", 300.0)]
+    (plot,) = plots("Effort", "effort", TIME, np.array([0.0, 1.0]), lines[:1])
+    assert not plot.limits
