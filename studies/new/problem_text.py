@@ -132,7 +132,7 @@ def _joint_facts(mechanism: Mechanism) -> dict:
 
 
 def _place(mechanism: Mechanism) -> tuple[str, str] | None:
-    """Return the site that moves most next to home, and its position there with an axis for each degree of freedom, as TOML."""
+    """Return the site that moves most next to home, and its position there on an axis for each freedom, as TOML."""
     names = site_names(mechanism.model)
     s = mechanism.home[mechanism.independent]
     steps = np.diag(unit_steps(mechanism.independent_joints, mechanism.extent_m))
