@@ -22,10 +22,9 @@ from linkplan.studies.output.lines import TIME, Line, plots
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# With more coordinates, the paths of a page are folded, the plots of a path show its own coordinate only, and there is
-# one figure, of the first coordinates.
+# With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
 MAX_COORDINATES_DRAWN = 6
-# The coordinates that have figures of their own; the page has all.
+# With more coordinates, there is one figure, of the first ones; the page has all.
 MAX_FIGURES = 3
 # The plots in the figure of a mechanism's reach.
 _OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")
@@ -49,8 +48,8 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) 
 def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
 
-    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Each of them also has a
-    figure loop-N.png if there are few. Spins of rods about their own axis are left out.
+    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Up to three coordinates
+    also have a figure loop-N.png each. Spins of rods about their own axis are left out.
     """
     from linkplan.studies.output.figure import figure_of, one_screen
 
