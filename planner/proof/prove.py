@@ -203,8 +203,6 @@ class _Sweep:
         while stack:
             box = stack.pop()
             open_claims = [i for i in box.claims if i == _NEAR_PLAN or self.records[i].refuted is None]
-            if not open_claims and box.halvings and anchor.region is not None and anchor.tau >= box.centre + box.radius:
-                continue
             if self.until.passed:
                 if not self.near:
                     raise OutOfTimeError("the time for the proof is over")
