@@ -1,5 +1,7 @@
 """The gap of closures in a batch is the mechanism's own, whatever ties the points."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -81,3 +83,18 @@ def test_the_largest_number_of_contacts_of_each_simulation_is_kept():
     batch.forward()
     watch.note()
     assert watch.largest()[1].tolist() == [1, 1]
+
+
+def test_copies_of_many_machines_take_at_most_eight_mebibytes():
+    """A batch of three thousand machines is too large to be built here."""
+    model, n = load_mechanism("optimus-knee").model, 3000
+
+    def bind(name: str) -> np.ndarray:
+        return np.zeros((n, *np.shape(getattr(mujoco.MjData(model), name))))  # all points coincide
+
+    watch = ClosureWatch(SimpleNamespace(bind=bind), [model] * n)
+    for _ in range(200):
+        watch.note()
+    assert watch.largest()[0].tolist() == [0.0] * n
+    copied = sum(array.nbytes for array in watch._copies.values())
+    assert 4 * 2**20 < copied <= 8 * 2**20
