@@ -1,4 +1,4 @@
-"""What of a URDF's links MuJoCo does not compile: masses and inertias that no body has, meshes, and geoms without size."""
+"""What of a URDF MuJoCo does not compile: masses and inertias that no body has, meshes, shapes without size, empty ranges."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -17,14 +17,14 @@ _MESHES = (".stl", ".obj", ".msh")
 
 
 def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> list[str]:
-    """Change what MuJoCo does not compile of a URDF's links, and return notes on that.
+    """Change what MuJoCo does not compile of a URDF's links and ranges, and return notes on that.
 
     Args:
         spec: MuJoCo's conversion of the URDF, which is changed.
         root: its <robot> element.
         folder: the URDF's.
     """
-    return [*_settle_meshes(spec, folder), *_delete_flat(spec), *_weigh(spec, root), *_settle_inertias(spec)]
+    return [*_settle_meshes(spec, folder), *_delete_flat(spec), *_weigh(spec, root), *_settle_inertias(spec), *_delete_empty(spec)]
 
 
 def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
@@ -70,6 +70,16 @@ def _delete_flat(spec: mujoco.MjSpec) -> list[str]:
     links = dict.fromkeys(geom.parent.name for geom in flat)
     delete_geoms(spec, flat)
     return [f"shapes without size are left out: of {listed(list(links), 8)}"] if flat else []
+
+
+def _delete_empty(spec: mujoco.MjSpec) -> list[str]:
+    """Delete the ranges of joints that end below their beginning, which limit nothing, and return a note on them."""
+    empty = [joint for joint in spec.joints if joint.range[0] > joint.range[1]]
+    said = [f"{joint.name} ({joint.range[0]:g} to {joint.range[1]:g})" for joint in empty]
+    for joint in empty:
+        joint.range = [0.0, 0.0]
+    remedy = "MuJoCo and Bullet read them as no limits; lower and upper may be in the wrong order"
+    return [f"ranges of joints that end below their beginning are left out: {listed(said, 8)}; {remedy}"] if said else []
 
 
 def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:

@@ -54,6 +54,14 @@ def test_a_model_in_mjcf_is_no_urdf():
     assert urdf_root("optimus-knee") is None
 
 
+def test_a_range_that_ends_below_its_beginning_limits_nothing_and_is_named():
+    turned = urdf().replace('lower="-1" upper="1"', 'lower="0.2" upper="0"', 1)
+    mechanism = load_mechanism(turned)
+    (note,) = [note for note in mechanism.notes if "end below" in note]
+    assert "hip (0.2 to 0)" in note and "knee" not in note
+    assert [bool(limited) for limited in mechanism.model.jnt_limited] == [False, True]
+
+
 def test_a_mesh_of_a_package_that_is_not_found_is_left_out_and_said(tmp_path):
     shape = '<collision><geometry><mesh filename="package:///link.stl"/></geometry></collision></link>'
     (tmp_path / "leg.urdf").write_text(urdf().replace('<link name="base"/>', '<link name="base">' + shape))
