@@ -1,4 +1,4 @@
-"""What of a URDF MuJoCo does not compile: masses and inertias that no body has, meshes, shapes without size, empty ranges."""
+"""What of a URDF MuJoCo does not compile: masses and inertias that no body has, meshes, shapes and ranges without size."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -24,7 +24,13 @@ def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> 
         root: its <robot> element.
         folder: the URDF's.
     """
-    return [*_settle_meshes(spec, folder), *_delete_flat(spec), *_weigh(spec, root), *_settle_inertias(spec), *_delete_empty(spec)]
+    return [
+        *_settle_meshes(spec, folder),
+        *_delete_flat(spec),
+        *_weigh(spec, root),
+        *_settle_inertias(spec),
+        *_delete_empty(spec),
+    ]
 
 
 def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:

@@ -175,10 +175,11 @@ def feeble_drives(mechanism: Mechanism) -> list[str]:
 
 def _efforts(mechanism: Mechanism, column: int) -> list[tuple[Actuator, np.ndarray]]:
     """Return each actuator with its least and largest effort (2,) on an independent joint at home."""
-    arms = np.array(mechanism.dynamics.effort_map(mechanism.home))[column]
+    maps = np.array(mechanism.dynamics.effort_map(mechanism.home))
     found = []
-    for actuator, arm in zip(mechanism.actuators, arms, strict=True):
-        acts = abs(arm) > ROUNDING_SHARE * np.abs(arms).max()
+    for actuator, arms in zip(mechanism.actuators, maps.T, strict=True):
+        arm = arms[column]
+        acts = abs(arm) > ROUNDING_SHARE * max(np.abs(arms).max(), np.abs(maps[column]).max())
         found.append((actuator, np.sort(arm * np.array([actuator.lower, actuator.upper])) if acts else np.zeros(2)))
     return found
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.errors import AssemblyError, ProblemError, one_line
+from linkplan.models.errors import AssemblyError, ProblemError, listed, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import (
     RANGE_ROUNDING,
@@ -92,8 +92,10 @@ def why_not(answer: Plan, within_s: float | None) -> str:
         for k in hanging_columns(mechanism)
     ]
     locked = [(joint, x) for joint, x in hanging if joint.chart is None]
-    loose = f"; nothing drives these joints, which swing as the others move: {lock_words(locked)} holds them"
-    return f"{said}{loose}" if locked else said
+    names = listed([joint.name for joint, _ in hanging], 8)
+    held = f"{lock_words(locked)} holds them"
+    remedy = held if locked else f"start and goal are to be poses at which {names} hang at rest"
+    return f"{said}; nothing drives these joints, which swing as the others move: {remedy}" if hanging else said
 
 
 def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:

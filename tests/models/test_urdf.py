@@ -58,7 +58,7 @@ def test_a_range_that_ends_below_its_beginning_limits_nothing_and_is_named():
     turned = urdf().replace('lower="-1" upper="1"', 'lower="0.2" upper="0"', 1)
     mechanism = load_mechanism(turned)
     (note,) = [note for note in mechanism.notes if "end below" in note]
-    assert "hip (0.2 to 0)" in note and "knee" not in note
+    assert "left out: hip (0.2 to 0); MuJoCo" in note
     assert [bool(limited) for limited in mechanism.model.jnt_limited] == [False, True]
 
 

@@ -67,6 +67,24 @@ def test_a_spring_steers_even_a_heavy_body_and_without_one_its_momentum_stays(ma
     assert any("joint b moves freely: no actuator drives it" in problem for problem in inspect(loose, []).problems)
 
 
+# A trolley, and a load on a rope: the weight brings the load back below the trolley; about the rope it spins.
+CRANE = """<mujoco><worldbody><body pos="0 0 2"><joint name="trolley" type="slide" axis="1 0 0"/><geom size=".1" mass="5"/>
+<site name="top"/></body><body name="load" pos="0 0 1"><freejoint name="load"/><geom type="capsule" size=".02 .1" mass="1"/>
+<site name="eye" pos="0 0 .1"/></body></worldbody>
+<tendon><spatial name="rope"><site site="top"/><site site="eye"/></spatial></tendon>
+<actuator><motor name="drive" joint="trolley" ctrlrange="-9 9"/>
+<motor name="hoist" tendon="rope" ctrlrange="-30 0"/></actuator></mujoco>"""
+
+
+def test_a_load_on_a_rope_is_moved_along_by_the_trolley_and_freely_across():
+    """Once everything moved freely, since one freedom does; and the rope pushed the load sideways, by rounding."""
+    found = inspect(load_mechanism(CRANE), [])
+    swings = [note for note in found.notes if "underactuated" in note]
+    assert [note.split()[1] for note in swings] == ["load_x", "load_ry"]
+    freely = [problem.partition(":")[0] for problem in found.problems if "moves freely" in problem]
+    assert freely == [f"joint load_{name} moves freely" for name in ("y", "rx", "rz")]
+
+
 COASTS = "; a motion that does not name it ends where its momentum takes it"
 
 
