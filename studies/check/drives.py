@@ -19,7 +19,7 @@ from linkplan.models.tree.passive import is_gas_spring
 
 def drivable(mechanism: Mechanism) -> np.ndarray:
     """Return a mask (n_s,) of the freedoms that a drive could move: all but the spins of rods in loops."""
-    return mechanism.steered | ~in_loops(mechanism)
+    return ~np.isin(mechanism.independent, mechanism.passive_dofs) | ~in_loops(mechanism)
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:

@@ -105,6 +105,19 @@ def test_no_motor_is_offered_for_the_spin_of_a_rod_but_one_for_a_wheel():
     assert joints_to_drive(rod) == ["drive", "wheel"]
 
 
+def test_a_motor_is_offered_for_fingers_that_close_without_weight_or_damping():
+    """They coast, in a loop, as the spin of a rod does; and it was said that their loops hold them still."""
+    fingers = "".join(
+        f'<body pos="{x} 0 0"><joint name="{name}" type="slide" axis="{-x} 0 0"/><geom size=".01"/></body>'
+        for name, x in (("left", -0.03), ("right", 0.03))
+    )
+    gripper = load_mechanism(
+        f'<mujoco><worldbody>{fingers}</worldbody><equality><joint joint1="right" joint2="left"/></equality></mujoco>'
+    )
+    assert joints_to_drive(gripper) == ["left"]
+    assert 'mechanism.drive = ["left"] puts motors' in str(inspect(gripper, []).problems)
+
+
 def test_no_motor_is_offered_for_a_base_that_floats_nor_for_a_joint_that_follows_another():
     """A knee rolls: its slide, the first joint of the shank, follows its hinge by a coupling."""
     walker = """<mujoco><worldbody><body name="pelvis"><joint name="x" type="slide" axis="1 0 0"/>
