@@ -9,6 +9,7 @@ import numpy as np
 
 from linkplan.models.deletion import delete_geoms, is_pointer
 from linkplan.models.errors import listed
+from linkplan.models.payload import MAX_SI_VALUE
 
 # What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
 LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
@@ -29,7 +30,7 @@ def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> 
         *_delete_flat(spec),
         *_weigh(spec, root),
         *_settle_inertias(spec),
-        *_delete_empty(spec),
+        *_delete_ranges(spec),
     ]
 
 
@@ -78,14 +79,15 @@ def _delete_flat(spec: mujoco.MjSpec) -> list[str]:
     return [f"shapes without size are left out: of {listed(list(links), 8)}"] if flat else []
 
 
-def _delete_empty(spec: mujoco.MjSpec) -> list[str]:
-    """Delete the ranges of joints that end below their beginning, which limit nothing, and return a note on them."""
-    empty = [joint for joint in spec.joints if joint.range[0] > joint.range[1]]
-    said = [f"{joint.name} ({joint.range[0]:g} to {joint.range[1]:g})" for joint in empty]
-    for joint in empty:
-        joint.range = [0.0, 0.0]
-    remedy = "MuJoCo and Bullet read them as no limits; lower and upper may be in the wrong order"
-    return [f"ranges of joints that end below their beginning are left out: {listed(said, 8)}; {remedy}"] if said else []
+def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
+    """Delete the ranges of joints that limit nothing, as those that end below their beginning, and return a note on them."""
+    loose = [joint for joint in spec.joints if joint.range[0] > joint.range[1] or np.abs(joint.range).min() > MAX_SI_VALUE]
+    said = [f"{joint.name} ({joint.range[0]:g} to {joint.range[1]:g})" for joint in loose]
+    turned = any(joint.range[0] > joint.range[1] for joint in loose)
+    for joint in loose:
+        joint.range, joint.limited = [0.0, 0.0], mujoco.mjtLimited.mjLIMITED_FALSE
+    slip = "; MuJoCo and Bullet, too, read those that end below their beginning so: is their order a slip?" if turned else ""
+    return [f"ranges of joints that limit nothing are left out: {listed(said, 8)}{slip}"] if said else []
 
 
 def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:

@@ -54,11 +54,14 @@ def test_a_model_in_mjcf_is_no_urdf():
     assert urdf_root("optimus-knee") is None
 
 
-def test_a_range_that_ends_below_its_beginning_limits_nothing_and_is_named():
-    turned = urdf().replace('lower="-1" upper="1"', 'lower="0.2" upper="0"', 1)
-    mechanism = load_mechanism(turned)
-    (note,) = [note for note in mechanism.notes if "end below" in note]
-    assert "left out: hip (0.2 to 0); MuJoCo" in note
+@pytest.mark.parametrize(("limit", "said"), [('lower="0.2" upper="0"', "0.2 to 0"), ('lower="-1e16" upper="1e16"', "1e+16")])
+def test_a_range_that_limits_nothing_is_left_out_and_named(limit, said):
+    """MuJoCo and Bullet read one that ends below its beginning as no limits; Gazebo's default is 1e16."""
+    mechanism = load_mechanism(urdf().replace('lower="-1" upper="1"', limit, 1))
+    (note,) = [note for note in mechanism.notes if "limit nothing" in note]
+    assert "hip (" in note
+    assert said in note
+    assert "knee" not in note
     assert [bool(limited) for limited in mechanism.model.jnt_limited] == [False, True]
 
 
