@@ -93,7 +93,7 @@ def why_not(answer: Plan, within_s: float | None) -> str:
     ]
     locked = [(joint, x) for joint, x in hanging if joint.chart is None]
     names = listed([joint.name for joint, _ in hanging], 8)
-    held = f"{lock_words(locked)} holds them"
+    held = f"{lock_words(locked, mechanism.selection.lock)} holds them"  # with what `new` has locked, which goes with it
     remedy = held if locked else f"start and goal are to be poses at which {names} hang at rest"
     return f"{said}; nothing drives these joints, which swing as the others move: {remedy}" if hanging else said
 

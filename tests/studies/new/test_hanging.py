@@ -20,7 +20,7 @@ def tried_of(text: str, monkeypatch, tmp_path) -> list[Problem]:
     return not_found(text, "as told", monkeypatch, tmp_path)[1]
 
 
-def not_found(text: str, why: str, monkeypatch, tmp_path) -> tuple[FirstMotion, list[Problem]]:
+def not_found(text: str, why: str, monkeypatch, tmp_path, **selected) -> tuple[FirstMotion, list[Problem]]:
     """Return the first motion of a mechanism none of whose motions is ever found, and the problems that are tried."""
     tried = []
 
@@ -30,7 +30,7 @@ def not_found(text: str, why: str, monkeypatch, tmp_path) -> tuple[FirstMotion, 
 
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
     (tmp_path / "model.xml").write_text(text, encoding="utf-8")
-    return first_motion({"model": str(tmp_path / "model.xml")}, lambda _: None), tried
+    return first_motion({"model": str(tmp_path / "model.xml"), **selected}, lambda _: None), tried
 
 
 def held(mechanism: Mechanism, s: np.ndarray) -> bool:
@@ -124,6 +124,15 @@ def test_where_no_motion_is_found_the_joints_that_hang_are_named_with_their_lock
     assert list(given["lock"]) == names
     driven, _ = not_found(arm(3, 3), why, monkeypatch, tmp_path)
     assert "lock" not in driven.why
+
+
+def test_the_locks_of_joints_that_hang_are_named_with_those_that_are_there(monkeypatch, tmp_path):
+    """Alone they took the place of the locks in the file, whose joints hung then."""
+    joints = [joint.name for joint in load_mechanism(arm(4, 1)).joints]
+    found, _ = not_found(arm(4, 1), "as told", monkeypatch, tmp_path, lock={joints[2]: 3.0})
+    given = tomllib.loads(found.why.split("mechanism.")[1].split(" holds them")[0])
+    assert sorted(given["lock"]) == sorted(joints[1:])
+    assert given["lock"][joints[2]] == 3.0
 
 
 # A drone of four rotors, which turn in pairs.
