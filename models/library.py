@@ -347,9 +347,9 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
     written = _COMMENT.sub(b"", content)
     retired = () if b"<include" in written else tuple(dict.fromkeys(word.decode() for word in _RETIRED.findall(written)))
     try:
-        if path.suffix.lower() != ".mjcf" and not retired:
+        if path.suffix != ".mjcf" and path.suffix.islower() and not retired:
             return shown(path.stem), mujoco.MjSpec.from_file(str(path)), ()
-        spec = mujoco.MjSpec.from_string(_RETIRED.sub(b"", content).decode("utf-8"))  # MuJoCo reads no files named .mjcf
+        spec = mujoco.MjSpec.from_string(_RETIRED.sub(b"", content).decode("utf-8"))  # MuJoCo reads no .mjcf or .URDF
         spec.modelfiledir = str(path.parent.resolve())
         return shown(path.stem), spec, retired
     except (ValueError, mujoco.FatalError) as error:

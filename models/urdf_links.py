@@ -31,6 +31,7 @@ def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> 
         *_weigh(spec, root),
         *_settle_inertias(spec),
         *_delete_ranges(spec),
+        *_free_followers(spec),
     ]
 
 
@@ -88,6 +89,25 @@ def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
         joint.range, joint.limited = [0.0, 0.0], mujoco.mjtLimited.mjLIMITED_FALSE
     slip = "; MuJoCo and Bullet, too, read those that end below their beginning so: is their order a slip?" if turned else ""
     return [f"ranges of joints that limit nothing are left out: {listed(said, 8)}{slip}"] if said else []
+
+
+def _free_followers(spec: mujoco.MjSpec) -> list[str]:
+    """Delete ranges of joints that follow others and leave these no room, as by a slip of a sign; return a note on them.
+
+    ROS limits a joint that is commanded, and moves those that follow it whatever their ranges are.
+    """
+    joints, freed = {joint.name: joint for joint in spec.joints}, []
+    for equality in spec.equalities:
+        follower, leader = joints.get(equality.name1), joints.get(equality.name2)
+        if follower is None or leader is None or not equality.data[1]:
+            continue
+        low, high = np.sort((np.array(follower.range) - equality.data[0]) / equality.data[1])
+        room = min(high, leader.range[1]) - max(low, leader.range[0])
+        if np.ptp(follower.range) > 0 and np.ptp(leader.range) > 0 and room <= 1e-3 * np.ptp(leader.range):
+            freed.append(f"{follower.name} ({follower.range[0]:g} to {follower.range[1]:g}) of {leader.name}")
+            follower.range, follower.limited = [0.0, 0.0], mujoco.mjtLimited.mjLIMITED_FALSE
+    said = "ranges of joints that follow others and would hold them still are left out, as ROS does"
+    return [f"{said}: {listed(freed, 8)}"] if freed else []
 
 
 def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
