@@ -10,6 +10,7 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.studies.new.changes import changed_mechanism
 from linkplan.studies.new.first_motion import FirstMotion, first_motion
 from linkplan.studies.new.hanging import at_gravity_equilibrium, hanging_columns, hanging_pose, is_equilibrium
 from tests.support.drawn_by_others import arm, ring
@@ -133,6 +134,20 @@ def test_the_locks_of_joints_that_hang_are_named_with_those_that_are_there(monke
     given = tomllib.loads(found.why.split("mechanism.")[1].split(" holds them")[0])
     assert sorted(given["lock"]) == sorted(joints[1:])
     assert given["lock"][joints[2]] == 3.0
+
+
+# A driven arm, and on its end a wheel that nothing drives, whose centre of mass is off its axis [m].
+IDLE = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
+<body pos=".3 0 0"><joint name="wheel" axis="0 1 0"/>
+<inertial pos="{off} 0 0" mass=".09" diaginertia="3e-5 4e-5 3e-5"/></body></body></worldbody>
+<actuator><motor joint="arm" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("off", "locked"), [(5e-5, ["wheel"]), (5e-3, [])])
+def test_an_idle_wheel_that_a_file_rounds_is_locked_and_a_pendulum_is_not(off, locked):
+    """Such a wheel swings in seconds, and no motion was found within 40 s that lets it come to rest."""
+    mechanism, notes = changed_mechanism({"model": IDLE.format(off=off)})
+    assert list(mechanism.selection.lock) == locked, notes
 
 
 # A drone of four rotors, which turn in pairs.
