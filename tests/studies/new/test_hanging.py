@@ -136,6 +136,16 @@ def test_the_locks_of_joints_that_hang_are_named_with_those_that_are_there(monke
     assert given["lock"][joints[2]] == 3.0
 
 
+def test_the_locks_of_joints_that_coast_are_named_too(monkeypatch, tmp_path):
+    """A drive on a sledge that nothing holds: the one goes forwards, the other backwards."""
+    sledge = """<mujoco><worldbody><body><joint name="free" type="slide" axis="1 0 0"/><geom size=".1"/>
+    <body><joint name="driven" type="slide" axis="1 0 0"/><geom size=".1" contype="0"/></body></body></worldbody>
+    <actuator><motor joint="driven" ctrlrange="-9 9"/></actuator></mujoco>"""
+    found, tried = not_found(sledge, "as told", monkeypatch, tmp_path)
+    assert tried
+    assert "mechanism.lock = { free = 0 } holds them" in found.why
+
+
 # A driven arm, and on its end a wheel that nothing drives, whose centre of mass is off its axis [m].
 IDLE = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
 <body pos=".3 0 0"><joint name="wheel" axis="0 1 0"/>
