@@ -6,13 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.new.changes import changed_mechanism
 from linkplan.studies.new.first_motion import FirstMotion, first_motion
-from linkplan.studies.new.hanging import at_gravity_equilibrium, hanging_columns, hanging_pose, is_equilibrium
+from linkplan.studies.new.hanging import at_gravity_equilibrium, at_rest, hanging_columns, hanging_pose, is_equilibrium
 from tests.support.drawn_by_others import arm, ring
 
 
@@ -134,6 +135,16 @@ def test_the_locks_of_joints_that_hang_are_named_with_those_that_are_there(monke
     given = tomllib.loads(found.why.split("mechanism.")[1].split(" holds them")[0])
     assert sorted(given["lock"]) == sorted(joints[1:])
     assert given["lock"][joints[2]] == 3.0
+
+
+def test_a_joint_that_cannot_hang_at_rest_on_the_way_is_named_with_its_lock():
+    mechanism = load_mechanism(
+        """<mujoco><compiler angle="radian"/><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".02" pos="0 0 -.3"/>
+        <body pos="0 0 -.3"><joint name="b" axis="0 1 0" range="-.1 .1"/><geom size=".02" pos="0 0 -.3"/></body></body>
+        </worldbody><actuator><motor joint="a" ctrlrange="-9 9"/></actuator></mujoco>"""
+    )
+    with pytest.raises(AssemblyError, match=r"on the way; mechanism.lock = \{ b = 0 \} holds it"):
+        at_rest(mechanism, np.array([1.0, 0.0]), mechanism.home)
 
 
 def test_the_locks_of_joints_that_coast_are_named_too(monkeypatch, tmp_path):
