@@ -35,6 +35,7 @@ _SDF = re.compile(rb"<sdf[\s>]")
 _XACRO, _COMMENT = re.compile(rb"<xacro:\w"), re.compile(rb"<!--.*?-->", re.DOTALL)
 # Attributes that older versions of MuJoCo read and that no plan depends on.
 _RETIRED = re.compile(rb"""\s(sensornoise|apirate|collision)\s*=\s*["'](?:\d+|enable|disable|all|predefined|dynamic)["']""")
+_INCLUDE = re.compile(rb"""<include\s+file\s*=\s*["']([^"']+)["']""")
 # MuJoCo's refusal of a file whose root element is <mujocoinclude>.
 _PART_OF_A_MODEL = "model type: 'mujocoinclude'"
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
@@ -344,12 +345,14 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
     if not content.strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
     refuse_oversized(content, f"model '{text}'")
-    written = _COMMENT.sub(b"", content)
-    retired = () if b"<include" in written else tuple(dict.fromkeys(word.decode() for word in _RETIRED.findall(written)))
+    parts = {str(path): content} | _included(content, path.parent, {})
+    old = [word for part in parts.values() for word in _RETIRED.findall(_COMMENT.sub(b"", part))]
+    retired = tuple(dict.fromkeys(word.decode() for word in old))
+    cleaned = {name: _RETIRED.sub(b"", part) for name, part in parts.items()} if old else parts
     try:
-        if path.suffix.lower() != ".mjcf" and not retired:
-            return shown(path.stem), mujoco.MjSpec.from_file(str(path)), ()
-        spec = mujoco.MjSpec.from_string(_RETIRED.sub(b"", content).decode("utf-8"))  # MuJoCo reads no files named .mjcf
+        if path.suffix != ".mjcf" and path.suffix.islower():
+            return shown(path.stem), mujoco.MjSpec.from_file(str(path), include=cleaned if old else None), retired
+        spec = mujoco.MjSpec.from_string(cleaned.pop(str(path)).decode("utf-8"), cleaned)  # MuJoCo reads no .mjcf or .URDF
         spec.modelfiledir = str(path.parent.resolve())
         return shown(path.stem), spec, retired
     except (ValueError, mujoco.FatalError) as error:
@@ -357,6 +360,15 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
             raise ModelError(f"model '{text}' is a part that other models include; take a file that includes it") from error
         named = "" if path.suffix.lower() in (".xml", ".urdf") else "; model files are named .xml or .urdf"
         raise ModelError(f"model '{text}' does not parse: {one_line(error)}{named}") from error
+
+
+def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str, bytes]:
+    """Return the files that a model includes, also by included ones, by name; those that are not there MuJoCo refuses."""
+    for name in (word.decode("utf-8", "replace") for word in _INCLUDE.findall(_COMMENT.sub(b"", content))):
+        if name not in found and (folder / name).is_file():
+            found[name] = read_file(folder / name, f"'{name}'", MAX_MODEL_BYTES, ModelError)
+            _included(found[name], folder, found)
+    return found
 
 
 def _parse(name: str, text: str) -> mujoco.MjSpec:

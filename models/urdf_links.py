@@ -1,4 +1,4 @@
-"""What of a URDF's links MuJoCo does not compile: masses and inertias that no body has, meshes, and geoms without size."""
+"""What of a URDF MuJoCo does not compile: masses and inertias that no body has, meshes, shapes and ranges without size."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -9,6 +9,7 @@ import numpy as np
 
 from linkplan.models.deletion import delete_geoms, is_pointer
 from linkplan.models.errors import listed
+from linkplan.models.payload import MAX_SI_VALUE
 
 # What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
 LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
@@ -17,14 +18,21 @@ _MESHES = (".stl", ".obj", ".msh")
 
 
 def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> list[str]:
-    """Change what MuJoCo does not compile of a URDF's links, and return notes on that.
+    """Change what MuJoCo does not compile of a URDF's links and ranges, and return notes on that.
 
     Args:
         spec: MuJoCo's conversion of the URDF, which is changed.
         root: its <robot> element.
         folder: the URDF's.
     """
-    return [*_settle_meshes(spec, folder), *_delete_flat(spec), *_weigh(spec, root), *_settle_inertias(spec)]
+    return [
+        *_settle_meshes(spec, folder),
+        *_delete_flat(spec),
+        *_weigh(spec, root),
+        *_settle_inertias(spec),
+        *_delete_ranges(spec),
+        *_free_followers(spec),
+    ]
 
 
 def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
@@ -70,6 +78,36 @@ def _delete_flat(spec: mujoco.MjSpec) -> list[str]:
     links = dict.fromkeys(geom.parent.name for geom in flat)
     delete_geoms(spec, flat)
     return [f"shapes without size are left out: of {listed(list(links), 8)}"] if flat else []
+
+
+def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
+    """Delete the ranges of joints that limit nothing, as those that end below their beginning, and return a note on them."""
+    loose = [joint for joint in spec.joints if joint.range[0] > joint.range[1] or np.abs(joint.range).min() > MAX_SI_VALUE]
+    said = [f"{joint.name} ({joint.range[0]:g} to {joint.range[1]:g})" for joint in loose]
+    turned = any(joint.range[0] > joint.range[1] for joint in loose)
+    for joint in loose:
+        joint.range, joint.limited = [0.0, 0.0], mujoco.mjtLimited.mjLIMITED_FALSE
+    slip = "; MuJoCo and Bullet, too, read those that end below their beginning so: is their order a slip?" if turned else ""
+    return [f"ranges of joints that limit nothing are left out: {listed(said, 8)}{slip}"] if said else []
+
+
+def _free_followers(spec: mujoco.MjSpec) -> list[str]:
+    """Delete ranges of joints that follow others and leave these no room, as by a slip of a sign; return a note on them.
+
+    ROS limits a joint that is commanded, and moves those that follow it whatever their ranges are.
+    """
+    joints, freed = {joint.name: joint for joint in spec.joints}, []
+    for equality in spec.equalities:
+        follower, leader = joints.get(equality.name1), joints.get(equality.name2)
+        if follower is None or leader is None or not equality.data[1]:
+            continue
+        low, high = np.sort((np.array(follower.range) - equality.data[0]) / equality.data[1])
+        room = min(high, leader.range[1]) - max(low, leader.range[0])
+        if np.ptp(follower.range) > 0 and np.ptp(leader.range) > 0 and room <= 1e-3 * np.ptp(leader.range):
+            freed.append(f"{follower.name} ({follower.range[0]:g} to {follower.range[1]:g}) of {leader.name}")
+            follower.range, follower.limited = [0.0, 0.0], mujoco.mjtLimited.mjLIMITED_FALSE
+    said = "ranges of joints that follow others and would hold them still are left out, as ROS does"
+    return [f"{said}: {listed(freed, 8)}"] if freed else []
 
 
 def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:

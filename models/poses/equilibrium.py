@@ -137,9 +137,10 @@ def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
     )
 
 
-def lock_words(places: Sequence[tuple[Joint, float]]) -> str:
-    """Return the key that locks joints at places [rad or m], as a problem file has it."""
-    return f"mechanism.{home_text({'lock': {joint.name: round(joint.shown(x), 6) + 0.0 for joint, x in places}})}"
+def lock_words(places: Sequence[tuple[Joint, float]], locked: Mapping[str, float] | None = None) -> str:
+    """Return the key that locks joints at places [rad or m], beside those locked [deg or m], as a problem file has it."""
+    lock = {**(locked or {}), **{joint.name: round(joint.shown(x), 6) + 0.0 for joint, x in places}}
+    return f"mechanism.{home_text({'lock': lock})}"
 
 
 @functools.lru_cache(maxsize=16)

@@ -19,7 +19,7 @@ def sign_change(function: Callable, a: float | np.ndarray, b: float | np.ndarray
     for _ in range(100):
         middle, before = 0.5 * (low + high), x
         at_middle = np.array(function(middle))
-        scale = np.sqrt(at_middle * at_middle - at_low * at_high)
+        scale = np.sqrt(np.maximum(at_middle * at_middle - at_low * at_high, 0.0))  # a lost root has no bracket
         x = middle + (middle - low) * np.sign(at_low - at_high) * at_middle / np.where(scale == 0, 1.0, scale)
         points = np.array([low, middle, x, high])
         values = np.array([at_low, at_middle, function(x), at_high])

@@ -87,7 +87,7 @@ class Certificate(RenamedFields):
     effort_overrun: np.ndarray  # (n_intervals,) needed effort beyond its limit, as a share of a proof's allowance
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
-    unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts
+    unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts, a rounded loop's gap
     contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
 
     @property
@@ -159,6 +159,9 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     over_ends = np.stack([limits.effort[:, 0] - needed, needed - limits.effort[:, 1]], axis=2)
     beyond = (np.maximum(over_ends, 0.0) / allowances).max(axis=(1, 2))
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
+    rounded = mechanism.closed_m > CLOSURE_M
+    accepts = f"; mechanism.closure_tolerance_m = {1.1 * closure_gap:.2g} accepts that of a rounded file" if rounded else ""
+    opened = f"a kinematic loop opens by {gaps} at t = {worst['closure_gap_m']:.4g} s{accepts}"
     findings = (
         (effort_excess > 0, f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s"),
         (
@@ -176,10 +179,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
             f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed",
         ),
         *((True, sentence) for sentence in sites_off),
-        (
-            closure_gap > max(CLOSURE_M, mechanism.closed_m),
-            f"a kinematic loop opens by {gaps} at t = {worst['closure_gap_m']:.4g} s",
-        ),
+        (closure_gap > max(CLOSURE_M, mechanism.closed_m), opened),
     )
     failures = [sentence for broken, sentence in findings if broken]
     if not np.all(np.isfinite(integrated.position)) and until.passed:
@@ -215,7 +215,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         effort_overrun=beyond.reshape(len(growth), -1).max(axis=1),
         worst_time_s=worst,
         failures=tuple(failures),
-        unmendable=tuple(unmendable),
+        unmendable=(*unmendable, *((opened,) if rounded else ())),
     )
 
 

@@ -19,7 +19,7 @@ from linkplan.models.tree.passive import is_gas_spring
 
 def drivable(mechanism: Mechanism) -> np.ndarray:
     """Return a mask (n_s,) of the freedoms that a drive could move: all but the spins of rods in loops."""
-    return mechanism.steered | ~in_loops(mechanism)
+    return ~np.isin(mechanism.independent, mechanism.passive_dofs) | ~in_loops(mechanism)
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
@@ -175,10 +175,11 @@ def feeble_drives(mechanism: Mechanism) -> list[str]:
 
 def _efforts(mechanism: Mechanism, column: int) -> list[tuple[Actuator, np.ndarray]]:
     """Return each actuator with its least and largest effort (2,) on an independent joint at home."""
-    arms = np.array(mechanism.dynamics.effort_map(mechanism.home))[column]
+    maps = np.array(mechanism.dynamics.effort_map(mechanism.home))
     found = []
-    for actuator, arm in zip(mechanism.actuators, arms, strict=True):
-        acts = abs(arm) > ROUNDING_SHARE * np.abs(arms).max()
+    for actuator, arms in zip(mechanism.actuators, maps.T, strict=True):
+        arm = arms[column]
+        acts = abs(arm) > ROUNDING_SHARE * max(np.abs(arms).max(), np.abs(maps[column]).max())
         found.append((actuator, np.sort(arm * np.array([actuator.lower, actuator.upper])) if acts else np.zeros(2)))
     return found
 

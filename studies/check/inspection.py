@@ -153,14 +153,14 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     driven = {
         int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > ROUNDING_SHARE * reached.max()
     }
-    steerable = bool(driven) and _steerable(mechanism)
+    steerable = _steerable(mechanism) if driven else np.zeros(mechanism.dof, dtype=bool)
     base, floating = floating_sentence(mechanism.model), floating_columns(mechanism)
     problems += [] if base is None else [base]
     for can in reaches:
         if can.coordinate in floating:
             continue
         idle = bool(driven) and int(mechanism.independent[can.coordinate]) not in driven and mechanism.n_u < mechanism.dof
-        faults, facts = _coordinate_findings(mechanism, can, idle=idle, steerable=steerable)
+        faults, facts = _coordinate_findings(mechanism, can, idle=idle, steerable=bool(steerable[can.coordinate]))
         problems += faults
         notes += facts
     notes += feeble_drives(mechanism)
@@ -293,11 +293,11 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
 
 
-def _steerable(mechanism: Mechanism) -> bool:
-    """Tell if the actuators together control every degree of freedom next to home.
+def _steerable(mechanism: Mechanism) -> np.ndarray:
+    """Return a mask (n_s,) of the independent coordinates that the actuators together control next to home.
 
-    This is the controllability of the motion linearised at home under the effort nearest to the holding effort: the rank of
-    [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
+    They are those within the controllable space of the motion linearised at home under the effort nearest to the holding
+    effort: the range of [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
     """
     n_s, still = mechanism.dof, np.zeros(mechanism.dof)
     dynamics, pose = mechanism.dynamics, mechanism.home
@@ -312,7 +312,9 @@ def _steerable(mechanism: Mechanism) -> bool:
     reached = [B]
     for _ in range(2 * n_s - 1):
         reached.append(A @ reached[-1])
-    return int(np.linalg.matrix_rank(np.hstack(reached), tol=1e-9)) == 2 * n_s
+    space, sizes, _ = np.linalg.svd(np.hstack(reached))
+    shares = np.linalg.norm(space[:, : len(sizes)][:, sizes > 1e-9], axis=1).reshape(2, n_s)  # of positions and speeds
+    return np.all(shares > 1 - 1e-6, axis=0)
 
 
 def _range(joint: Joint) -> str:

@@ -177,7 +177,7 @@ def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
     Actuators with the same limits are the same motor, or the same default of an exporter: their limits are raised together.
     """
     still = np.zeros((1, mechanism.dof))
-    hold = effort_within(*demanded(mechanism, mechanism.home[None], still, still), 1e3 * mechanism.effort_limit)[0]
+    hold = effort_within(*demanded(mechanism, mechanism.home[None], still, still), 1e9 * mechanism.effort_limit)[0]
     limits = [tuple(float(x) for x in ends) for ends in mechanism.effort_limit]
     factors: dict[tuple[float, ...], float] = {}
     for effort, ends in zip(hold, limits, strict=True):

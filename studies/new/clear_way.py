@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.errors import AssemblyError, ProblemError, one_line
+from linkplan.models.errors import AssemblyError, ProblemError, listed, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import (
     RANGE_ROUNDING,
@@ -87,13 +87,16 @@ def why_not(answer: Plan, within_s: float | None) -> str:
         failures = () if answer.certificate is None else answer.certificate.failures
         last = f"; of the last one, {failures[0]}" if failures else ""
         said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
-    hanging = [
+    coasting = np.flatnonzero(np.isin(mechanism.independent, mechanism.coasting_dofs)).tolist()
+    loose = [
         (mechanism.independent_joints[k], float(mechanism.home[mechanism.independent[k]]))
-        for k in hanging_columns(mechanism)
+        for k in sorted({*hanging_columns(mechanism), *coasting})
     ]
-    locked = [(joint, x) for joint, x in hanging if joint.chart is None]
-    loose = f"; nothing drives these joints, which swing as the others move: {lock_words(locked)} holds them"
-    return f"{said}{loose}" if locked else said
+    locked = [(joint, x) for joint, x in loose if joint.chart is None]
+    names = listed([joint.name for joint, _ in loose], 8)
+    held = f"{lock_words(locked, mechanism.selection.lock)} holds them"  # with what `new` has locked, which goes with it
+    remedy = held if locked else f"start and goal are to be poses at which {names} hang at rest"
+    return f"{said}; nothing drives these joints, which swing or coast as the others move: {remedy}" if loose else said
 
 
 def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.models.poses.equilibrium import lock_words, sprung_freedoms
 from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.problem.build import mechanism_from_tables
 
@@ -94,7 +94,10 @@ def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
     for column in hanging if pose is not None else ():
         rest[column] = _rounded(mechanism.independent_joints[column], float(pose[mechanism.independent[column]]))
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
-        raise AssemblyError(f"mechanism '{mechanism.name}' does not hang at rest with its drives at {s}")
+        loose = [(mechanism.independent_joints[k], mechanism.home[mechanism.independent[k]]) for k in hanging]
+        locked = [(joint, float(x)) for joint, x in loose if joint.chart is None]
+        held = f"; {lock_words(locked, mechanism.selection.lock)} holds it" if locked else ""
+        raise AssemblyError(f"what nothing drives does not hang at rest on the way{held}")
     return rest
 
 

@@ -77,8 +77,8 @@ def dropped(mechanism: Mechanism) -> dict[str, float]:
 
 
 def spins(mechanism: Mechanism) -> dict[str, float]:
-    """Return the home positions [deg or m] of the independent hinges about which undriven rods spin, by name."""
-    swings = [column for column in hanging_columns(mechanism) if _is_spin(mechanism, column)]
+    """Return the home positions [deg or m] of the independent hinges about which undriven rods and wheels spin, by name."""
+    swings = [k for k in hanging_columns(mechanism) if _is_spin(mechanism, k) or _is_wheel(mechanism, k)]
     spins = [*_passive_columns(mechanism), *swings]
     joints = {int(mechanism.independent[column]): mechanism.independent_joints[column] for column in sorted(spins)}
     return {
@@ -86,6 +86,18 @@ def spins(mechanism: Mechanism) -> dict[str, float]:
         for index, joint in joints.items()
         if joint.chart is None and joint.kind == "hinge"
     }
+
+
+def _is_wheel(mechanism: Mechanism, column: int) -> bool:
+    """Tell if what hangs on a hinge in no loop is balanced to a hundredth of its radius of gyration, as an idle wheel is."""
+    model, joint = mechanism.model, mechanism.independent_joints[column]
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name)
+    if number < 0 or joint.kind != "hinge" or in_loops(mechanism)[column]:
+        return False
+    data, body, dof = data_at(model, mechanism.qpos_of(mechanism.home)), model.jnt_bodyid[number], model.jnt_dofadr[number]
+    arm = np.cross(data.xaxis[number], data.subtree_com[body] - data.xanchor[number])
+    inertia = model.dof_M0[dof] - model.dof_armature[dof]
+    return bool(model.body_subtreemass[body] * arm @ arm <= 1e-4 * inertia)
 
 
 def _passive_columns(mechanism: Mechanism) -> list[int]:

@@ -10,6 +10,7 @@ import numpy as np
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, sampled
+from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.selected_model import whole_spec
 from linkplan.models.tree.coordinates import SLIDE, joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
@@ -80,7 +81,6 @@ def _with_slides(mechanism: Mechanism) -> tuple[mujoco.MjModel, dict[int, str]]:
             slide.armature, slide.frictionloss = 1.0, 0.0
             slide.stiffness, slide.damping = np.zeros(3), np.zeros(3)
     model = spec.compile()
-    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     return model, {body: ", ".join(own) for body, own in names.items()}
 
@@ -99,9 +99,8 @@ def _terms(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.n
     required, moments = np.zeros(model.nv), np.zeros((len(data.moment_rownnz), model.nv))
     mujoco.mj_mulM(model, data, required, data.qacc)
     mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    jacobian = np.reshape(data.efc_J, (data.nefc, model.nv))[data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)]
     springs = data.qfrc_passive + simulated_gas_springs(model, data)
-    return required + data.qfrc_bias - springs, jacobian, moments
+    return required + data.qfrc_bias - springs, equality_jacobian(model, data), moments
 
 
 def _across_slides(model: mujoco.MjModel, body: int, axes: np.ndarray, force: np.ndarray) -> np.ndarray:

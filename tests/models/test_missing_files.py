@@ -102,6 +102,9 @@ def test_attributes_of_an_older_mujoco_are_left_out_and_named(tmp_path):
     name, model, notes = compile_model(file)
     assert (name, model.ntex, model.opt.disableflags) == ("arm", 1, mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     assert notes[0] == "attributes of an older MuJoCo are left out: apirate, collision, sensornoise"
+    whole = tmp_path / "whole.xml"
+    whole.write_text('<mujoco><include file="arm.xml"/><worldbody><geom size=".1"/></worldbody></mujoco>')
+    assert compile_model(whole)[2][0] == notes[0], "of files that are included, too"
     file.write_text(file.read_text().replace("apirate", "newrate"))
     with pytest.raises(ModelError, match="unrecognized attribute: 'newrate'"):
         compile_model(file)

@@ -6,6 +6,7 @@ import pytest
 from linkplan.models.conversion import conversion_notes
 from linkplan.models.library import urdf_root
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.reach import reach
 
 LINK = (
     '<link name="{}"><inertial><mass value="1"/><origin xyz="0 0 -0.1"/>'
@@ -52,6 +53,33 @@ def test_what_a_urdf_does_not_say_is_not_told_of():
 def test_a_model_in_mjcf_is_no_urdf():
     assert urdf_root("<mujoco><actuator/></mujoco>") is None
     assert urdf_root("optimus-knee") is None
+
+
+@pytest.mark.parametrize(("limit", "said"), [('lower="0.2" upper="0"', "0.2 to 0"), ('lower="-1e16" upper="1e16"', "1e+16")])
+def test_a_range_that_limits_nothing_is_left_out_and_named(limit, said):
+    """MuJoCo and Bullet read one that ends below its beginning as no limits; Gazebo's default is 1e16."""
+    mechanism = load_mechanism(urdf().replace('lower="-1" upper="1"', limit, 1))
+    (note,) = [note for note in mechanism.notes if "limit nothing" in note]
+    assert "hip (" in note
+    assert said in note
+    assert "knee" not in note
+    assert [bool(limited) for limited in mechanism.model.jnt_limited] == [False, True]
+
+
+@pytest.mark.parametrize(("lower", "kept"), [(0, False), (-2, True)])
+def test_the_range_of_a_follower_that_would_hold_its_leader_still_is_left_out_and_named(lower, kept):
+    """The fingers of Robotiq's grippers have ranges that begin at 0, whether they follow forwards or backwards."""
+    there = urdf().replace('lower="-1" upper="1"', 'lower="0" upper="1"', 1)
+    mechanism = load_mechanism(there.replace('lower="-1" upper="1"', f'lower="{lower}" upper="{lower + 2}"'))
+    named = [note for note in mechanism.notes if "knee (0 to 2) of hip" in note]
+    assert len(named) == (not kept)
+    hip = [joint.name for joint in mechanism.joints].index("hip")
+    assert np.sort(reach(mechanism, 0).poses[[0, -1], hip]) == pytest.approx([0, 1])
+
+
+def test_a_file_named_in_capitals_is_read(tmp_path):
+    (tmp_path / "LEG.URDF").write_text(urdf())
+    assert load_mechanism(tmp_path / "LEG.URDF").dof == 1
 
 
 def test_a_mesh_of_a_package_that_is_not_found_is_left_out_and_said(tmp_path):

@@ -238,8 +238,11 @@ def test_certifying_does_not_change_the_motion():
         np.testing.assert_array_equal(getattr(motion(), name), value)
 
 
-def test_a_loop_that_opens_at_an_instant_is_named_with_its_gap(monkeypatch):
+@pytest.mark.parametrize("rounded", [False, True])
+def test_a_loop_that_opens_at_an_instant_is_named_with_its_gap(rounded, monkeypatch):
     """A rocker that is turned by a microradian moves its pin by its length times that."""
+    if rounded:  # the tolerance of the model's file is more than that of an exact one
+        monkeypatch.setattr(module, "CLOSURE_M", 0.0)
     poses, turned, instant = samples_of(problem_of("knee-reach"), motion()), 1e-6, 100
     q = poses.q.copy()
     q[instant, 2] += turned
@@ -247,6 +250,8 @@ def test_a_loop_that_opens_at_an_instant_is_named_with_its_gap(monkeypatch):
     certificate = found(motion())
     assert certificate.closure_gaps == pytest.approx({"m": turned * knee().rocker}, rel=1e-3)
     assert sentence(certificate, "a kinematic loop opens by 8.55e-08 m", f"at t = {poses.time[instant]:.4g} s")
+    assert sentence(certificate, "closure_tolerance_m = 9.4e-08 accepts") == rounded
+    assert len(certificate.unmendable) == rounded, "no mesh closes a rounded loop"
 
 
 def test_a_motion_s_poses_close_the_loop():

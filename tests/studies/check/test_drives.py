@@ -67,6 +67,24 @@ def test_a_spring_steers_even_a_heavy_body_and_without_one_its_momentum_stays(ma
     assert any("joint b moves freely: no actuator drives it" in problem for problem in inspect(loose, []).problems)
 
 
+# A trolley, and a load on a rope: the weight brings the load back below the trolley; about the rope it spins.
+CRANE = """<mujoco><worldbody><body pos="0 0 2"><joint name="trolley" type="slide" axis="1 0 0"/><geom size=".1" mass="5"/>
+<site name="top"/></body><body name="load" pos="0 0 1"><freejoint name="load"/><geom type="capsule" size=".02 .1" mass="1"/>
+<site name="eye" pos="0 0 .1"/></body></worldbody>
+<tendon><spatial name="rope"><site site="top"/><site site="eye"/></spatial></tendon>
+<actuator><motor name="drive" joint="trolley" ctrlrange="-9 9"/>
+<motor name="hoist" tendon="rope" ctrlrange="-30 0"/></actuator></mujoco>"""
+
+
+def test_a_load_on_a_rope_is_moved_along_by_the_trolley_and_freely_across():
+    """Once everything moved freely, since one freedom does; and the rope pushed the load sideways, by rounding."""
+    found = inspect(load_mechanism(CRANE), [])
+    swings = [note for note in found.notes if "underactuated" in note]
+    assert [note.split()[1] for note in swings] == ["load_x", "load_ry"]
+    freely = [problem.partition(":")[0] for problem in found.problems if "moves freely" in problem]
+    assert freely == [f"joint load_{name} moves freely" for name in ("y", "rx", "rz")]
+
+
 COASTS = "; a motion that does not name it ends where its momentum takes it"
 
 
@@ -85,6 +103,19 @@ def test_no_motor_is_offered_for_the_spin_of_a_rod_but_one_for_a_wheel():
     rod = load_mechanism(replaced(replaced(text, ball, hinges), "</worldbody>", f"{wheel}</worldbody>"))
     assert (rod.dof, len(rod.passive_dofs)) == (3, 2)  # the rod spins, and so does the wheel
     assert joints_to_drive(rod) == ["drive", "wheel"]
+
+
+def test_a_motor_is_offered_for_fingers_that_close_without_weight_or_damping():
+    """They coast, in a loop, as the spin of a rod does; and it was said that their loops hold them still."""
+    fingers = "".join(
+        f'<body pos="{x} 0 0"><joint name="{name}" type="slide" axis="{-x} 0 0"/><geom size=".01"/></body>'
+        for name, x in (("left", -0.03), ("right", 0.03))
+    )
+    gripper = load_mechanism(
+        f'<mujoco><worldbody>{fingers}</worldbody><equality><joint joint1="right" joint2="left"/></equality></mujoco>'
+    )
+    assert joints_to_drive(gripper) == ["left"]
+    assert 'mechanism.drive = ["left"] puts motors' in str(inspect(gripper, []).problems)
 
 
 def test_no_motor_is_offered_for_a_base_that_floats_nor_for_a_joint_that_follows_another():

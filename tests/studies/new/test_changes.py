@@ -125,6 +125,11 @@ def test_a_drive_that_cannot_hold_its_weight_gets_twice_what_holds_it(tmp_path, 
     assert "too weak to hold the weight at home: limits.effort takes drive" in err
 
 
+def test_a_limit_that_stands_for_none_is_raised_as_far_as_the_weight_asks():
+    placeholder, _ = changed_mechanism({"model": ARM.format(effort=1e-5 * WEIGHT_N_M)})
+    np.testing.assert_allclose(raised_limits(placeholder)["drive"], [-2 * WEIGHT_N_M, 2 * WEIGHT_N_M], rtol=0.01)
+
+
 def test_drives_with_the_same_limit_are_raised_together():
     two = (
         ARM.format(effort=1.0)

@@ -6,12 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.studies.new.changes import changed_mechanism
 from linkplan.studies.new.first_motion import FirstMotion, first_motion
-from linkplan.studies.new.hanging import at_gravity_equilibrium, hanging_columns, hanging_pose, is_equilibrium
+from linkplan.studies.new.hanging import at_gravity_equilibrium, at_rest, hanging_columns, hanging_pose, is_equilibrium
 from tests.support.drawn_by_others import arm, ring
 
 
@@ -20,7 +22,7 @@ def tried_of(text: str, monkeypatch, tmp_path) -> list[Problem]:
     return not_found(text, "as told", monkeypatch, tmp_path)[1]
 
 
-def not_found(text: str, why: str, monkeypatch, tmp_path) -> tuple[FirstMotion, list[Problem]]:
+def not_found(text: str, why: str, monkeypatch, tmp_path, **selected) -> tuple[FirstMotion, list[Problem]]:
     """Return the first motion of a mechanism none of whose motions is ever found, and the problems that are tried."""
     tried = []
 
@@ -30,7 +32,7 @@ def not_found(text: str, why: str, monkeypatch, tmp_path) -> tuple[FirstMotion, 
 
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
     (tmp_path / "model.xml").write_text(text, encoding="utf-8")
-    return first_motion({"model": str(tmp_path / "model.xml")}, lambda _: None), tried
+    return first_motion({"model": str(tmp_path / "model.xml"), **selected}, lambda _: None), tried
 
 
 def held(mechanism: Mechanism, s: np.ndarray) -> bool:
@@ -124,6 +126,49 @@ def test_where_no_motion_is_found_the_joints_that_hang_are_named_with_their_lock
     assert list(given["lock"]) == names
     driven, _ = not_found(arm(3, 3), why, monkeypatch, tmp_path)
     assert "lock" not in driven.why
+
+
+def test_the_locks_of_joints_that_hang_are_named_with_those_that_are_there(monkeypatch, tmp_path):
+    """Alone they took the place of the locks in the file, whose joints hung then."""
+    joints = [joint.name for joint in load_mechanism(arm(4, 1)).joints]
+    found, _ = not_found(arm(4, 1), "as told", monkeypatch, tmp_path, lock={joints[2]: 3.0})
+    given = tomllib.loads(found.why.split("mechanism.")[1].split(" holds them")[0])
+    assert sorted(given["lock"]) == sorted(joints[1:])
+    assert given["lock"][joints[2]] == 3.0
+
+
+def test_a_joint_that_cannot_hang_at_rest_on_the_way_is_named_with_its_lock():
+    mechanism = load_mechanism(
+        """<mujoco><compiler angle="radian"/><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".02" pos="0 0 -.3"/>
+        <body pos="0 0 -.3"><joint name="b" axis="0 1 0" range="-.1 .1"/><geom size=".02" pos="0 0 -.3"/></body></body>
+        </worldbody><actuator><motor joint="a" ctrlrange="-9 9"/></actuator></mujoco>"""
+    )
+    with pytest.raises(AssemblyError, match=r"on the way; mechanism.lock = \{ b = 0 \} holds it"):
+        at_rest(mechanism, np.array([1.0, 0.0]), mechanism.home)
+
+
+def test_the_locks_of_joints_that_coast_are_named_too(monkeypatch, tmp_path):
+    """A drive on a sledge that nothing holds: the one goes forwards, the other backwards."""
+    sledge = """<mujoco><worldbody><body><joint name="free" type="slide" axis="1 0 0"/><geom size=".1"/>
+    <body><joint name="driven" type="slide" axis="1 0 0"/><geom size=".1" contype="0"/></body></body></worldbody>
+    <actuator><motor joint="driven" ctrlrange="-9 9"/></actuator></mujoco>"""
+    found, tried = not_found(sledge, "as told", monkeypatch, tmp_path)
+    assert tried
+    assert "mechanism.lock = { free = 0 } holds them" in found.why
+
+
+# A driven arm, and on its end a wheel that nothing drives, whose centre of mass is off its axis [m].
+IDLE = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
+<body pos=".3 0 0"><joint name="wheel" axis="0 1 0"/>
+<inertial pos="{off} 0 0" mass=".09" diaginertia="3e-5 4e-5 3e-5"/></body></body></worldbody>
+<actuator><motor joint="arm" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("off", "locked"), [(5e-5, ["wheel"]), (5e-3, [])])
+def test_an_idle_wheel_that_a_file_rounds_is_locked_and_a_pendulum_is_not(off, locked):
+    """Such a wheel swings in seconds, and no motion was found within 40 s that lets it come to rest."""
+    mechanism, notes = changed_mechanism({"model": IDLE.format(off=off)})
+    assert list(mechanism.selection.lock) == locked, notes
 
 
 # A drone of four rotors, which turn in pairs.

@@ -51,6 +51,16 @@ def test_forces_do_not_depend_on_the_pin_at_which_the_loop_is_cut():
         assert force.min() > 0.1  # [N]
 
 
+def test_a_weld_of_two_bodies_that_stand_still_has_no_force():
+    """MuJoCo allocates six rows of its Jacobian for it, and makes none: reading them all was a fault."""
+    held = '<body name="at" mocap="true"/><body name="base"><geom size=".1"/></body></worldbody>'
+    text = MODEL.format(crank=CRANK, on_crank="", on_rocker="", cut="A", parent="", anchor="").split("<equality>")[0]
+    text = text.replace('<joint name="C"', '<joint name="C" frictionloss=".1"').replace("</worldbody>", held)
+    arm = load_mechanism(f'{text}<equality><weld body1="at" body2="base"/></equality></mujoco>')
+    q, still = np.array([arm.home]), np.zeros((1, arm.dof))
+    assert set(pin_forces(arm, q, still, still, np.zeros((1, arm.n_u)))) == {"O", "C"}
+
+
 def test_a_pendulum_on_a_ball_and_a_cart_on_a_slide_have_the_closed_forms_forces():
     mass, length, gravity, speed = 2.0, 0.5, 9.81, 3.0
     arm = load_mechanism(f"""<mujoco><worldbody><body name="cart"><joint name="rail" type="slide" axis="1 0 0"/>
