@@ -6,6 +6,8 @@ of warnings for the whole process; its warnings are kept here for each thread.
 """
 
 import contextlib
+import contextvars
+import copy
 import itertools
 import os
 import re
@@ -226,6 +228,18 @@ def _where(model: mujoco.MjModel, field: str, bad: np.ndarray) -> str:
 
 
 NOTHING_SELECTED = Selection()
+# What was compiled in a `compiled_once` block; None outside.
+_ALREADY: contextvars.ContextVar[dict | None] = contextvars.ContextVar("already", default=None)
+
+
+@contextlib.contextmanager
+def compiled_once() -> Iterator[None]:
+    """Compile each selection of a model once in the block, in which its files do not change."""
+    token = _ALREADY.set({})
+    try:
+        yield
+    finally:
+        _ALREADY.reset(token)
 
 
 @one_thread_at_a_time
@@ -238,7 +252,13 @@ def compile_model(
         ModelError: if the source is neither a built-in name, nor a readable file, nor MJCF text; if MuJoCo refuses it
             (with MuJoCo's reason); or if the payload's body is not in it.
     """
+    already, asked = _ALREADY.get(), repr((str(source), payload, selection.table()))
+    if already is not None and asked in already:
+        name, model, notes = already[asked]
+        return name, copy.copy(model), notes
     name, _, model, notes = _compiled(source, payload, selection)
+    if already is not None:
+        already[asked] = name, copy.copy(model), notes
     return name, model, notes
 
 

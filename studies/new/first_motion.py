@@ -12,6 +12,7 @@ import numpy as np
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import LinkplanError, ModelError, ProblemError, listed, one_line
 from linkplan.models.kinematics import STIFF
+from linkplan.models.library import compiled_once
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
@@ -111,6 +112,7 @@ class FirstMotion:
         return self.plan is not None and self.plan.passed
 
 
+@compiled_once()
 def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     """Return a feasible problem of a mechanism, with its plan.
 

@@ -3,11 +3,14 @@
 import os
 import tracemalloc
 
+import numpy as np
 import pytest
 
+from linkplan.models import library
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.reading import parse_toml, read_file, read_head
+from linkplan.models.selection import Selection
 from tests.support.refusals import refusal
 
 
@@ -68,3 +71,18 @@ RANGED = """<mujoco>{compiler}<worldbody><body><joint name="arm" axis="0 1 0" ra
 def test_ranges_that_radians_would_explain_are_noted_where_they_are_read_in_degrees(compiler, most, said):
     notes = load_mechanism(RANGED.format(compiler=compiler, most=most)).notes
     assert any(f"ends at {float(most):g} deg: a file that means radians has" in note for note in notes) == said
+
+
+def test_a_model_is_compiled_once_in_a_block_and_each_answer_is_a_copy(monkeypatch):
+    compiled = []
+    monkeypatch.setattr(library, "_compiled", lambda *asked, real=library._compiled: compiled.append(asked) or real(*asked))
+    locked = Selection(lock={"O": 10.0})
+    with library.compiled_once():
+        first, again = (library.compile_model("optimus-knee")[1] for _ in range(2))
+        first.eq_solref[:] = 0.5
+        assert not np.any(again.eq_solref == 0.5)
+        assert not np.any(library.compile_model("optimus-knee")[1].eq_solref == 0.5)
+        assert library.compile_model("optimus-knee", selection=locked)[1].nv == again.nv - 1
+        assert len(compiled) == 2
+    library.compile_model("optimus-knee")
+    assert len(compiled) == 3
