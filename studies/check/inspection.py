@@ -312,8 +312,8 @@ def _steerable(mechanism: Mechanism) -> np.ndarray:
     reached = [B]
     for _ in range(2 * n_s - 1):
         reached.append(A @ reached[-1])
-    space, sizes, _ = np.linalg.svd(np.hstack(reached))
-    shares = np.linalg.norm(space[:, : len(sizes)][:, sizes > 1e-9], axis=1).reshape(2, n_s)  # of positions and speeds
+    space, sizes, _ = np.linalg.svd(np.hstack(reached), full_matrices=False)
+    shares = np.linalg.norm(space[:, sizes > 1e-9], axis=1).reshape(2, n_s)  # of positions and speeds
     return np.all(shares > 1 - 1e-6, axis=0)
 
 
