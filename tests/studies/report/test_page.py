@@ -223,7 +223,7 @@ def test_what_is_printed_is_whole_and_without_controls(browser, path):
 
 def test_plots_far_below_the_window_are_drawn_without_scrolling(browser, path):
     opened = Opened(browser, path)
-    opened.page.wait_for_function("document.querySelectorAll('.uplot').length > 10")
+    opened.page.locator(".uplot").nth(10).wait_for(state="attached")
     lowest = opened.ask("Math.max(...[...document.querySelectorAll('.uplot')].map((x) => x.getBoundingClientRect().top))")
     assert lowest > 3 * 900
     assert opened.ask("scrollY") == 0
