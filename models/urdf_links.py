@@ -92,7 +92,7 @@ def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _free_followers(spec: mujoco.MjSpec) -> list[str]:
-    """Delete ranges of joints that follow others and leave these no room, as by a slip of a sign; return a note on them.
+    """Delete the ranges of followers that would hold their leaders still, as by a wrong sign, and return a note on them.
 
     ROS limits a joint that is commanded, and moves those that follow it whatever their ranges are.
     """

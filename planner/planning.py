@@ -29,7 +29,7 @@ _DETAIL = "objective_as_modelled"
 
 
 def _with_time_to_wait(start: Climb) -> Climb:
-    """Return an attempt limited to half of the time left, if several driven freedoms may wait.
+    """Return an attempt that gets half of the time left where several driven freedoms may wait, else all of it.
 
     The first start of a swing-up may otherwise use up all the time in refinement.
     """

@@ -293,7 +293,7 @@ def _travel(one: _PoseSample, other: _PoseSample, size: np.ndarray) -> np.ndarra
 
 
 def _with_wider_gaps(mechanism: Mechanism, width: float) -> mujoco.MjModel:
-    """Return the second model, whose collision detection reports distances up to `width` [m] beyond those of the first."""
+    """Return the second model, set to report distances up to `width` [m] beyond those that the mechanism's own reports."""
     model, wider = mechanism.model, _second_model(mechanism)
     wider.geom_gap[:] = model.geom_gap + width / 2
     wider.pair_gap[:] = model.pair_gap + width
@@ -303,7 +303,7 @@ def _with_wider_gaps(mechanism: Mechanism, width: float) -> mujoco.MjModel:
 
 @functools.lru_cache(maxsize=1)
 def _second_model(mechanism: Mechanism) -> mujoco.MjModel:
-    """Return a copy of a mechanism's model. With meshes it takes longer than the search for contacts along a motion."""
+    """Return a copy of a mechanism's model, which is kept: to copy meshes takes longer than to find a motion's contacts."""
     return copy.copy(mechanism.model)
 
 

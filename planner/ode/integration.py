@@ -69,8 +69,8 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
             errors[k], added[k] = np.abs(error), np.abs(states[k, -1, :n_x] - planned[k + 1]) / size
             spent[k], beyond[k] = inside[-1, n_x], relative_violation(inside[:, :n_x], problem.state_limit.T, size)
             carried = transitions[k, -1, :n_x] * size / size[:, None] @ carried
-            # By the spectral norm, as that of a product is at most the product of the norms: an error that has shrunk below
-            # one made now can be forgotten.
+            # An error that has shrunk below one made now can be forgotten. The spectral norm bounds its growth: that of a
+            # product of matrices is at most the product of their norms.
             grown = np.linalg.norm(carried, 2)
             if grown > most:
                 error, restarts = np.zeros(n_x), restarts + 1

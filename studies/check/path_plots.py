@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
 MAX_COORDINATES_DRAWN = 6
-# With more coordinates, there is one figure, of the first ones; the page has all.
+# The coordinates in the figure of a mechanism. A mechanism with no more has a figure for each, too. The page has all.
 MAX_FIGURES = 3
 # The plots in the figure of a mechanism's reach.
 _OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")

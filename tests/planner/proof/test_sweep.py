@@ -166,7 +166,7 @@ def test_the_next_interval_begins_with_the_largest_boxes_that_were_decided_and_e
 
 @pytest.fixture
 def five_bar():
-    """A random motion of a five-bar, its problem and its blocks, in numbers of 100 bits."""
+    """Yield a problem, a random motion and the blocks of a five-bar; balls have 100 bits in the test."""
     before = ctx.prec, ctx.cap
     ctx.prec = 100
     problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))

@@ -77,7 +77,7 @@ CRANE = """<mujoco><worldbody><body pos="0 0 2"><joint name="trolley" type="slid
 
 
 def test_a_load_on_a_rope_is_moved_along_by_the_trolley_and_freely_across():
-    """Once everything moved freely, since one freedom does; and the rope pushed the load sideways, by rounding."""
+    """Each freedom is judged alone, and the force of the rope across its line, which is rounding, moves nothing."""
     found = inspect(load_mechanism(CRANE), [])
     swings = [note for note in found.notes if "underactuated" in note]
     assert [note.split()[1] for note in swings] == ["load_x", "load_ry"]

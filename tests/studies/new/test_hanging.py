@@ -157,7 +157,7 @@ def test_the_locks_of_joints_that_coast_are_named_too(monkeypatch, tmp_path):
     assert "mechanism.lock = { free = 0 } holds them" in found.why
 
 
-# A driven arm, and on its end a wheel that nothing drives, whose centre of mass is off its axis [m].
+# A driven arm with an undriven wheel at its end. `off` [m]: from the axle to the centre of mass of the wheel.
 IDLE = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
 <body pos=".3 0 0"><joint name="wheel" axis="0 1 0"/>
 <inertial pos="{off} 0 0" mass=".09" diaginertia="3e-5 4e-5 3e-5"/></body></body></worldbody>
