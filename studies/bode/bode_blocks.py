@@ -11,7 +11,7 @@ from linkplan.studies.bode.scan import Scan, bounds_text
 from linkplan.studies.bode.touching import contact_sentence
 from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.feedback_loops import operating_point
-from linkplan.studies.frequency.margins import frequency_grid
+from linkplan.studies.frequency.margins import Margins, frequency_grid
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.output.document import (
     Axis,
@@ -87,20 +87,26 @@ def _margins(study: BodeStudy) -> Table:
     heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
     heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
     heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
-    topples = any(entry.margins.gain_reduction_margin_db is not None for entry in study.points)
-    heads += ["gain reduction margin [dB]"] if topples else []
+    lowered = any(_less_gain_is_nearer(entry.margins) for entry in study.points)
+    heads += ["gain reduction margin [dB]"] if lowered else []
     rows = []
     for entry in study.points:
         m, name = entry.margins, entry.point.name
         delay = None if m.delay_margin_s is None else 1e3 * m.delay_margin_s
         figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
         figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
-        figures += [m.gain_reduction_margin_db] if topples else []
+        figures += [m.gain_reduction_margin_db] if lowered else []
         inertia = entry.point.inertia[entry.channel, entry.channel]
         verdicts = [bool(m.stable), bool(entry.settles_in_mujoco), radius_figure(m.spectral_radius)]
         loop = f"{mechanism.independent_joints[entry.channel].name} at {name}" if several else name
         rows.append([loop, inertia, *verdicts, *figures])
     return table_of("Margins at every pose", heads, rows)
+
+
+def _less_gain_is_nearer(m: Margins) -> bool:
+    """Tell if less gain loses the stability before more gain does. The record has the margin anyway."""
+    less, more = m.gain_reduction_margin_db, m.gain_margin_db
+    return less is not None and (more is None or less < more)
 
 
 _LEAST_MARGINS = (
@@ -116,8 +122,10 @@ def _worst_of(study: BodeStudy, scan: Scan) -> str:
     of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
     worst = f"{line.place(scan.positions[scan.worst])}: {bounds_text(scan.margins[scan.worst])}"
     text = f"over {line.name} from {ends} the worst{of_loop} is {worst}"
+    lowered = any(map(_less_gain_is_nearer, scan.margins))
     for name, words, unit in _LEAST_MARGINS:
-        least = scan.least(name) if all(m.stable for m in scan.margins) else None
+        told = all(m.stable for m in scan.margins) and (lowered or name != "gain_reduction_margin_db")
+        least = scan.least(name) if told else None
         if least is not None:
             text += f"; least {words} {least[0]:.3g} {unit} at {line.place(scan.positions[least[1]])}"
     return text

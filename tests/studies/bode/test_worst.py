@@ -1,5 +1,7 @@
 """The worst pose of a loop over a continuous coordinate, and the peaks of its sensitivity between grid points."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -8,7 +10,7 @@ from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_blocks import summary
+from linkplan.studies.bode.bode_blocks import _less_gain_is_nearer, summary
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import _roots as crossings
@@ -116,3 +118,11 @@ def test_gains_found_keep_what_is_wanted_over_a_whole_turn_of_a_crank():
     assert everywhere.found
     assert least(everywhere) >= 30.0
     assert "every angle from -180 to 180 deg" in everywhere.message
+
+
+@pytest.mark.parametrize(
+    ("less", "more", "told"), [(None, 12.3, False), (74.9, 12.3, False), (5.4, 37.8, True), (5.4, None, True)]
+)
+def test_the_gain_reduction_margin_is_told_where_less_gain_is_the_nearer_danger(less, more, told):
+    margins = SimpleNamespace(gain_reduction_margin_db=less, gain_margin_db=more)
+    assert _less_gain_is_nearer(margins) is told
