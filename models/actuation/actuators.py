@@ -73,6 +73,16 @@ class Actuator:
         return "rad" if self.unit == "N.m" else "m", self.unit
 
     @property
+    def inertia_unit(self) -> str:
+        """The unit of an inertia that its motion feels."""
+        return "kg m2" if self.unit == "N.m" else "kg"
+
+    @property
+    def gain_units(self) -> tuple[str, str]:
+        """The units of a stiffness and of a damping over its own motion."""
+        return ("N.m/rad", "N.m.s/rad") if self.unit == "N.m" else ("N/m", "N.s/m")
+
+    @property
     def is_servo(self) -> bool:
         """True if its effort at a given ctrl depends on its length or speed."""
         return any(self.gains[1:]) or any(self.biases[1:])

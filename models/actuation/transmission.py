@@ -35,7 +35,8 @@ class Attachment:
     """The target of an actuator.
 
     `target` names it ("joint crank"). `dof` is the coordinate of the hinge or slide that the actuator drives, None for any
-    other transmission. `unit` is the unit of the actuator's force.
+    other transmission. `unit` is the unit of the actuator's force: on a slide, a gear other than 1 or -1 [rad/m] is a rotary
+    motor's screw or pinion, whose force is a torque.
     """
 
     target: str
@@ -55,7 +56,8 @@ def attachment(model: mujoco.MjModel, index: int) -> Attachment:
     if kind in (TRN_JOINT, TRN_IN_PARENT):
         label, of = joint_label(model, first), int(model.jnt_type[first])
         scalar = of in (HINGE, SLIDE)
-        pushes = of == SLIDE or (of == FREE and bool(np.any(gear_of(model, index)[:3])))
+        gear = gear_of(model, index)
+        pushes = (of == SLIDE and abs(gear[0]) == 1.0) or (of == FREE and bool(np.any(gear[:3])))
         dof = int(model.jnt_dofadr[first]) if scalar else None
         return Attachment(target=f"joint {label}", dof=dof, unit="N" if pushes else "N.m")
     if kind == TRN_TENDON:

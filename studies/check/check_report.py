@@ -139,8 +139,8 @@ def _inertias(path: KinematicLoopPath) -> list[tuple[str, str, np.ndarray, float
         rows.append((f"inertia {joint.name}{also}", joint.inertia_unit, own[:, i], _scale(own[:, i])))
     for j, actuator in enumerate(actuators):
         if same[j] is None:
-            values, unit = path.reflected_inertia[:, j], "kg m2" if actuator.unit == "N.m" else "kg"
-            rows.append((f"inertia at {actuator.name}", unit, values, _scale(values)))
+            values = path.reflected_inertia[:, j]
+            rows.append((f"inertia at {actuator.name}", actuator.inertia_unit, values, _scale(values)))
     return rows
 
 

@@ -169,7 +169,7 @@ def _actuator_lines(path: KinematicLoopPath, joints: list[tuple[int, Joint]]) ->
         for j, a in drivers
         if acting[i, j]
     ]
-    inertias = [_line(a.name, path.reflected_inertia[:, j], "kg m2" if a.unit == "N.m" else "kg") for j, a in drivers]
+    inertias = [_line(a.name, path.reflected_inertia[:, j], a.inertia_unit) for j, a in drivers]
     return ratios, inertias
 
 

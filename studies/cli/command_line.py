@@ -132,6 +132,8 @@ def build_parser() -> Parser:
     _add(tune, "--sensitivity-peak", "M", "largest |S| allowed (default: any)", float)
     _add(tune, "--settling-s", "T", "longest settling to 2 %% (default: 5 / bandwidth)", float)
     _add(tune, "--damping-ratio", "Z", "least of the closed loop's poles (default: 0.4)", float)
+    text = "least stiffness at rest, N.m/rad or N/m (default: a small step settles within 5 %% against weight and springs)"
+    _add(tune, "--stiffness", "K", text, float)
 
     text = "carry efforts, inertia, friction and gains between motors and output joints across a linkage, as tables"
     _transfer(command("transfer", text, report=True))

@@ -96,6 +96,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
     wanted = Wanted(
         settling_s=arguments.settling_s,
         damping_ratio=LEAST_DAMPING_RATIO if arguments.damping_ratio is None else arguments.damping_ratio,
+        stiffness=arguments.stiffness,
         bandwidth_hz=arguments.bandwidth_hz,
         phase_margin_deg=arguments.phase_margin_deg,
         sensitivity_peak=np.inf if arguments.sensitivity_peak is None else arguments.sensitivity_peak,

@@ -235,18 +235,6 @@ class FeedbackLoop:
             return bool(np.all(np.linalg.eigvals(self.matrix).real < 0))
         return self.radius < 1.0
 
-    def stiffness_at_rest(self, channel: int = 0) -> float:
-        """Return the steady effort on a coordinate over the steady error that it causes [N.m/rad or N/m].
-
-        With the gains on the positions' errors and the stiffness of weight and springs about the point, K, it is
-        1 / (K^-1)_ii: the other coordinates' loops are closed and free to give way.
-        """
-        point, n_s, steered = self.point, self.point.mechanism.dof, list(self.point.mechanism.channels)
-        A, B = (m[0] for m in linearise(point.mechanism, point.pose[None], point.velocity[None], point.hold[None]))
-        K = point.inertia @ (B[n_s:] @ self.gain[:, :n_s] - A[n_s:, :n_s])
-        unit = np.eye(len(steered))[steered.index(channel)]
-        return float(1.0 / np.linalg.solve(K[np.ix_(steered, steered)], unit)[steered.index(channel)])
-
     def system(self, *, closed: bool = False) -> "control.StateSpace":
         """Return the loop as python-control's state space: open, from commands to K x, or closed, from commands to x."""
         import control

@@ -14,6 +14,7 @@ import numpy as np
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
+from linkplan.studies.frequency.rest import at_rest
 from linkplan.studies.frequency.worst import local_minima
 
 # Phase crossings below this frequency are ignored: a double integrator tends to -180 deg as the frequency tends to zero.
@@ -45,7 +46,9 @@ class Margins:
     disk_phase_margin_deg: float | None = None
     crossover_hz: float | None = None
     other_crossovers_hz: tuple[float, ...] = ()
-    bandwidth_hz: float | None = None
+    bandwidth_hz: float | None = None  # 0 where the response at rest is below -3 dB already
+    response_at_rest: float | None = None  # the joint's share of a small step of its reference: complementary sensitivity
+    stiffness_at_rest: float | None = None  # steady effort on the joint over the error that it causes [N.m/rad or N/m]
     resonance_db: float | None = None  # the complementary sensitivity's peak over its value at rest
     resonance_hz: float | None = None
     sensitivity_peak: float | None = None
@@ -141,7 +144,8 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     raised, lowered = gm[gm > 1], gm[(gm < 1) & (gm > 0)]
     delays = np.mod(pm, 2 * np.pi) / (2 * np.pi * crossover)
     complementary = 1.0 - sensitivity
-    at_rest = abs(complementary[0])
+    first = abs(complementary[0])
+    response, stiffness = at_rest(loop.point, loop.gain[None], channel)
     alpha = 1.0 / _peak(frequency, np.abs(sensitivity - 0.5), lambda f: abs(1.0 / (1.0 + at(f)) - 0.5))[1]
     peak_hz, peak = _peak(frequency, np.abs(sensitivity), lambda f: abs(1.0 / (1.0 + at(f))))
     resonance_hz, resonance = _peak(frequency, np.abs(complementary), lambda f: abs(1.0 - 1.0 / (1.0 + at(f))))
@@ -157,7 +161,9 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         crossover_hz=_finite(crossover[nearest]) if crossover.size else None,
         other_crossovers_hz=tuple(float(f) for f in np.delete(crossover, nearest)) if crossover.size else (),
         bandwidth_hz=bandwidth(complementary, frequency),
-        resonance_db=float(20 * np.log10(resonance / at_rest)) if at_rest > 1e-9 and resonance else None,
+        response_at_rest=_finite(response[0]),
+        stiffness_at_rest=_finite(stiffness[0]),
+        resonance_db=float(20 * np.log10(resonance / first)) if first > 1e-9 and resonance else None,
         resonance_hz=resonance_hz,
         sensitivity_peak=peak,
         sensitivity_peak_hz=peak_hz,
@@ -194,12 +200,17 @@ def _finite(value: float) -> float | None:
 
 
 def bandwidth(closed: np.ndarray, frequency_hz: np.ndarray) -> float | None:
-    """Return the first frequency [Hz] at which a response is 3 dB below its first value, or None."""
-    drop = 20 * np.log10(np.abs(closed) / np.abs(closed[0])) + 3.0
+    """Return the first frequency [Hz] at which a closed loop's response is below -3 dB, 0 if it begins there, or None.
+
+    The reference counts, not the response at rest: weight that pulls a joint away from its reference is no bandwidth.
+    """
+    drop = 20 * np.log10(np.abs(closed)) + 3.0
     below = np.flatnonzero(drop < 0)
     if below.size == 0:
         return None
     k = below[0]
+    if k == 0:
+        return 0.0
     share = drop[k - 1] / (drop[k - 1] - drop[k])
     return float(np.exp((1 - share) * np.log(frequency_hz[k - 1]) + share * np.log(frequency_hz[k])))
 

@@ -11,11 +11,15 @@ import numpy as np
 from linkplan.controllers.sampling import Sampling, closed
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, channel_effort, feedback_loop
 from linkplan.studies.frequency.margins import damping_ratio, settling_time_s
+from linkplan.studies.frequency.rest import at_rest
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class QuickMargins:
-    """Figures (n,) of n gains, as in `Margins`; the bandwidth of T [Hz] is infinite where T falls by less than 3 dB."""
+    """Figures (n,) of n gains, as in `Margins`; the bandwidth of T [Hz] is infinite where T stays above -3 dB.
+
+    `response` and `stiffness` are those at rest, see `rest`.
+    """
 
     radius: np.ndarray
     phase_margin_deg: np.ndarray
@@ -23,6 +27,8 @@ class QuickMargins:
     bandwidth_hz: np.ndarray
     settling_s: np.ndarray
     damping_ratio: np.ndarray
+    response: np.ndarray
+    stiffness: np.ndarray
 
 
 def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, channels: Sequence[int]) -> list[QuickMargins]:
@@ -41,6 +47,7 @@ def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, chan
         read, push = channel_effort(point, channel)
         S = read @ all_closed @ push
         phase_margin_deg, bandwidth_hz = _crossings(S, frequency)
+        response, stiffness = at_rest(point, gains, channel)
         found.append(
             QuickMargins(
                 radius=np.abs(poles).max(axis=-1),
@@ -49,6 +56,8 @@ def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, chan
                 bandwidth_hz=bandwidth_hz,
                 settling_s=settling_time_s(poles, timing.period_s),
                 damping_ratio=damping_ratio(poles),
+                response=response,
+                stiffness=stiffness,
             )
         )
     return found
@@ -64,7 +73,7 @@ def _crossings(S: np.ndarray, frequency: np.ndarray) -> tuple[np.ndarray, np.nda
     at = angle[:, :-1] + share * (angle[:, 1:] - angle[:, :-1])
     away = np.abs((at + np.pi) % (2 * np.pi) - np.pi)
     T = np.abs(1.0 - S)
-    drop = 20 * np.log10(T / T[:, :1]) + 3.0
+    drop = 20 * np.log10(T) + 3.0
     k = np.argmax(drop < 0, axis=1)
     rows = np.arange(len(S))
     before, after = drop[rows, np.maximum(k - 1, 0)], drop[rows, k]
@@ -73,4 +82,5 @@ def _crossings(S: np.ndarray, frequency: np.ndarray) -> tuple[np.ndarray, np.nda
         part = np.where(k > 0, before / (before - after), 0.0)
     band = np.exp(log[np.maximum(k - 1, 0)] + part * (log[k] - log[np.maximum(k - 1, 0)]))
     phase_margin_deg = np.degrees(np.where(crossing, away, np.inf).min(axis=1))
+    band = np.where(drop[:, 0] < 0, 0.0, band)
     return phase_margin_deg, np.where(np.any(drop < 0, axis=1), band, np.inf)

@@ -103,6 +103,7 @@ def tune(
     sensitivity_peak: float | None = None,
     settling_s: float | None = None,
     damping_ratio: float = LEAST_DAMPING_RATIO,
+    stiffness: float | None = None,
     tracker: str = "pd",
     tracking: Mapping[str, float | Mapping[str, float]] | None = None,
     at_deg: Sequence[Mapping[str, float]] = (),
@@ -115,11 +116,14 @@ def tune(
 
     Args:
         subject: a mechanism with one actuator for each degree of freedom, a `Problem` of one, or the name or path of either.
-        bandwidth_hz: least bandwidth of every joint's closed loop [Hz], at -3 dB of the complementary sensitivity.
+        bandwidth_hz: least bandwidth of every joint's closed loop [Hz]: the first frequency at which the complementary
+            sensitivity is below -3 dB.
         phase_margin_deg: least phase margin [deg].
         sensitivity_peak: the largest sensitivity; by default any.
         settling_s: the longest time [s] in which an error settles to 2 %; by default 5 over the bandwidth.
         damping_ratio: the least damping ratio of the closed loop's poles.
+        stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default what lets a joint settle within 5 %
+            of a small step of its reference, although weight and springs pull it away.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
         tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
         at_deg: poses, as for `bode`.
@@ -144,6 +148,7 @@ def tune(
         sensitivity_peak=peak,
         settling_s=None if settling_s is None else number(settling_s, "settling_s", positive=True),
         damping_ratio=number(damping_ratio, "damping_ratio", at_least_zero=True),
+        stiffness=None if stiffness is None else number(stiffness, "stiffness", positive=True),
     )
     mechanism, problem, settings, limit = _loop_of(subject, tracking)
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))

@@ -12,6 +12,8 @@ from linkplan.studies.frequency.margins import Margins, margins
 
 # By default an error settles within this many cycles of the bandwidth, and poles have at least this damping ratio.
 SETTLING_CYCLES, LEAST_DAMPING_RATIO = 5.0, 0.4
+# By default a joint settles this near to a small step of its reference, though weight or springs pull it away.
+LEAST_RESPONSE_AT_REST = 0.95
 # The shortfall of unstable gains, larger than any shortfall of stable ones.
 UNSTABLE_SHORTFALL = 10.0
 
@@ -22,6 +24,7 @@ class Wanted:
 
     The least bandwidth [Hz] of the complementary sensitivity (-3 dB), the least phase margin [deg], the largest peak of |S|,
     the longest settling time [s] to 2 % of an error (None: `SETTLING_CYCLES` over the bandwidth), the least damping ratio.
+    At rest the least stiffness [N.m/rad or N/m] or, if None, the response to a small step, within 1 - `response_at_rest`.
     """
 
     bandwidth_hz: float
@@ -29,6 +32,8 @@ class Wanted:
     sensitivity_peak: float = np.inf
     settling_s: float | None = None
     damping_ratio: float = LEAST_DAMPING_RATIO
+    stiffness: float | None = None
+    response_at_rest: float = LEAST_RESPONSE_AT_REST
 
     @property
     def longest_settling_s(self) -> float:
@@ -46,19 +51,25 @@ class Wanted:
             raise LinkplanError(f"the settling time is a positive number of seconds, got {self.settling_s:g}")
         if not 0 <= self.damping_ratio <= 1:
             raise LinkplanError(f"the damping ratio is from 0 to 1, got {self.damping_ratio:g}")
+        if self.stiffness is not None and not (np.isfinite(self.stiffness) and self.stiffness > 0):
+            raise LinkplanError(f"the stiffness at rest is a positive number of N.m/rad or N/m, got {self.stiffness:g}")
+
+    def shortfall_at_rest(self, response: np.ndarray | float | None, stiffness: np.ndarray | float | None) -> np.ndarray:
+        """Return the relative shortfall of responses and stiffnesses at rest: negative with a reserve, infinite for None."""
+        if response is None or stiffness is None:
+            return np.array(np.inf)
+        if self.stiffness is not None:
+            return 1.0 - np.asarray(stiffness) / self.stiffness
+        return np.abs(1.0 - np.asarray(response)) / (1.0 - self.response_at_rest) - 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class JudgedLoop:
-    """The loop of one joint at one pose, with the other joints' loops closed: its margins and its stiffness at rest.
-
-    The stiffness [N.m/rad or N/m] is NaN where there is no gain.
-    """
+    """The margins of the loop of one joint at one pose, with the other joints' loops closed."""
 
     point: OperatingPoint
     channel: int
     margins: Margins
-    stiffness: float
 
     @property
     def name(self) -> str:
@@ -82,6 +93,10 @@ class EvaluatedGains:
         value, index = (max(known) if largest else min(known)) if known else (None, 0)
         return value, self.loops[index]
 
+    def farthest_at_rest(self) -> JudgedLoop:
+        """Return the loop that settles farthest from a step of its reference."""
+        return max(self.loops, key=lambda loop: abs(1.0 - (loop.margins.response_at_rest or 0.0)))
+
 
 def evaluated(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLaw) -> EvaluatedGains:
     """Return a law with the loops of all joints at all points, and the largest relative shortfall."""
@@ -93,16 +108,15 @@ def evaluated(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLaw)
 
 def _judged(point: OperatingPoint, channel: int, law: SampledLaw) -> JudgedLoop:
     try:
-        loop = law.loop(point)
-        found, stiffness = margins(loop, channel), loop.stiffness_at_rest(channel)
+        found = margins(law.loop(point), channel)
     except LinkplanError:
-        found, stiffness = Margins(stable=False), np.nan
-    return JudgedLoop(point=point, channel=channel, margins=found, stiffness=stiffness)
+        found = Margins(stable=False)
+    return JudgedLoop(point=point, channel=channel, margins=found)
 
 
 def shortfall(found: Margins, wanted: Wanted, timing: Sampling) -> float:
-    """Return the largest relative shortfall of margins: negative with a reserve, infinite if unstable."""
-    if not found.stable:
+    """Return the largest relative shortfall of margins: negative with a reserve, infinite without stability or bandwidth."""
+    if not found.stable or found.bandwidth_hz == 0.0:
         return np.inf
     band = found.bandwidth_hz or timing.nyquist_hz
     short = [float(np.log(wanted.bandwidth_hz / band)), found.sensitivity_peak / wanted.sensitivity_peak - 1.0]
@@ -110,4 +124,5 @@ def shortfall(found: Margins, wanted: Wanted, timing: Sampling) -> float:
         short.append(1.0 - found.phase_margin_deg / wanted.phase_margin_deg)
     short.append(float(np.log(found.settling_s / wanted.longest_settling_s)))
     short.append(wanted.damping_ratio - found.damping_ratio)
+    short.append(float(wanted.shortfall_at_rest(found.response_at_rest, found.stiffness_at_rest)))
     return max(short)

@@ -11,6 +11,7 @@ from linkplan.planner.keys.kinds import LQR_ERRORS
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw, law_gain
 from linkplan.studies.frequency.quick import QuickMargins, quick_loops
+from linkplan.studies.frequency.rest import passive_stiffness
 from linkplan.studies.frequency.stability_map import effort_map
 from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, Wanted, evaluated
 
@@ -63,7 +64,8 @@ def _refined(
     say: Callable[[str], None],
 ) -> SampledLaw:
     """Return the best gains of some joints on a grid that is refined around its best point; other joints keep theirs."""
-    ends = np.log([_NATURAL_FREQUENCY_RANGE, _DAMPING_RATIO_RANGE])
+    highest = max(_NATURAL_FREQUENCY_RANGE[1], 2 * _natural_at_rest(points, wanted, channels))
+    ends = np.log([(_NATURAL_FREQUENCY_RANGE[0], highest), _DAMPING_RATIO_RANGE])
     centre, half = ends.mean(axis=1), 0.5 * np.diff(ends, axis=1).ravel()
     best: tuple[float, float, SampledLaw] | None = None
     several = law.name == "lqr" or len(points[0].mechanism.channels) > 1
@@ -85,6 +87,18 @@ def _refined(
             best, centre = row, np.array(at[ranked])
         half = half * 2.5 / count
     return best[2]
+
+
+def _natural_at_rest(points: Sequence[OperatingPoint], wanted: Wanted, channels: Sequence[int]) -> float:
+    """Return the natural frequency [required bandwidths] of gains that meet the requirement at rest."""
+    found = 0.0
+    for point in points:
+        stiffness = passive_stiffness(point).diagonal()
+        for k in channels:
+            pulled = abs(stiffness[k]) / (1.0 - wanted.response_at_rest)
+            needed = pulled if wanted.stiffness is None else wanted.stiffness + abs(stiffness[k])
+            found = max(found, float(np.sqrt(needed / point.inertia[k, k])))
+    return found / (2 * np.pi * wanted.bandwidth_hz)
 
 
 def _settings(
@@ -156,10 +170,13 @@ def _shortfalls(points: Sequence[OperatingPoint], candidates: Sequence[SampledLa
 def _shortfall_of(quick: QuickMargins, wanted: Wanted, timing: Sampling) -> np.ndarray:
     """Return the largest relative shortfall (n,) of stable loops, zero where all requirements are met with the reserve."""
     band = np.where(np.isfinite(quick.bandwidth_hz), quick.bandwidth_hz, timing.nyquist_hz)
-    short = np.maximum(0.0, np.log(wanted.bandwidth_hz * _SEARCH_RESERVE / band))
+    with np.errstate(divide="ignore"):
+        short = np.clip(np.log(wanted.bandwidth_hz * _SEARCH_RESERVE / band), 0.0, UNSTABLE_SHORTFALL)
     if wanted.phase_margin_deg:
         short = np.maximum(short, 1.0 - quick.phase_margin_deg / (wanted.phase_margin_deg * _SEARCH_RESERVE))
     short = np.maximum(short, quick.sensitivity_peak * _SEARCH_RESERVE / wanted.sensitivity_peak - 1.0)
     with np.errstate(invalid="ignore"):
         short = np.maximum(short, np.log(quick.settling_s * _SEARCH_RESERVE / wanted.longest_settling_s))
-    return np.maximum(short, wanted.damping_ratio * _SEARCH_RESERVE - quick.damping_ratio)
+    short = np.maximum(short, wanted.damping_ratio * _SEARCH_RESERVE - quick.damping_ratio)
+    at_rest = wanted.shortfall_at_rest(quick.response, quick.stiffness)
+    return np.maximum(short, np.where(np.isfinite(at_rest), at_rest, UNSTABLE_SHORTFALL))

@@ -150,12 +150,14 @@ def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGa
         band, at_band = best.worst("bandwidth_hz")
         phase, at_phase = best.worst("phase_margin_deg")
         settling, at_settling = best.worst("settling_s", largest=True)
-        softest = min(best.loops, key=lambda loop: loop.stiffness)
+        stiffness, softest = best.worst("stiffness_at_rest")
         unit = mechanism.independent_joints[softest.channel].gain_units[0]
+        farthest = best.farthest_at_rest()
         reached = [] if band is None else [f"bandwidth (-3 dB) {band:.4g} Hz at the least ({at_band.name})"]
         reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({at_phase.name})"]
         reached.append(f"an error settles to 2 % within {settling:.3g} s ({at_settling.name})")
-        reached.append(f"stiffness at rest {softest.stiffness:.4g} {unit} at the least ({softest.name})")
+        reached.append(f"a small step settles at {100 * farthest.margins.response_at_rest:.4g} % ({farthest.name})")
+        reached.append(f"stiffness at rest {stiffness:.4g} {unit} at the least ({softest.name})")
         return f"{words} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
     # The hold of one period and the delay cost this much phase at the required bandwidth with any gains.
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
@@ -175,9 +177,14 @@ def _reason(wanted: Wanted, best: EvaluatedGains) -> str:
         ("sensitivity_peak", "a peak of |S| of", "", wanted.sensitivity_peak),
         ("settling_s", "a settling time of", " s", wanted.longest_settling_s),
         ("damping_ratio", "a damping ratio of", "", wanted.damping_ratio),
+        ("stiffness_at_rest", "a stiffness at rest of", "", wanted.stiffness or -np.inf),
     ):
         is_bound_above = name in ("sensitivity_peak", "settling_s")
         value, where = best.worst(name, largest=is_bound_above)
         if value is not None and (value > limit if is_bound_above else value < limit):
             violated.append(f"{words} {value:.4g}{unit} at {where.name}")
+    farthest = best.farthest_at_rest()
+    response = farthest.margins.response_at_rest
+    if wanted.stiffness is None and response is not None and wanted.shortfall_at_rest(response, np.inf) > 0:
+        violated.append(f"a response at rest of {100 * response:.4g} % of a step at {farthest.name}")
     return f"the nearest has {' and '.join(violated)}"

@@ -1,12 +1,15 @@
 """The output of `linkplan tune`: a JSON record, the [tracking] table of a problem file, and the result as a document."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.poses.along import sampled
+from linkplan.models.transfer.polytope import motor_gains as gains_at_motors
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.tables import inline
 from linkplan.studies.bode.scan import figures
@@ -17,6 +20,9 @@ from linkplan.studies.tune.tune import Tuning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# A transmission whose ratio changes by less than this share is constant, and acts on a joint above it.
+CONSTANT_RATIO_SHARE = 1e-9
 
 
 def tuned_joints(tuning: Tuning) -> list[Joint]:
@@ -33,28 +39,83 @@ def joint_gains(tuning: Tuning) -> dict[str, tuple[float, float]]:
     }
 
 
-def motor_gains(tuning: Tuning) -> dict:
-    """Return a single loop's PD gains on the motor's side of the transmission: its effort over its position."""
-    actuator, (kp, kd) = tuning.mechanism.actuators[0], next(iter(joint_gains(tuning).values()))
-    return {"gear": actuator.gear, "kp": kp / actuator.gear**2, "kd": kd / actuator.gear**2}
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class MotorGains:
+    """Gains of one motor, its effort over its own motion, at the poses (n,) of a tuning.
+
+    `ratio` is the motor's motion per motion of the joint, `kp` and `kd` are infinite or NaN where it is zero: a dead centre.
+    """
+
+    actuator: Actuator
+    joint: Joint
+    ratio: np.ndarray
+    kp: np.ndarray
+    kd: np.ndarray
+
+    @property
+    def is_constant(self) -> bool:
+        """True if the transmission has the same ratio at all poses, so that one pair of gains serves them all."""
+        return bool(np.ptp(self.ratio) <= CONSTANT_RATIO_SHARE * np.abs(self.ratio).max())
+
+    def said_gains(self) -> str:
+        """Return the gains as text: one pair, or their ranges over the poses."""
+        pairs = zip(("kp", "kd"), (self.kp, self.kd), self.actuator.gain_units, strict=True)
+        return ", ".join(f"{name} = {self._said(values)} {unit}" for name, values, unit in pairs)
+
+    def said_ratio(self) -> str:
+        """Return the transmission's ratio as text: "ratio 20 to crank", "ratio 0.022 to 0.028 m/rad to K"."""
+        own, driven = self.actuator.si_units[0], self.joint.si_units[0]
+        unit = "" if own == driven else f" {own}/{driven}"
+        return f"ratio {self._said(np.abs(self.ratio))}{unit} to {self.joint.name}"
+
+    def _said(self, values: np.ndarray) -> str:
+        low, high = (f"{value:.5g}" for value in (values.min(), values.max()))
+        return low if self.is_constant else f"{low} to {high}"
+
+
+def motor_gains(tuning: Tuning) -> list[MotorGains]:
+    """Return the motors' gains that give the joints' gains, K_o = G^T K_m G at every pose, for motors of one joint each.
+
+    A motor that moves with several joints is left out: no gains of its own give their loops.
+    """
+    mechanism, joints = tuning.mechanism, tuned_joints(tuning)
+    poses = np.array([loop.point.pose for loop in tuning.best.loops if loop.channel == mechanism.channels[0]])
+    ratio = sampled(mechanism.dynamics.effort_map, poses)[:, list(mechanism.channels)].transpose(0, 2, 1)  # (n, n_u, n_o)
+    gains = [np.diag(values) for values in zip(*joint_gains(tuning).values(), strict=True)]
+    kp, kd = (gains_at_motors(ratio, values) for values in gains)
+    acts = np.abs(ratio).max(axis=0) > CONSTANT_RATIO_SHARE * np.abs(ratio).max(axis=(0, 1))
+    found = []
+    for m in np.flatnonzero(acts.sum(axis=1) == 1):
+        (o,) = np.flatnonzero(acts[m])
+        if acts[:, o].sum() > 1:
+            continue
+        found.append(
+            MotorGains(
+                actuator=mechanism.actuators[m], joint=joints[o], ratio=ratio[:, m, o], kp=kp[:, m, m], kd=kd[:, m, m]
+            )
+        )
+    return found
+
+
+def motor_record(motor: MotorGains) -> dict:
+    """Return a motor's gains as JSON: null for a single value where the transmission's ratio changes with the pose."""
+    record: dict = {"actuator": motor.actuator.name, "joint": motor.joint.name, "gear": motor.actuator.gear}
+    for name, values in (("ratio", motor.ratio), ("kp", motor.kp), ("kd", motor.kd)):
+        record[name] = float(values[0]) if motor.is_constant else None
+        record[f"{name}_range"] = [float(values.min()), float(values.max())] if np.all(np.isfinite(values)) else None
+    return record | {"units": list(motor.actuator.gain_units)}
 
 
 def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
-    """Return PD gains as pairs of a heading and a text, with units: at each joint, and at the motor of a single loop."""
+    """Return PD gains as pairs of a heading and a text, with units: at each joint, and at each motor of one joint."""
     lines = []
     for joint in tuned_joints(tuning):
         (kp, kd), per = joint_gains(tuning)[joint.name], joint.gain_units
-        where = "the joint" if len(tuning.mechanism.channels) == 1 else joint.name
+        where = f"the joint {joint.name}" if len(tuning.mechanism.channels) == 1 else joint.name
         lines.append((f"at {where}", f"kp = {kp:.5g} {per[0]}, kd = {kd:.5g} {per[1]}"))
-    if len(lines) == 1:
-        actuator, motor = tuning.mechanism.actuators[0], motor_gains(tuning)
-        own = f"its own effort [{actuator.unit}] over its own motion"
-        lines.append(
-            (
-                f"at the motor {actuator.name}, gear {motor['gear']:g}",
-                f"kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g}, {own}",
-            )
-        )
+    for motor in motor_gains(tuning):
+        over = "" if motor.is_constant else ", over the poses below"
+        lines.append((f"at the motor {motor.actuator.name}, {motor.said_ratio()}", f"{motor.said_gains()}{over}"))
     return lines
 
 
@@ -115,8 +176,8 @@ def tune_record(tuning: Tuning) -> dict:
     gains: dict = {"period_s": timing.period_s, "delay_s": timing.delay_s}
     values, joints = tracking_values(tuning), tuned_joints(tuning)
     gains |= {key: value for key, value in values.items() if key not in ("period_s", "delay_periods")}
-    if tuning.best.law.name != "lqr" and len(joints) == 1:
-        gains |= {"motor_side": motor_gains(tuning)}
+    if tuning.best.law.name != "lqr":
+        gains |= {"motor_side": [motor_record(motor) for motor in motor_gains(tuning)]}
     return {
         "mechanism": tuning.mechanism.name,
         "tracker": tuning.best.law.name,
@@ -126,12 +187,11 @@ def tune_record(tuning: Tuning) -> dict:
         | {
             "sensitivity_peak": wanted.sensitivity_peak if np.isfinite(wanted.sensitivity_peak) else None,
             "settling_s": wanted.longest_settling_s,
+            "response_at_rest": wanted.response_at_rest if wanted.stiffness is None else None,
         },
         "gains": gains,
         "note": tuning.note,
-        "points": [
-            _place(loop, joints) | asdict(loop.margins) | {"stiffness_at_rest": loop.stiffness} for loop in tuning.best.loops
-        ],
+        "points": [_place(loop, joints) | asdict(loop.margins) for loop in tuning.best.loops],
     }
 
 
@@ -207,12 +267,13 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
             loop.margins.sensitivity_peak,
             loop.margins.settling_s,
             loop.margins.damping_ratio,
-            loop.stiffness,
+            loop.margins.response_at_rest,
+            loop.margins.stiffness_at_rest,
         ]
         for loop in loops
     ]
     heads: list = [(coordinates[k].name, coordinates[k].unit) for k in shown]
     heads += ["stable", "bandwidth -3 dB [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
-    heads += ["settling [s]", "damping", f"stiffness [{joint.gain_units[0]}]"]
+    heads += ["settling [s]", "damping", "response at rest", f"stiffness [{joint.gain_units[0]}]"]
     of = f", the loop of {joint.name}, the others closed" if several else ""
     return table_of(f"At every position looked at{of}", heads, rows)

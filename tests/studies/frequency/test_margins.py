@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.studies.frequency.feedback_loops import CONTINUOUS
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.frequency.feedback_loops import CONTINUOUS, operating_point
 from linkplan.studies.frequency.margins import Margins, margins
+from tests.support.oscillators import inertia_alone
 
 CROSSOVER_HZ = 5.0
 
@@ -15,6 +17,8 @@ CROSSOVER_HZ = 5.0
 def of_response(response: Callable[[np.ndarray], np.ndarray]) -> Margins:
     """Return the margins of a stable loop with an open-loop response L(f), f in Hz."""
     loop = SimpleNamespace(
+        point=operating_point(load_mechanism(inertia_alone(1.0, 1.0)), np.zeros(1)),
+        gain=np.ones((1, 2)),
         stable=True,
         radius=None,
         kind=CONTINUOUS,

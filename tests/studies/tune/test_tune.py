@@ -85,13 +85,16 @@ def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
     point = operating_point(mechanism, np.array([oscillator.position]))
     wanted = Wanted(bandwidth_hz=10.0, phase_margin_deg=40.0)
     found = tune([point], wanted, sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit))
-    motor = motor_gains(found)
-    assert motor["kp"] == pytest.approx(found.best.law.settings.kp / 25)
+    (motor,) = motor_gains(found)
+    assert motor.is_constant
+    assert motor.kp == pytest.approx(found.best.law.settings.kp / 25)
     # The effort of the actuator at a joint's error e is kp e / gear, at the motor's own motion gear e: kp / gear^2.
     gain = law_gain(point, "pd", found.best.law.settings, mechanism.effort_limit)
-    assert gain[0, 0] / 5.0 == pytest.approx(motor["kp"])
+    assert gain[0, 0] / 5.0 == pytest.approx(motor.kp[0])
     assert "N/m" in text_of(tune_blocks(found))
-    assert tune_record(found)["gains"]["motor_side"]["gear"] == 5.0
+    (record,) = tune_record(found)["gains"]["motor_side"]
+    assert record["gear"] == 5.0
+    assert record["kp"] == pytest.approx(found.best.law.settings.kp / 25)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +155,7 @@ def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seco
         # A steady torque on the joint moves it by the torque over the stiffness.
         _, push = augmented(loop.A, loop.B, loop.B_late, loop.timing)
         steady = np.linalg.solve(np.eye(len(loop.matrix)) - loop.matrix, push[:, 0])
-        assert steady[0] == pytest.approx(1.0 / judged.stiffness, rel=1e-3)
+        assert steady[0] == pytest.approx(1.0 / judged.margins.stiffness_at_rest, rel=1e-3)
 
 
 def test_the_message_states_the_level_of_the_bandwidth_and_the_stiffness():

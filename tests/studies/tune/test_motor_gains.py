@@ -1,0 +1,74 @@
+"""Gains at the motors: what each motor gives over its own motion, across couplings and linkages."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.tune.judged import Wanted
+from linkplan.studies.tune.tune import Tuning, tune
+from linkplan.studies.tune.tune_report import motor_gains, motor_record
+
+RAD_PER_M = 2000.0
+
+
+def screw_stage(actuator: str, coupling: str = "") -> str:
+    """Return a table of 4 kg driven by a screw of 2000 rad/m: as the motor's gear, or as a rotor coupled to the table."""
+    rotor = '<body><joint name="motor" axis="0 0 1"/><inertial mass="1" pos="0 0 0" diaginertia="1e-5 1e-5 1e-5"/></body>'
+    return f"""<mujoco><option timestep="1e-3"/><worldbody>{rotor if coupling else ""}
+      <body><joint name="table" type="slide" axis="1 0 0" damping="50" armature="{0 if coupling else 1e-5 * RAD_PER_M**2}"/>
+        <inertial mass="4" pos="0 0 0" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+      <equality>{coupling}</equality><actuator>{actuator}</actuator></mujoco>"""
+
+
+def tuned(mechanism: Mechanism, positions: list[float], bandwidth_hz: float = 10.0, **wanted) -> Tuning:
+    """Return PD gains at independent positions [rad or m] of one degree of freedom, sampled every 1 ms."""
+    points = [operating_point(mechanism, np.array([x])) for x in positions]
+    law = sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit)
+    return tune(points, Wanted(bandwidth_hz=bandwidth_hz, phase_margin_deg=60.0, **wanted), law)
+
+
+def test_a_screw_has_the_same_motor_gains_as_a_gear_and_as_a_coupling():
+    coupling = f'<joint joint1="motor" joint2="table" polycoef="0 {RAD_PER_M} 0 0 0"/>'
+    coupled = screw_stage('<motor name="m" joint="motor" ctrlrange="-1 1"/>', coupling)
+    geared = screw_stage(f'<motor name="m" joint="table" gear="{RAD_PER_M}" ctrlrange="-1 1"/>')
+    found = {
+        "as a gear": load_mechanism(geared),
+        "as a coupling": load_mechanism(coupled, independent=["table"]),
+        "of the motor itself": load_mechanism(coupled, independent=["motor"]),
+    }
+    gains = {name: motor_gains(tuned(mechanism, [0.0]))[0] for name, mechanism in found.items()}
+    stiffness = [motor.kp[0] for motor in gains.values()]
+    assert stiffness == pytest.approx([stiffness[0]] * 3, rel=1e-6)
+    assert {motor.actuator.gain_units[0] for motor in gains.values()} == {"N.m/rad"}
+    # The rotor's inertia and the table's, seen at the motor, at the natural frequency that the joint's gains give.
+    assert stiffness[0] == pytest.approx(tuned(found["as a gear"], [0.0]).best.law.settings.kp / RAD_PER_M**2)
+
+
+def test_motor_gains_across_a_linkage_change_with_the_square_of_its_ratio():
+    # A cylinder from (0, 0) to a pin 0.3 m from a hinge at (0.4, 0): its length obeys the law of cosines.
+    model = """<mujoco><option gravity="0 0 0"/>
+      <default><joint axis="0 -1 0"/><geom contype="0" conaffinity="0"/></default><worldbody>
+        <body name="arm" pos="0.4 0 0"><joint name="arm"/>
+          <geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.01"/></body>
+        <body><joint name="swivel"/><geom type="capsule" fromto="0 0 0 0.24 0 0.18" size="0.01"/>
+          <body name="rod" pos="0.24 0 0.18"><joint name="rod" type="slide" axis="0.8 0 0.6"/>
+            <geom type="capsule" fromto="0 0 0 0.16 0 0.12" size="0.005"/></body></body></worldbody>
+      <equality><connect body1="rod" body2="arm" anchor="0.16 0 0.12"/></equality>
+      <actuator><motor name="m" joint="rod" ctrlrange="-900 900"/></actuator></mujoco>"""
+    mechanism = load_mechanism(model, independent=["arm"])
+    angles = [-0.4, 0.0, 0.5]
+    found = tuned(mechanism, angles)
+    (motor,) = motor_gains(found)
+    # phi is the angle at the hinge between the frame and the arm; the axis -y turns z towards -x for positive angles.
+    phi = np.pi / 2 - np.array(angles)
+    length = np.sqrt(0.4**2 + 0.3**2 - 2 * 0.4 * 0.3 * np.cos(phi))
+    ratio = -0.4 * 0.3 * np.sin(phi) / length
+    assert motor.ratio == pytest.approx(ratio, rel=1e-6)
+    assert motor.kp == pytest.approx(found.best.law.settings.kp / ratio**2, rel=1e-6)
+    assert not motor.is_constant
+    record = motor_record(motor)
+    assert record["kp"] is None
+    kd = found.best.law.settings.kd / ratio**2
+    assert record["kd_range"] == pytest.approx([kd.min(), kd.max()], rel=1e-6)
