@@ -17,9 +17,10 @@ from linkplan.studies.frequency.feedback_loops import OperatingPoint, channel_ef
 def at_rest(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the response and the stiffness at rest (n,) of a coordinate's loop for gains (n, n_u, 2 n_s).
 
-    The loops of the other coordinates are closed. The response is the complementary sensitivity at frequency zero: 0.95 means that the joint
-    settles at 95 % of a small step. The stiffness [N.m/rad or N/m] is a steady effort on the coordinate over the steady error that it causes, while the other
-    coordinates are free to give way. Both are meaningless for an unstable loop.
+    The loops of the other coordinates are closed. The response is the complementary sensitivity at frequency zero: 0.95
+    means that the joint settles at 95 % of a small step. The stiffness [N.m/rad or N/m] is a steady effort on the coordinate
+    over the steady error that it causes, while the other coordinates are free to give way. Both are meaningless for an
+    unstable loop.
     """
     n_s, steered = point.mechanism.dof, list(point.mechanism.channels)
     still = (point.pose[None], point.velocity[None], point.hold[None])

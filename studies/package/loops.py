@@ -116,13 +116,13 @@ def tune(
 
     Args:
         subject: a mechanism with one actuator for each degree of freedom, a `Problem` of one, or the name or path of either.
-        bandwidth_hz: least bandwidth of every joint's closed loop [Hz]: the first frequency at which the complementary
+        bandwidth_hz: least bandwidth of every joint's loop [Hz]: the first frequency at which the complementary
             sensitivity is below -3 dB.
         phase_margin_deg: least phase margin [deg].
         sensitivity_peak: the largest sensitivity; by default any.
         settling_s: the longest time [s] in which an error settles to 2 %; by default 5 over the bandwidth.
         damping_ratio: the least damping ratio of the closed loop's poles.
-        stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default what lets a joint settle within 5 %
+        stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default a joint settles within 5 %
             of a small step of its reference, although weight and springs pull it away.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
         tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
