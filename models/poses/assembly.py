@@ -20,6 +20,7 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped, sampled
+from linkplan.models.poses.period import travel_scales
 from linkplan.models.tree.joints import unit_steps, where
 
 # Newton steps of a stride of two degrees: two steps leave 1e-12, the third leaves rounding.
@@ -233,9 +234,13 @@ def _where(mechanism: Mechanism, s: np.ndarray) -> str:
     return where(mechanism.independent_joints, s, 6)
 
 
+@functools.lru_cache(maxsize=16)
 def step_sizes(mechanism: Mechanism) -> np.ndarray:
-    """Return the longest step (n_q,) [rad or m] of each joint."""
-    return _STEP_RAD * unit_steps(mechanism.joints, mechanism.extent_m)
+    """Return the longest step (n_q,) [rad or m] of each joint; a motor behind a gear makes longer ones."""
+    found = _STEP_RAD * unit_steps(mechanism.joints, mechanism.extent_m)
+    found[mechanism.independent] *= travel_scales(mechanism)
+    found.setflags(write=False)
+    return found
 
 
 def advance(

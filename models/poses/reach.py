@@ -10,8 +10,9 @@ import numpy as np
 from linkplan.models.closure import newton
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled, whole_turns
+from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled
 from linkplan.models.poses.assembly import advance, continue_to, in_loops, step_sizes, steps_to, strides
+from linkplan.models.poses.period import returned, travel_scales, turn_of
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,
@@ -25,8 +26,10 @@ from linkplan.models.tree.joints import Joint
 
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
-# The reason of an end that nothing makes, by the kind of joint. A slide is followed over twenty sizes of the model.
-_NOTHING_ENDS = {"hinge": "full turn", "slide": "nothing so far"}
+# The reason of an end that nothing makes. A slide, and what moves one, is followed over this many sizes of the model.
+_NOTHING_SO_FAR, _SLIDE_EXTENTS = "nothing so far", 20
+# A hinge that nothing stops and that does not come back is followed over this many turns.
+_MAX_TURNS = 100
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -34,25 +37,30 @@ class End:
     """An end of the reach: the independent position there [rad or m] and the reason."""
 
     position: float
-    # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose", "full turn" or "nothing so far"
+    # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose",
+    # "full turn", "20 turns" or "nothing so far"
     reason: str
     joint: int | None  # the coordinate whose range ends the reach
+    stops: bool = True  # false if the joint goes on beyond it
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Reach:
     """The interval of one independent joint while the other independent joints stay at home.
 
-    `poses` (n, n_q) samples the interval, ends included; it `repeats` if the turn above home has the poses of the turn
-    below, a turn later. `singular` are positions where J_z loses rank: det J_z crosses zero at an end or touches zero on the
-    way. `branching` are pairs (position, rank of the closure) at singular positions where J loses rank as well, so that the
-    mechanism may branch. At the other singular positions only the coordinate is at a dead centre. `single` are branching
-    positions through which only one motion passes to second order.
+    `poses` (n, n_q) samples the interval, ends included. If nothing stops the joint and the mechanism comes back, `period`
+    is the travel [rad] after which it does. The interval is then a period to both sides of `home`; it `repeats` if the
+    period above home has the poses of the one below. `singular` are positions where J_z loses rank: det J_z crosses zero at
+    an end or touches zero on the way. `branching` are pairs (position, rank of the closure) at singular positions where J
+    loses rank as well, so that the mechanism may branch. At the other singular positions only the coordinate is at a dead
+    centre. `single` are branching positions through which only one motion passes to second order.
     """
 
     coordinate: int
     lower: End
     upper: End
+    home: float
+    period: float | None
     poses: np.ndarray
     repeats: bool
     singular: tuple[float, ...]
@@ -61,34 +69,47 @@ class Reach:
 
     @property
     def poses_once(self) -> np.ndarray:
-        """The poses without those that repeat others a turn later."""
+        """The poses without those that repeat others a period later."""
         return self.poses[len(self.poses) // 2 :] if self.repeats else self.poses
 
     @property
     def turns_fully(self) -> bool:
-        """True if nothing stops the joint to either side: a hinge within a turn, a slide as far as it is followed."""
-        return all(end.reason in _NOTHING_ENDS.values() for end in (self.lower, self.upper))
+        """True if nothing stops the joint to either side, within a period or as far as it is followed."""
+        return not (self.lower.stops or self.upper.stops)
+
+    @property
+    def once(self) -> tuple[float, float]:
+        """The interval [rad or m] with every pose once: a period about home, or the whole reach."""
+        if self.period is None:
+            return self.lower.position, self.upper.position
+        return self.home - self.period / 2, self.home + self.period / 2
 
 
 @functools.lru_cache(maxsize=64)
 def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     """Return the reach of an independent joint on the home branch.
 
-    It ends at the range of a joint or a ball joint, at a singular pose, or after a turn.
+    It ends at the range of a joint or a ball joint, at a singular pose, or after a period.
     """
     up, upper, singular_up = _walk(mechanism, coordinate, +1)
     turned = _turned_back(mechanism, coordinate, up, upper)
     down, lower, singular_down = turned or _walk(mechanism, coordinate, -1)
     poses = np.array([*down[::-1], mechanism.home, *up])
+    if travel_scales(mechanism)[coordinate] > 1.0:
+        poses = _denser(mechanism, coordinate, poses, len(down))
     index = int(mechanism.independent[coordinate])
     turns = bool(in_loops(mechanism)[coordinate])
     touched = _touched(mechanism, coordinate, poses) if turns else []
     singular = sorted([*singular_down, *singular_up, *touched], key=lambda pose: pose[index])
     lost = [pose for pose in singular if is_branching(mechanism, pose)]
+    at_home = float(mechanism.home[index])
+    repeated = not (lower.stops or upper.stops or _NOTHING_SO_FAR in (lower.reason, upper.reason))
     return Reach(
         coordinate=coordinate,
         lower=lower,
         upper=upper,
+        home=at_home,
+        period=upper.position - at_home if repeated else None,
         poses=poses,
         repeats=turned is not None,
         singular=tuple(float(pose[index]) for pose in singular),
@@ -97,21 +118,37 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     )
 
 
+def _denser(mechanism: Mechanism, coordinate: int, poses: np.ndarray, home: int) -> np.ndarray:
+    """Return the poses of a reach with further ones where a joint moves by more than half a step between two of them.
+
+    The steps of a motor behind a gear are long where the mechanism moves slowly; `home` is the index of the home pose.
+    """
+    index, unit = int(mechanism.independent[coordinate]), step_sizes(mechanism) / 2
+    parts = np.maximum(1, np.ceil(np.max(np.abs(np.diff(poses, axis=0)) / unit, axis=1) - 1e-9)).astype(int)
+    places = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(poses[:-1, index], poses[1:, index], parts, strict=True)]
+    sides = []
+    for positions in (np.concatenate([[], *places[home:]]), np.concatenate([poses[:1, index], *places[:home]])[::-1][1:]):
+        path = np.tile(mechanism.home[mechanism.independent], (len(positions), 1))
+        path[:, coordinate] = positions
+        sides.append(continue_to(mechanism, mechanism.home, path)[0][: len(path)])
+    return np.array([*sides[1][::-1], mechanism.home, *sides[0]])
+
+
 def _turned_back(mechanism: Mechanism, coordinate: int, up: list[np.ndarray], upper: End) -> tuple | None:
-    """Return what `_walk` returns for the turn below home, if the turn above has led back home: the same poses, turned back.
+    """Return what `_walk` returns for the period below home if the one above leads back: the same poses, turned back.
 
     None if it has not, or if a range is left on the way.
     """
-    if upper.reason != _NOTHING_ENDS["hinge"]:
+    turn = None if upper.stops or upper.reason == _NOTHING_SO_FAR else returned(mechanism, up[-1] - mechanism.home)
+    if turn is None:
         return None
-    turn = whole_turns(mechanism, up[-1] - mechanism.home)
     below = np.array([*up[-2::-1], mechanism.home]) - turn
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
     inside = (below >= ranges[:, 0] - RANGE_ROUNDING) & (below <= ranges[:, 1] + RANGE_ROUNDING)
-    if np.abs(up[-1] - turn - mechanism.home).max() > RANGE_ROUNDING or not np.all(inside[:, turn != 0]):
+    if not np.all(inside[:, turn != 0]):
         return None
     position = float(below[-1, mechanism.independent[coordinate]])
-    return list(below), End(position=position, reason=upper.reason, joint=None), []
+    return list(below), End(position=position, reason=upper.reason, joint=None, stops=False), []
 
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
@@ -144,19 +181,49 @@ def _at(mechanism: Mechanism, start: np.ndarray, coordinate: int, x: float) -> n
 def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[np.ndarray]]:
     """Return the poses after home up to the end in one direction, the end, and the singular pose there, if any."""
     index = int(mechanism.independent[coordinate])
-    joint = mechanism.joints[index]
-    step = step_sizes(mechanism)[index] / 2
-    turn = 2 * np.pi if joint.kind == "hinge" else 20 * mechanism.extent_m
-    home = mechanism.home
+    joint, home = mechanism.joints[index], mechanism.home
     limit = joint.upper if sign > 0 else joint.lower
-    last = limit if abs(limit - home[index]) <= turn else home[index] + sign * turn
-    poses, q = [], np.array(home)
-    if sign * (last - q[index]) <= 0:  # home is at this end, or outside the range
-        return poses, End(position=float(last), reason=_end_of(joint), joint=index), []
-    n_steps = int(np.ceil(sign * (last - home[index]) / step - 1e-9))
-    path = np.tile(home[mechanism.independent], (max(n_steps, 1), 1))
-    path[:, coordinate] = home[index] + sign * step * np.arange(1, len(path) + 1)
+    turn = turn_of(mechanism, coordinate) if joint.kind == "hinge" else _SLIDE_EXTENTS * mechanism.extent_m
+    poses: list[np.ndarray] = []
+    if sign * (limit - home[index]) <= 0:  # home is at this end, or outside the range
+        return poses, End(position=float(limit), reason=_end_of(joint), joint=index), []
+    q = np.array(home)
+    for turns in range(1, _MAX_TURNS + 1):
+        last = home[index] + sign * turns * turn
+        ends = sign * (limit - last) <= 0
+        found, end, singular = _walk_to(mechanism, q, coordinate, float(limit) if ends else last)
+        poses += found
+        if end is not None:
+            return poses, end, singular
+        if ends:
+            return poses, End(position=float(limit), reason=_end_of(joint), joint=index), []
+        q = poses[-1]
+        if joint.kind == "hinge" and returned(mechanism, q - home) is not None:
+            travel = turns * turn / (2 * np.pi)
+            reason = "full turn" if turns * turn == 2 * np.pi else f"{travel:.6g} turns"
+            return poses, End(position=last, reason=reason, joint=None, stops=False), []
+        if joint.kind == "slide" or _has_slid_far(mechanism, q):
+            break
+    return poses, End(position=float(q[index]), reason=_NOTHING_SO_FAR, joint=None, stops=False), []
+
+
+def _has_slid_far(mechanism: Mechanism, pose: np.ndarray) -> bool:
+    """Return True if a slide is as far from home as slides are followed."""
+    slides = np.array([joint.kind == "slide" for joint in mechanism.joints])
+    return bool(np.any(np.abs(pose - mechanism.home)[slides] >= (1 - 1e-9) * _SLIDE_EXTENTS * mechanism.extent_m))
+
+
+def _walk_to(
+    mechanism: Mechanism, q: np.ndarray, coordinate: int, last: float
+) -> tuple[list[np.ndarray], End | None, list[np.ndarray]]:
+    """Return the poses after q up to a position of the coordinate, and the end and singular pose on the way, if any."""
+    index = int(mechanism.independent[coordinate])
+    step, way = step_sizes(mechanism)[index] / 2, last - q[index]
+    n_steps = int(np.ceil(abs(way) / step - 1e-9))
+    path = np.tile(mechanism.home[mechanism.independent], (max(n_steps, 1), 1))
+    path[:, coordinate] = q[index] + np.sign(way) * step * np.arange(1, len(path) + 1)
     path[-1, coordinate] = last
+    poses: list[np.ndarray] = []
     begin, n = 0, 16  # ranges are checked after 16 steps, and then after four times as many each time
     while begin < len(path):
         found, arrived = continue_to(mechanism, q, path[begin : begin + n])
@@ -172,8 +239,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
             pose = _singular_pose(mechanism, q, coordinate)
             return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [pose]
         begin, n = begin + n, 4 * n
-    reason = _NOTHING_ENDS[joint.kind] if last != limit else _end_of(joint)
-    return poses, End(position=float(last), reason=reason, joint=index if last == limit else None), []
+    return poses, None, []
 
 
 def _end_of(joint: Joint) -> str:

@@ -105,8 +105,8 @@ def _refined(outputs: OutputMap) -> list[str]:
 def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] | None) -> tuple[End, End]:
     """Return the ends of an axis: those asked for, or the reach less a margin to singular poses."""
     joint, home = outputs.joints[k], float(outputs.home[k])
-    low, high = found.lower.position, found.upper.position
-    if found.turns_fully:  # once around
+    low, high = found.once
+    if found.turns_fully and found.period is None:
         half = 0.5 * (high - low) / 2
         low, high = home - half, home + half
     width, ends = high - low, []

@@ -11,12 +11,12 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import reach
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 
 # How far a crank that turns fully may go beyond start and goal [rad].
-_FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -121,7 +121,7 @@ def grid_of(
     low, high = limits.position[mechanism.independent[0]]
     if can.turns_fully:
         # How far other unlimited joints may go beyond them, in distances between start and goal.
-        beyond = max(_FULL_TURN, 1.5 * float(ends[1] - ends[0]))
+        beyond = max(can.period or turn_of(mechanism, 0), 1.5 * float(ends[1] - ends[0]))
         low, high = max(low, ends[0] - beyond), min(high, ends[1] + beyond)
     else:
         low, high = max(low, can.lower.position), min(high, can.upper.position)

@@ -148,13 +148,13 @@ def _counted(n: int) -> str:
 
 
 def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
-    """Return a joint's reach [rad or m] without 1 % at each end; for an unlimited joint, a full turn about home."""
+    """Return a joint's reach [rad or m] without 1 % at each end; for an unlimited joint, a period about home."""
     can = reach(mechanism, coordinate)
-    low, high = can.lower.position, can.upper.position
-    home = float(mechanism.home[mechanism.independent[coordinate]])
-    if can.turns_fully or not np.isfinite(high - low):
-        half = np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.extent_m
-        return home - half, home + half
+    low, high = can.once
+    if can.turns_fully and mechanism.independent_joints[coordinate].kind == "slide":
+        return can.home - 0.5 * mechanism.extent_m, can.home + 0.5 * mechanism.extent_m
+    if can.turns_fully:
+        return low, high
     return low + REACH_SHARES[0] * (high - low), low + REACH_SHARES[-1] * (high - low)
 
 

@@ -69,13 +69,13 @@ def _over_reach(mechanism: Mechanism, problem: Problem | None, effort_limit: np.
     They are restricted to positions that efforts within the limits hold at rest; a note says so.
     """
     ends, joint, note = _motion_range(problem), mechanism.independent_joints[0], None
-    whole_turn = ends is None and joint.kind == "hinge" and reach(mechanism, 0).turns_fully
+    periodic = ends is None and reach(mechanism, 0).period is not None
     if ends is not None:
         low, high, shares = float(ends.min()), float(ends.max()), np.linspace(0.0, 1.0, _DEFAULT_POSES)
     else:
         low, high = inner_reach(mechanism, 0)
         shares = (np.array(REACH_SHARES) - REACH_SHARES[0]) / (REACH_SHARES[-1] - REACH_SHARES[0])
-        if whole_turn:  # there are no ends: the same number of poses, evenly over a turn
+        if periodic:  # there are no ends: the same number of poses, evenly over a period
             high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
     tried = np.linspace(low, high, 81)
     held = _are_held(mechanism, tried[:, None], effort_limit)
@@ -90,7 +90,7 @@ def _over_reach(mechanism: Mechanism, problem: Problem | None, effort_limit: np.
         )
     positions = positions[:, None]
     low, high = float(positions.min()), float(positions.max())
-    if whole_turn and note is None:
+    if periodic and note is None:
         low, high = inner_reach(mechanism, 0)
     line = coordinate_line(mechanism, 0, low, high, positions[0]) if low < high else None
     return LoopPoses(positions=positions, note=note, line=line)

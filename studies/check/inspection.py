@@ -181,9 +181,7 @@ def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steera
         (problems if fault else notes).append(sentence)
     one_sided = pushed_one_way(mechanism, column)
     problems += [] if one_sided is None else [one_sided]
-    stops = [_stop_finding(mechanism, can, upper=upper) for upper in (False, True)]
-    problems += [sentence for sentence, fault in stops if fault]
-    notes += [sentence for sentence, fault in stops if sentence and not fault]
+    notes += [sentence for upper in (False, True) if (sentence := _stop_note(mechanism, can, upper=upper)) is not None]
     notes += _singular_notes(mechanism, can)
     return problems, notes if passive else [*notes, *_toggle_notes(mechanism, can)]
 
@@ -221,26 +219,26 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     return problems, [*mechanism.notes, *notes] if mechanism.selection else [*notes, *mechanism.notes]
 
 
-def _stop_finding(mechanism: Mechanism, can: Reach, *, upper: bool) -> tuple[str, bool]:
-    """Return the sentence on another joint that ends a reach, and True if it is a fault; "" if no other joint does.
+def _stop_note(mechanism: Mechanism, can: Reach, *, upper: bool) -> str | None:
+    """Return the sentence on another joint that ends a reach; None if no other joint does.
 
-    A stop is intended if the coordinate has no range, or if the stop is within 1 % of the end of that range.
+    The coordinate's own range is named unless it has none, or ends within 1 % of the stop.
     """
     end, pose = (can.upper, can.poses[-1]) if upper else (can.lower, can.poses[0])
     index = int(mechanism.independent[can.coordinate])
     if end.joint is None or end.joint == index:
-        return "", False
+        return None
     joint, other = mechanism.joints[index], mechanism.joints[end.joint]
     stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
     stop += f" {joint.said(end.position, 4)} {joint.unit}"
     distance = abs(end.position - (joint.upper if upper else joint.lower))
     if not np.isfinite([joint.lower, joint.upper]).any() or distance <= 0.01 * (joint.upper - joint.lower):
-        return stop, False
+        return stop
     if other.kind == "slide" and joint.kind == "hinge":
-        return f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}", False
+        return f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}"
     if _moves_with_others(mechanism, pose, end.joint, can.coordinate):
-        return f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})", False
-    return f"{stop} ({joint.name}'s own range: {_range(joint)})", True
+        return f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})"
+    return f"{stop} ({joint.name}'s own range: {_range(joint)})"
 
 
 def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
@@ -276,11 +274,11 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
 def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     """Return the sentence on a coordinate's toggle poses, if any: the first four turning points of each dependent joint."""
     joint = mechanism.joints[mechanism.independent[can.coordinate]]
-    turn = 2 * np.pi if can.turns_fully and joint.kind == "hinge" else np.inf
+    turn = np.inf if can.period is None else can.period
     by_joint: dict[int, list[float]] = {}
     for other, position in toggles(
         mechanism, can.coordinate
-    ):  # for a joint that turns fully: each pose once in a turn, to a microradian
+    ):  # for a joint that turns fully: each pose once in a period, to a microradian
         found = by_joint.setdefault(other, [])
         known = [abs((position - one + turn / 2) % turn - turn / 2) if np.isfinite(turn) else np.inf for one in found]
         if min(known, default=np.inf) > 1e-6:
@@ -289,7 +287,8 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     for other, positions in by_joint.items():
         places = listed([joint.said(x, 5) for x in positions], 4)
         said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {places} {joint.unit}")
-    again = ", and again every turn" if np.isfinite(turn) else ""
+    every = "turn" if can.upper.reason == "full turn" else can.upper.reason
+    again = "" if can.period is None else f", and again every {every}"
     return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
 
 

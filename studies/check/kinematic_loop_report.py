@@ -21,6 +21,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import least_effort, sampled
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics, is_regular, singular_inertia_text
 from linkplan.models.tree.joints import where
@@ -167,16 +168,16 @@ def thinned(poses: np.ndarray, most: int) -> np.ndarray:
 
 
 def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
-    """Return the poses of a reach; without stops, one turn of a hinge, or a slide's travel by the extent to both sides."""
-    if not can.turns_fully:
-        return _finer(mechanism, can.poses)
+    """Return the poses of a reach; without stops, one period of a hinge, or a slide's travel by the extent to both sides."""
     index = mechanism.independent[can.coordinate]
-    travel = can.poses[:, index] - mechanism.home[index]
-    if mechanism.joints[index].kind == "hinge":
-        degrees = np.arange(361.0)
-        s = np.tile(mechanism.home[mechanism.independent], (len(degrees), 1))
-        s[:, can.coordinate] += np.linspace(0.0, 2 * np.pi, len(degrees))
+    if can.period is not None:
+        turns = can.period / turn_of(mechanism, can.coordinate)
+        s = np.tile(mechanism.home[mechanism.independent], (360 * max(1, round(turns)) + 1, 1))
+        s[:, can.coordinate] += np.linspace(0.0, can.period, len(s))
         return follow(mechanism, s)
+    if not can.turns_fully or mechanism.joints[index].kind == "hinge":
+        return _finer(mechanism, can.poses)
+    travel = can.poses[:, index] - mechanism.home[index]
     return _finer(mechanism, can.poses[np.abs(travel) <= (1 + 1e-9) * mechanism.extent_m])
 
 

@@ -83,12 +83,11 @@ def _marked(plot: Plot, mechanism: Mechanism, can: Reach) -> Callable[..., None]
 
 
 def _drawn_poses(mechanism: Mechanism, can: Reach) -> np.ndarray:
-    """Return five poses of a reach or, for a joint that turns fully, of 0.8 turns from home, and the home pose."""
+    """Return five poses of a reach or, for a joint that turns fully, of 0.8 periods from home, and the home pose."""
     poses = can.poses
-    if can.turns_fully:
-        index = mechanism.independent[can.coordinate]
-        travel = poses[:, index] - mechanism.home[index]
-        poses = poses[(travel >= 0) & (travel <= 1.6 * np.pi)]
+    if can.period is not None:
+        travel = poses[:, mechanism.independent[can.coordinate]] - can.home
+        poses = poses[(travel >= 0) & (travel <= 0.8 * can.period)]
     return np.vstack([poses[np.linspace(0, len(poses) - 1, 5).astype(int)], mechanism.home])
 
 

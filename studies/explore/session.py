@@ -8,7 +8,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.models.tree.joints import Joint
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.period import turn_of
+from linkplan.models.poses.reach import reach
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number
@@ -69,10 +71,10 @@ class Session:
         motion = problem.to_dict()["motion"]
         found = []
         for end in ("start", "goal"):
-            for joint in problem.mechanism.independent_joints:
+            for column, joint in enumerate(problem.mechanism.independent_joints):
                 value = motion.get(f"{end}_{joint.unit}", {}).get(joint.name)
                 if value is not None:
-                    low, high = _range(joint, float(value))
+                    low, high = _range(problem.mechanism, column, float(value))
                     key = f"{end}_{joint.unit}.{joint.name}"
                     found.append(
                         Slider(key=key, label=f"{end} {joint.name}", unit=joint.unit, low=low, high=high, value=float(value))
@@ -145,11 +147,18 @@ def _tracked(plan: Plan, tracker: str) -> Report:
     return explored_report(plan, found)
 
 
-def _range(joint: Joint, value: float) -> tuple[float, float]:
-    """Return the ends of a joint's slider: its range, or half a turn or half a metre about a value if it has none."""
+def _range(mechanism: Mechanism, column: int, value: float) -> tuple[float, float]:
+    """Return the ends of a coordinate's slider: its reach, or half a period or half a metre about a value without an end.
+
+    The reach of one of several freedoms depends on the others, so their joints' own ranges are taken.
+    """
+    joint = mechanism.independent_joints[column]
+    half = 0.5 * joint.shown(turn_of(mechanism, column)) if joint.kind == "hinge" else 0.5
     low, high = joint.shown(joint.lower), joint.shown(joint.upper)
-    reach = 180.0 if joint.kind == "hinge" else 0.5
-    return (low if np.isfinite(low) else value - reach), (high if np.isfinite(high) else value + reach)
+    if mechanism.dof == 1 and not (can := reach(mechanism)).turns_fully:
+        low, high = (joint.shown(end.position) for end in (can.lower, can.upper))
+    low, high = (low if np.isfinite(low) else value - half), (high if np.isfinite(high) else value + half)
+    return min(low, value), max(high, value)
 
 
 def _about(key: str, label: str, unit: str, value: float) -> Slider:

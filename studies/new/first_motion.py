@@ -16,6 +16,7 @@ from linkplan.models.library import compiled_once
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import contact_notes
@@ -315,15 +316,16 @@ def _ends(mechanism: Mechanism, share: float, side: int) -> tuple[np.ndarray, np
     """Return a start and a goal (n_s,): home, moved off the ends of the reach, and a motion from it to one side.
 
     Side 1 is the longer side of the reach, -1 the shorter one. The motion is a share of the reach to that side, or of 60
-    degrees for a hinge and 40 % of the mechanism's extent for a slide.
+    degrees for a hinge or what its gear drives and 40 % of the mechanism's extent for a slide.
     """
     start = mechanism.home[mechanism.independent].copy()
     goal = start.copy()
     for column in driven_columns(mechanism):
         joint = mechanism.independent_joints[column]
         low, high = _interval(reach(mechanism, int(column)), float(start[column]))
+        turn = turn_of(mechanism, int(column))
         start[column] = _rounded(joint, float(np.clip(start[column], low, high)), low, high)
-        most = np.radians(60.0) if joint.kind == "hinge" else 0.4 * mechanism.extent_m
+        most = turn / 6 if joint.kind == "hinge" else 0.4 * mechanism.extent_m
         up = (high - start[column] >= start[column] - low) == (side > 0)
         room = high - start[column] if up else start[column] - low
         goal[column] = _rounded(joint, float(start[column] + (1 if up else -1) * share * min(most, room)), low, high)

@@ -33,9 +33,10 @@ def test_a_stop_that_another_coordinate_may_give_way_to_is_a_note():
     assert not any("stops the mechanism" in problem for problem in found.problems)
 
 
-def test_a_stop_that_no_other_coordinate_moves_stays_a_problem():
+def test_a_stop_that_no_other_coordinate_moves_is_a_note_with_the_joints_own_range():
     found = inspect(load_mechanism(ANKLE.format(right="-60 60", coef="0")), [])
-    assert any("roll's range [-20, 20] deg stops the mechanism at left = -40 deg (left's" in text for text in found.problems)
+    assert any("roll's range [-20, 20] deg stops the mechanism at left = -40 deg (left's" in text for text in found.notes)
+    assert not any("roll's range" in text for text in found.problems)
 
 
 @pytest.mark.parametrize(("gravity", "said"), [("0 0 -9810", True), ("0 -981 0", True), ("0 0 -24.8", False)])

@@ -1,0 +1,106 @@
+"""The period of a coordinate: how far it travels until the mechanism may be as it was.
+
+A crank is back after a turn. The motor behind a gear of 20 has turned twenty times by then, and the motor of a lead screw
+never brings its nut back. Only joints whose position matters must return: a balanced rotor feels the same at every angle.
+"""
+
+import functools
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import RANGE_ROUNDING, sampled, whole_turns
+from linkplan.models.tree.joints import unit_steps
+
+# Poses at which a joint's influence is examined, and the share of the largest value below which a change is rounding.
+_EXAMINED_POSES, _NO_CHANGE_SHARE = 3, 1e-9
+
+
+@functools.lru_cache(maxsize=16)
+def mattering(mechanism: Mechanism) -> np.ndarray:
+    """Return a mask (n_q,) of the joints whose position matters: slides, and hinges that the reduced dynamics depend on.
+
+    Inverse dynamics, transmission and rates are compared at poses around home while one joint after the other is turned or
+    pushed alone, without closing the loops.
+    """
+    n_q, n_s = mechanism.n_q, mechanism.dof
+    random = np.random.default_rng(0)
+    unit = unit_steps(mechanism.joints, mechanism.extent_m)
+    poses = mechanism.home + 0.1 * unit * random.uniform(-1, 1, (_EXAMINED_POSES, n_q))
+    motion = random.uniform(0.5, 1.0, (2, _EXAMINED_POSES, n_s))
+    numbers = functools.partial(_influence(mechanism), *motion)
+    first = numbers(poses)
+    size = np.abs(first).max(axis=(0, 2), keepdims=True)
+    found = np.array([not joint.turns for joint in mechanism.joints])
+    for j in np.flatnonzero(~found):
+        moved = poses.copy()
+        moved[:, j] += 0.7 * unit[j]
+        change = np.abs(numbers(moved) - first)
+        found[j] = not np.all(change <= _NO_CHANGE_SHARE * np.where(size > 0, size, 1.0))  # NaN matters
+    return found
+
+
+def _influence(mechanism: Mechanism):
+    """Return the function (v, a, poses) -> (n, 3, m): inverse dynamics, transmission and rates, filled with zeros."""
+    dynamics = mechanism.dynamics
+
+    def numbers(v: np.ndarray, a: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        parts = [sampled(dynamics.inverse_dynamics, poses, v, a)]
+        parts += [sampled(function, poses) for function in (dynamics.effort_map, dynamics.velocity_map)]
+        flat = [part.reshape(len(poses), -1) for part in parts]
+        width = max(part.shape[1] for part in flat)
+        return np.stack([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in flat], axis=1)
+
+    return numbers
+
+
+@functools.lru_cache(maxsize=16)
+def travel_scales(mechanism: Mechanism) -> np.ndarray:
+    """Return how much farther than usual each coordinate (n_s,) travels for the same change of the mechanism, at home.
+
+    It is 1 for a joint whose position matters. For a rotor that only drives others through gears or screws it is the least
+    ratio of its travel to that of a joint that matters, in units of 1 rad and of the extent: 20 for a motor behind a gear of
+    20.
+    """
+    gamma = np.abs(np.array(mechanism.dynamics.velocity_map(mechanism.home)))
+    return np.array([_slowness(mechanism, k, gamma[:, k]) for k in range(mechanism.dof)])
+
+
+def _slowness(mechanism: Mechanism, coordinate: int, rates: np.ndarray) -> float:
+    """Return the ratio of a rotor's travel to that of the fastest joint that matters, at rates (n_q,), or 1."""
+    unit, index = unit_steps(mechanism.joints, mechanism.extent_m), int(mechanism.independent[coordinate])
+    share = rates * unit[index] / unit
+    share[index] = 0.0
+    if not mechanism.joints[index].turns or not 0.0 < share.max(initial=0.0) < 1.0 or mattering(mechanism)[index]:
+        return 1.0
+    moving = share[mattering(mechanism)]
+    return 1.0 / float(moving.max() if np.any(moving) else share.max())
+
+
+@functools.lru_cache(maxsize=16)
+def turn_of(mechanism: Mechanism, coordinate: int) -> float:
+    """Return the travel [rad] after which an independent hinge may be back: a turn, or the turn of what its gear drives.
+
+    What drives slides alone never comes back; the travel is then that in which they move by about the mechanism's extent.
+    """
+    gamma, n_q = mechanism.dynamics.velocity_map, mechanism.n_q
+    varies = np.array(ca.DM(gamma.jac_sparsity(0, 0), 1.0)).any(axis=1).reshape((n_q, mechanism.dof), order="F")
+    hinges = np.array([joint.turns for joint in mechanism.joints])
+    geared = hinges & ~varies[:, coordinate] & mattering(mechanism)
+    rates = np.where(geared, np.abs(np.array(gamma(mechanism.home))[:, coordinate]), 0.0)
+    scale = _slowness(mechanism, coordinate, rates) if np.any(rates) else float(travel_scales(mechanism)[coordinate])
+    return 2 * np.pi * scale
+
+
+def returned(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray | None:
+    """Return the part of the joints' travel (n_q,) [rad or m] that changes nothing, if that is all of it; else None.
+
+    These are whole turns of hinges, and any travel of rotors whose position does not matter, beside joints that do move.
+    """
+    matters = mattering(mechanism)
+    rounding = RANGE_ROUNDING * np.maximum(1.0, np.abs(travelled))
+    if not np.any(matters & (np.abs(travelled) > rounding)):
+        matters = np.ones(len(matters), dtype=bool)
+    gone = np.where(matters, whole_turns(mechanism, travelled), travelled)
+    return gone if np.all(np.abs(travelled - gone) <= rounding) else None
