@@ -79,6 +79,8 @@ def stiff_time_constant_s(model: mujoco.MjModel) -> float:
 def set_softness(model: mujoco.MjModel, asked: object) -> None:
     """Set the stiffest equality constraints and dry friction if `asked` is "stiff"; keep the model's own if it is None.
 
+    Linear couplings of joints or tendons with a slope below one are written the other way round, see `soft_couplings`.
+
     Raises:
         ModelError: if `asked` has another value.
     """
@@ -91,10 +93,31 @@ def set_softness(model: mujoco.MjModel, asked: object) -> None:
         )
     model.eq_solref[:] = stiff_time_constant_s(model), 1.0
     model.eq_solimp[:] = np.array(STIFF_SOLIMP)
+    for index in soft_couplings(model):
+        model.eq_data[index, :2] = turned_coefficients(model, index)
+        model.eq_obj1id[index], model.eq_obj2id[index] = int(model.eq_obj2id[index]), int(model.eq_obj1id[index])
     make_dry(model, model.dof_frictionloss > 0)
     dry = model.tendon_frictionloss > 0
     model.tendon_solref_fri[dry] = stiff_time_constant_s(model), 1.0
     model.tendon_solimp_fri[dry] = np.array(STIFF_SOLIMP)
+
+
+def soft_couplings(model: mujoco.MjModel) -> list[int]:
+    """Return the equality constraints y = a_0 + a_1 x of joints or tendons with |a_1| < 1: they are soft for a small slope.
+
+    MuJoCo estimates the inertia of such a row without its coefficients, as 1/m_y + 1/m_x where a_1^2/m_x would be right, and
+    makes it softer by 1/a_1^2 than x = (y - a_0) / a_1, which is the same coupling (`mj_makeImpedance`, `mj_diagApprox`).
+    """
+    coupled = np.isin(model.eq_type, [int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON)]) & (model.eq_obj2id >= 0)
+    linear = ~np.any(model.eq_data[:, 2:5], axis=1)
+    slope = np.abs(model.eq_data[:, 1])
+    return np.flatnonzero(coupled & linear & (slope > 0) & (slope < 1)).tolist()
+
+
+def turned_coefficients(model: mujoco.MjModel, index: int) -> tuple[float, float]:
+    """Return the coefficients of a linear coupling y = a_0 + a_1 x written as x = b_0 + b_1 y."""
+    offset, slope = (float(a) for a in model.eq_data[index, :2])
+    return -offset / slope, 1.0 / slope
 
 
 def make_dry(model: mujoco.MjModel, dofs: np.ndarray) -> None:

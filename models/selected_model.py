@@ -33,6 +33,12 @@ def whole_spec(mechanism: Mechanism) -> mujoco.MjSpec:
     spec = model_spec(source, mechanism.payload, mechanism.selection)
     for equality, solref, solimp in zip(spec.equalities, model.eq_solref, model.eq_solimp, strict=True):
         equality.solref, equality.solimp = solref, solimp
+    for closure in mechanism.closures:
+        first, second = int(model.eq_obj1id[closure.index]), int(model.eq_obj2id[closure.index])
+        if closure.kind in ("joint", "tendon") and second >= 0:  # a stiff one may be written the other way round
+            coupling, named = spec.equalities[closure.index], model.joint if closure.kind == "joint" else model.tendon
+            coupling.name1, coupling.name2 = named(first).name, named(second).name
+            coupling.data[:5] = model.eq_data[closure.index, :5]
     for index in mechanism.shifted:
         closure, name = spec.equalities[index], model.equality(index).name or f"closure {index}"
         for end, (body, place) in enumerate(tied_points(model, index), 1):

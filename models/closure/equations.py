@@ -232,9 +232,22 @@ def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) ->
 def _joint(model: mujoco.MjModel, tree: Tree, index: int):
     joints = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
     travels = [tree.q[int(model.jnt_dofadr[i])] - float(model.qpos0[model.jnt_qposadr[i]]) for i in joints]
-    lever = extent_m(model) if int(model.jnt_type[joints[0]]) == HINGE else None
     residual = _polynomial(model, index, travels[0], travels[1] if len(joints) > 1 else None)
-    yield "joint", residual * (lever or 1.0), 0, lever or 1.0, ("m", 1.0) if lever is None else ("rad", lever)
+    units = [("rad", extent_m(model)) if int(model.jnt_type[i]) == HINGE else ("m", 1.0) for i in joints]
+    yield _coupling("joint", model, index, residual, units)
+
+
+def _coupling(kind: str, model: mujoco.MjModel, index: int, residual: ca.SX, units: list[tuple[str, float]]):
+    """Return the gap of a coupling y = a_0 + a_1 x + ... as a length of the one of both that moves less [m].
+
+    The gap of a screw is thus the same whether its nut follows its motor or its motor its nut, and its row is no larger than
+    those of other closures. `units` are the unit of y, and of x if there is one, with the length [m] of one such unit.
+    """
+    slope = abs(float(model.eq_data[index, 1])) if len(units) > 1 else 0.0
+    if units[0][1] * slope > units[-1][1]:
+        scale = units[1][1] / slope
+        return kind, residual * scale, 0, scale, units[1]
+    return kind, residual * units[0][1], 0, units[0][1], units[0]
 
 
 def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
@@ -246,13 +259,9 @@ def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
                 f" {LACKING}"
             )
     travels = [tree.tendon_lengths[tendon] - float(model.tendon_length0[tendon]) for tendon in tendons]
-    yield (
-        "tendon",
-        _polynomial(model, index, travels[0], travels[1] if len(tendons) > 1 else None),
-        0,
-        1.0,
-        _moved_most(model, tendons[0]),
-    )
+    residual = _polynomial(model, index, travels[0], travels[1] if len(tendons) > 1 else None)
+    kind, length, frame, scale, _ = _coupling("tendon", model, index, residual, [("m", 1.0)] * len(tendons))
+    yield kind, length, frame, scale, _moved_most(model, tendons[0] if scale == 1.0 else tendons[1])
 
 
 def _moved_most(model: mujoco.MjModel, tendon: int) -> tuple[str, float]:

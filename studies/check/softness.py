@@ -6,17 +6,24 @@ a + R f = -K d r (MuJoCo, "Constraint model") gives the gap
     r = R f / (K d),
 
 with R = A (1 - d) / d, A the inertia of the row, K from `solref` and the impedance d(r) from `solimp`. Plans have closed
-loops; therefore a tracked plan differs by the gap.
+loops; therefore a tracked plan differs by the gap. A coupling's gap r is in units of its first joint; the gaps here are
+those of `Closure`, in metres of the joint that moves less.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.kinematics import STIFF_IMPEDANCE, STIFF_SOLIMP, stiff_time_constant_s, tied_points
+from linkplan.models.kinematics import (
+    STIFF_IMPEDANCE,
+    STIFF_SOLIMP,
+    soft_couplings,
+    stiff_time_constant_s,
+    turned_coefficients,
+)
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
@@ -31,9 +38,10 @@ _MOST_GRAVITY_M_S2 = 100.0
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SoftClosure:
-    """The closure gap of a connect or weld at home [m]: while the weight is held, and with one actuator at its limit.
+    """The gap of a closure at home [m]: while the weight is held, and with one actuator at its limit.
 
     `stiff_gap_m` is the larger gap with `stiff_solref` and `STIFF_IMPEDANCE`, the stiffest setting for the timestep.
+    `turned` is a soft coupling's attributes written the other way round, which that setting does too.
     """
 
     name: str
@@ -43,6 +51,7 @@ class SoftClosure:
     rated_by: str | None
     stiff_solref: str
     stiff_gap_m: float
+    turned: str | None
 
     @property
     def gap_m(self) -> float:
@@ -51,14 +60,18 @@ class SoftClosure:
 
 
 def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple[SoftClosure, ...]:
-    """Return the connects and welds whose closure gap exceeds a share of the model's extent, in descending order."""
-    model, loads, found = mechanism.model, _loads(mechanism), []
-    for name, index, rows, inertia, law in _closure_laws(mechanism, mechanism.home):
+    """Return the closures whose gap exceeds a share of the model's extent, in descending order."""
+    model, loads, found, couplings = mechanism.model, _loads(mechanism), [], soft_couplings(mechanism.model)
+    for name, index, rows, law in _closure_laws(mechanism, mechanism.home):
         forces = [(who, float(np.linalg.norm(force[rows]))) for who, force in loads]
         who, most = max(forces[1:], key=lambda item: item[1], default=(None, 0.0))
-        weight, rated = (steady_gap(force * inertia, *law) for force in (forces[0][1], most))
+        weight, rated = (law.gap_m(force) for force in (forces[0][1], most))
         least = stiff_time_constant_s(model)
-        stiff = np.array(STIFF_SOLIMP)
+        slope = abs(float(model.eq_data[index, 1])) if index in couplings else 1.0
+        # Of a coupling written the other way round, the row's unit is a_1 times as large and the force as much smaller.
+        stiff = replace(
+            law, scale=law.scale * slope, stiffness=1 / (STIFF_SOLIMP[1] * least) ** 2, solimp=np.array(STIFF_SOLIMP)
+        )
         found.append(
             SoftClosure(
                 name=name,
@@ -67,11 +80,35 @@ def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple
                 rated_gap_m=rated,
                 rated_by=who,
                 stiff_solref=f"{least:g} 1",
-                stiff_gap_m=steady_gap(max(forces[0][1], most) * inertia, 1 / (STIFF_SOLIMP[1] * least) ** 2, stiff),
+                stiff_gap_m=stiff.gap_m(max(forces[0][1], most)),
+                turned=_turned(model, index) if index in couplings else None,
             )
         )
     soft = [one for one in found if one.gap_m > share * mechanism.extent_m]
     return tuple(sorted(soft, key=lambda one: -one.gap_m))
+
+
+def _turned(model: mujoco.MjModel, index: int) -> str:
+    """Return the attributes of a linear coupling written the other way round."""
+    of_joints = int(model.eq_type[index]) == int(mujoco.mjtEq.mjEQ_JOINT)
+    kind, named = ("joint", model.joint) if of_joints else ("tendon", model.tendon)
+    first, second = (named(int(one[index])).name for one in (model.eq_obj2id, model.eq_obj1id))
+    offset, slope = turned_coefficients(model, index)
+    return f'{kind}1="{first}" {kind}2="{second}" polycoef="{offset + 0.0:.6g} {slope:.6g} 0 0 0"'
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ClosureLaw:
+    """A constraint's law at rest: A of its rows, K, solimp, and the gap [m] of one unit of its rows."""
+
+    inertia: float
+    stiffness: float
+    solimp: np.ndarray
+    scale: float
+
+    def gap_m(self, force: float) -> float:
+        """Return the gap [m] under a closure force [N]."""
+        return self.scale * steady_gap(self.scale * force * self.inertia, self.stiffness, self.solimp)
 
 
 def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
@@ -79,24 +116,25 @@ def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
     still = np.zeros(mechanism.dof)
     force = np.array(mechanism.dynamics.closure_force(pose, still, still, hold)).ravel()
     laws = _closure_laws(mechanism, pose)
-    return max((steady_gap(float(np.linalg.norm(force[rows])) * A, *law) for _, _, rows, A, law in laws), default=0.0)
+    return max((law.gap_m(float(np.linalg.norm(force[rows]))) for _, _, rows, law in laws), default=0.0)
 
 
-def _closure_laws(
-    mechanism: Mechanism, pose: np.ndarray
-) -> Iterator[tuple[str, int, slice, float, tuple[float, np.ndarray]]]:
-    """Yield name, equality, rows of the forces, A and (K, solimp) of each active connect and weld at a pose (n_q,)."""
+def _closure_laws(mechanism: Mechanism, pose: np.ndarray) -> Iterator[tuple[str, int, slice, ClosureLaw]]:
+    """Yield name, equality, rows of the forces and law of each active closure at a pose (n_q,)."""
     model = mechanism.model
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(pose)
     mujoco.mj_forward(model, data)
     equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    scales = {closure.index: closure.scale for closure in mechanism.closures if closure.kind in ("joint", "tendon")}
     for c, (name, index) in enumerate({closure.name: closure.index for closure in mechanism.closures}.items()):
         of_it = np.flatnonzero(equality & (np.asarray(data.efc_id) == index))
-        if tied_points(model, index) and len(of_it):
+        if len(of_it):
             stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[of_it[0]]
             inertia = float(data.efc_R[of_it[0]]) * impedance / (1 - impedance)
-            yield name, index, mechanism.closure_slice(c), inertia, (float(stiffness), np.array(model.eq_solimp[index]))
+            solimp, scale = np.array(model.eq_solimp[index]), scales.get(index, 1.0)
+            law = ClosureLaw(inertia=inertia, stiffness=float(stiffness), solimp=solimp, scale=scale)
+            yield name, index, mechanism.closure_slice(c), law
 
 
 def _loads(mechanism: Mechanism) -> list[tuple[str | None, np.ndarray]]:
@@ -202,6 +240,9 @@ def softness_note(mechanism: Mechanism) -> str | None:
         gaps += f", {said(worst.rated_gap_m)} under {worst.rated_by} at its limit"
     solref = " ".join(f"{number:g}" for number in worst.solref)
     text = f"closure {worst.name}{also} is soft (solref {solref}): the simulator's closure gap is {gaps}"
+    if worst.turned is not None:
+        why = f"coupling {worst.name}{also} is soft, as MuJoCo makes coefficients below 1: its gap is {gaps}"
+        return f"{why}; {STIFF_KEY} or {worst.turned} closes it"
     if worst.stiff_gap_m > 0.5 * worst.gap_m:
         return f"{text}; a shorter timestep would admit a stiffer one"
     return (
