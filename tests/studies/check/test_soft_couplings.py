@@ -1,4 +1,4 @@
-"""Couplings with a small coefficient, as lead screws have them: soft in MuJoCo, named by check, stiff with solref = "stiff"."""
+"""Couplings with a small coefficient, as of lead screws: soft in MuJoCo, named by check, stiff with solref = "stiff"."""
 
 import mujoco
 import numpy as np
@@ -61,10 +61,12 @@ def test_a_gap_is_measured_on_the_nut_however_the_screw_is_written(polycoef):
 
 
 def test_a_screw_written_with_a_large_coefficient_locks_nothing():
-    model = """<mujoco><compiler angle="degree"/><default><joint axis="0 -1 0"/><geom contype="0" conaffinity="0"/></default>
-      <worldbody><body><joint name="motor" axis="0 0 1"/><inertial mass="0.2" pos="0 0 0" diaginertia="1e-5 1e-5 2e-5"/></body>
+    model = """<mujoco><compiler angle="degree"/>
+      <default><joint axis="0 -1 0"/><geom contype="0" conaffinity="0"/></default><worldbody>
+      <body><joint name="motor" axis="0 0 1"/><inertial mass="0.2" pos="0 0 0" diaginertia="1e-5 1e-5 2e-5"/></body>
       <body pos="-0.045 0 -0.15"><joint name="nut" type="slide" axis="0 0 1" damping="40"/><geom size="0.01"/>
-        <body name="link"><joint name="eye_u"/><geom type="capsule" fromto="0 0 0 -0.005 0 -0.23" size="0.005"/></body></body>
+        <body name="link"><joint name="eye_u"/>
+          <geom type="capsule" fromto="0 0 0 -0.005 0 -0.23" size="0.005"/></body></body>
       <body name="shank" pos="0 0 -0.4"><joint name="knee" range="-5 100"/>
         <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02"/></body></worldbody>
       <equality><connect body1="link" body2="shank" anchor="-0.005 0 -0.23"/>
