@@ -9,12 +9,13 @@ import functools
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, sampled, whole_turns
 from linkplan.models.tree.joints import unit_steps
 
-# Poses at which a joint's influence is examined, and the share of the largest value below which a change is rounding.
-_EXAMINED_POSES, _NO_CHANGE_SHARE = 3, 1e-9
+# Poses at which a joint's influence is examined.
+_EXAMINED_POSES = 3
 
 
 @functools.lru_cache(maxsize=16)
@@ -37,7 +38,7 @@ def mattering(mechanism: Mechanism) -> np.ndarray:
         moved = poses.copy()
         moved[:, j] += 0.7 * unit[j]
         change = np.abs(numbers(moved) - first)
-        found[j] = not np.all(change <= _NO_CHANGE_SHARE * np.where(size > 0, size, 1.0))  # NaN matters
+        found[j] = not np.all(change <= ROUNDING_SHARE * np.where(size > 0, size, 1.0))  # NaN matters
     return found
 
 

@@ -202,7 +202,7 @@ class MotorSection(Section, frozen=True):
         kinds.Positive, key("at rest; with the no-load speed it gives the torque-speed line", "N.m, N", "unknown")
     ] = ABSENT
     no_load_speed_deg_s: Annotated[kinds.Positive, key("of an actuator that turns", "deg/s", "unknown")] = ABSENT
-    no_load_speed_m_s: Annotated[kinds.Positive, key("of an actuator that slides", "m/s", "unknown")] = ABSENT
+    no_load_speed_m_s: Annotated[kinds.Positive, key("of an actuator whose effort is a force", "m/s", "unknown")] = ABSENT
 
 
 _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}

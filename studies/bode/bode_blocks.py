@@ -13,6 +13,7 @@ from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.frequency.margins import Margins, frequency_grid
 from linkplan.studies.frequency.response import Response
+from linkplan.studies.frequency.rest import LEAST_RESPONSE_AT_REST
 from linkplan.studies.output.document import (
     Axis,
     Block,
@@ -89,6 +90,8 @@ def _margins(study: BodeStudy) -> Table:
     heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
     lowered = any(_less_gain_is_nearer(entry.margins) for entry in study.points)
     heads += ["gain reduction margin [dB]"] if lowered else []
+    pulled = any(_is_pulled_away(entry.margins) for entry in study.points)
+    heads += ["response at rest"] if pulled else []
     rows = []
     for entry in study.points:
         m, name = entry.margins, entry.point.name
@@ -96,6 +99,7 @@ def _margins(study: BodeStudy) -> Table:
         figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
         figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
         figures += [m.gain_reduction_margin_db] if lowered else []
+        figures += [m.response_at_rest] if pulled else []
         inertia = entry.point.inertia[entry.channel, entry.channel]
         verdicts = [bool(m.stable), bool(entry.settles_in_mujoco), radius_figure(m.spectral_radius)]
         loop = f"{mechanism.independent_joints[entry.channel].name} at {name}" if several else name
@@ -107,6 +111,11 @@ def _less_gain_is_nearer(m: Margins) -> bool:
     """Tell if less gain loses the stability before more gain does. The record has the margin anyway."""
     less, more = m.gain_reduction_margin_db, m.gain_margin_db
     return less is not None and (more is None or less < more)
+
+
+def _is_pulled_away(m: Margins) -> bool:
+    """Tell if a small step settles farther from its reference than `tune` allows. The record has the response anyway."""
+    return m.response_at_rest is not None and abs(1.0 - m.response_at_rest) > 1.0 - LEAST_RESPONSE_AT_REST
 
 
 _LEAST_MARGINS = (

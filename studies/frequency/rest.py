@@ -13,6 +13,9 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, channel_effort
 
+# A joint is held well that settles this near to a small step of its reference, though weight or springs pull it away.
+LEAST_RESPONSE_AT_REST = 0.95
+
 
 def at_rest(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the response and the stiffness at rest (n,) of a coordinate's loop for gains (n, n_u, 2 n_s).

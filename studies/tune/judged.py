@@ -9,11 +9,10 @@ from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw, told_apart
 from linkplan.studies.frequency.margins import Margins, margins
+from linkplan.studies.frequency.rest import LEAST_RESPONSE_AT_REST
 
 # By default an error settles within this many cycles of the bandwidth, and poles have at least this damping ratio.
 SETTLING_CYCLES, LEAST_DAMPING_RATIO = 5.0, 0.4
-# By default a joint settles this near to a small step of its reference, though weight or springs pull it away.
-LEAST_RESPONSE_AT_REST = 0.95
 # The shortfall of unstable gains, larger than any shortfall of stable ones.
 UNSTABLE_SHORTFALL = 10.0
 

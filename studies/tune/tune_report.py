@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.poses.along import sampled
 from linkplan.models.transfer.polytope import motor_gains as gains_at_motors
 from linkplan.models.tree.joints import Joint
@@ -20,9 +21,6 @@ from linkplan.studies.tune.tune import Tuning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# A transmission whose ratio changes by less than this share is constant, and acts on a joint above it.
-CONSTANT_RATIO_SHARE = 1e-9
 
 
 def tuned_joints(tuning: Tuning) -> list[Joint]:
@@ -55,7 +53,7 @@ class MotorGains:
     @property
     def is_constant(self) -> bool:
         """True if the transmission has the same ratio at all poses, so that one pair of gains serves them all."""
-        return bool(np.ptp(self.ratio) <= CONSTANT_RATIO_SHARE * np.abs(self.ratio).max())
+        return bool(np.ptp(self.ratio) <= ROUNDING_SHARE * np.abs(self.ratio).max())
 
     def said_gains(self) -> str:
         """Return the gains as text: one pair, or their ranges over the poses."""
@@ -83,7 +81,7 @@ def motor_gains(tuning: Tuning) -> list[MotorGains]:
     ratio = sampled(mechanism.dynamics.effort_map, poses)[:, list(mechanism.channels)].transpose(0, 2, 1)  # (n, n_u, n_o)
     gains = [np.diag(values) for values in zip(*joint_gains(tuning).values(), strict=True)]
     kp, kd = (gains_at_motors(ratio, values) for values in gains)
-    acts = np.abs(ratio).max(axis=0) > CONSTANT_RATIO_SHARE * np.abs(ratio).max(axis=(0, 1))
+    acts = np.abs(ratio).max(axis=0) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1))
     found = []
     for m in np.flatnonzero(acts.sum(axis=1) == 1):
         (o,) = np.flatnonzero(acts[m])

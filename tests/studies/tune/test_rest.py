@@ -6,8 +6,11 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.bode import bode_study
+from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import margins
+from linkplan.studies.output.text import text_of
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import Tuning, tune
 
@@ -73,3 +76,15 @@ def test_a_stiffness_that_no_gain_gives_is_named():
     found = tuned(1.0, stiffness=1e7)
     assert not found.found
     assert "stiffness at rest" in found.message or "stable" in found.message
+
+
+def test_bode_states_the_response_at_rest_of_a_joint_that_sags():
+    mechanism = load_mechanism(HANGING)
+    weak, strong = (
+        text_of(
+            summary(bode_study(mechanism, np.array([[ANGLE]]), Tracking(kp=kp, kd=2.0), mechanism.effort_limit, scanned=0))
+        )
+        for kp in (3.0, 300.0)
+    )
+    assert "response at rest" in weak
+    assert "response at rest" not in strong
