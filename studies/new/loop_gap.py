@@ -12,6 +12,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.felt_inertia import equality_rows
+from linkplan.models.poses.period import travel_scales
 from linkplan.models.tree.joints import unit_steps
 from linkplan.models.tree.passive import simulated_gas_springs
 from linkplan.planner.plan import Plan
@@ -50,9 +51,12 @@ def planned_gap(plan: Plan) -> float:
 
 
 def travel(plan: Plan) -> float:
-    """Return the largest travel of an independent joint along a plan: an angle [rad], or a slide's share of the extent."""
+    """Return the largest travel of an independent joint along a plan: an angle [rad], or a slide's share of the extent.
+
+    For a motor behind a gear or screw it is about that of what it drives.
+    """
     mechanism, position = plan.problem.mechanism, plan.require_motion("measure").position
-    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m) * travel_scales(mechanism)
     return float(np.max(np.ptp(position, axis=(0, 1)) / unit, initial=0.0))
 
 
@@ -74,7 +78,7 @@ def _gap(mechanism: Mechanism, pose: np.ndarray, speed: np.ndarray, acceleration
     push = np.abs(force) * data.efc_R[: data.ne] * impedance / (1 - impedance)
     laws = zip(push, stiffness, model.eq_solimp[data.efc_id[: data.ne]], strict=True)
     gap = np.array([steady_gap(*law) for law in laws])
-    return float(np.max(gap / np.where(_are_lengths(model, data), mechanism.extent_m, 1.0), initial=0.0))
+    return float(np.max(gap * _lengths(mechanism, data), initial=0.0)) / mechanism.extent_m
 
 
 def _joint_efforts(mechanism: Mechanism, pose: np.ndarray, effort: np.ndarray) -> np.ndarray:
@@ -84,10 +88,10 @@ def _joint_efforts(mechanism: Mechanism, pose: np.ndarray, effort: np.ndarray) -
     return units.T @ on_joints
 
 
-def _are_lengths(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return a mask of the equality rows whose gaps are lengths [m]: those of connects, and the first three of welds."""
+def _lengths(mechanism: Mechanism, data: mujoco.MjData) -> np.ndarray:
+    """Return the gap [m] of one unit of each equality row; of a weld's rows the first three are lengths, others angles."""
     owner = np.array(data.efc_id[: data.ne])
     number = np.array([np.sum(owner[:k] == owner[k]) for k in range(data.ne)], dtype=int)
-    kind = model.eq_type[owner]
-    weld, connect = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT
-    return (kind == connect) | ((kind == weld) & (number < 3))
+    scale = {closure.index: closure.scale for closure in mechanism.closures if closure.kind in ("joint", "tendon")}
+    angle = (mechanism.model.eq_type[owner] == mujoco.mjtEq.mjEQ_WELD) & (number >= 3)
+    return np.where(angle, mechanism.extent_m, [scale.get(int(index), 1.0) for index in owner])

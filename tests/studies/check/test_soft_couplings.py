@@ -7,6 +7,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selected_model import whole_model_text
 from linkplan.studies.check.softness import soft_closures, softness_note
+from linkplan.studies.new.first_motion import first_motion
 
 LEAD_M_PER_RAD, MASS_KG, OFFSET_M = 0.0016, 3.0, 0.02
 # A nut that carries a weight, written as the nut's position over the motor's.
@@ -75,3 +76,10 @@ def test_a_screw_written_with_a_large_coefficient_locks_nothing():
     mechanism = load_mechanism(model)
     assert mechanism.dof == 1
     assert not any("locked" in note for note in mechanism.notes)
+
+
+def test_new_makes_a_screw_stiff_that_a_motion_opens(tmp_path):
+    (tmp_path / "screw.xml").write_text(SCREW.replace('name="nut" type', 'name="nut" range="-0.2 0.2" limited="true" type'))
+    found = first_motion({"model": str(tmp_path / "screw.xml")}, lambda _: None)
+    assert found.plan is not None
+    assert found.tables["mechanism"]["solref"] == "stiff"
