@@ -111,9 +111,14 @@ def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
         (kp, kd), per = joint_gains(tuning)[joint.name], joint.gain_units
         where = f"the joint {joint.name}" if len(tuning.mechanism.channels) == 1 else joint.name
         lines.append((f"at {where}", f"kp = {kp:.5g} {per[0]}, kd = {kd:.5g} {per[1]}"))
-    for motor in motor_gains(tuning):
+    found = motor_gains(tuning)
+    for motor in found:
         over = "" if motor.is_constant else ", over the poses below"
         lines.append((f"at the motor {motor.actuator.name}, {motor.said_ratio()}", f"{motor.said_gains()}{over}"))
+    alone = [motor.actuator for motor in found]
+    if shared := [actuator.name for actuator in tuning.mechanism.actuators if actuator not in alone]:
+        text = "no gains of its own, because it moves several joints; linkplan transfer has the gains as matrices"
+        lines.append((f"at the motor {' and '.join(shared)}", text))
     return lines
 
 

@@ -8,7 +8,8 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import Tuning, tune
-from linkplan.studies.tune.tune_report import motor_gains, motor_record
+from linkplan.studies.tune.tune_report import gain_lines, motor_gains, motor_record
+from tests.support.parallel_ankle import ankle_text
 
 RAD_PER_M = 2000.0
 
@@ -44,6 +45,15 @@ def test_a_screw_has_the_same_motor_gains_as_a_gear_and_as_a_coupling():
     assert {motor.actuator.gain_units[0] for motor in gains.values()} == {"N.m/rad"}
     # The rotor's inertia and the table's, seen at the motor, at the natural frequency that the joint's gains give.
     assert stiffness[0] == pytest.approx(tuned(found["as a gear"], [0.0]).best.law.settings.kp / RAD_PER_M**2)
+
+
+def test_motors_that_move_several_joints_have_no_gains_of_their_own():
+    mechanism = load_mechanism(ankle_text(), independent=["ankle_pitch", "ankle_roll"])
+    point = operating_point(mechanism, mechanism.home[mechanism.independent])
+    law = sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit)
+    found = tune([point], Wanted(bandwidth_hz=5.0, phase_margin_deg=40.0), law)
+    assert motor_gains(found) == []
+    assert any("several joints" in text for _, text in gain_lines(found))
 
 
 def test_motor_gains_across_a_linkage_change_with_the_square_of_its_ratio():
