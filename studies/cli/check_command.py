@@ -33,7 +33,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     found = whole.found
 
     def draw(place: Path) -> None:
-        from linkplan.models.library import urdf_root
+        from linkplan.models.model_text import urdf_root
         from linkplan.models.selected_model import whole_model_text
         from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
 
