@@ -122,7 +122,8 @@ LONG_ROCKER = """<mujoco><compiler angle="degree"/><default><joint axis="0 -1 0"
 <body name="crank"><joint name="O"/><geom fromto="0 0 0 0 0 .1"/><body name="coupler" pos="0 0 .1"><joint name="A"/>
 <geom fromto="0 0 0 .2 0 0"/></body></body><body name="rocker" pos="5 0 0">
 <joint name="C"/><geom fromto="0 0 0 0 0 .1"/></body>
-</worldbody><equality><connect name="B" body1="coupler" body2="rocker" anchor=".2 0 0"/></equality><actuator><motor name="m" joint="O" ctrlrange="-1 1"/></actuator></mujoco>"""
+</worldbody><equality><connect name="B" body1="coupler" body2="rocker" anchor=".2 0 0"/></equality><actuator>
+<motor name="m" joint="O" ctrlrange="-1 1"/></actuator></mujoco>"""
 
 
 @pytest.mark.parametrize("name", ["C", "A"])
