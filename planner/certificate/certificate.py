@@ -29,6 +29,7 @@ from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
+from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -182,11 +183,19 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         (closure_gap > max(CLOSURE_M, mechanism.closed_m), opened),
     )
     failures = [sentence for broken, sentence in findings if broken]
+    figures = {
+        "the effort that the motion needs": np.hstack([tau, needed]),
+        "a joint's speed": samples.joint_rates,
+        "a loop's gap": mechanism.gaps_m(q),
+        "a closure's force": samples.closure_forces,
+    }
+    failures += [sentence for what, values in figures.items() for sentence in not_finite(what, values, time)]
+    unknown = extras_not_finite(problem.objective.extra, mechanism, time, q, v, a, u)
     if not np.all(np.isfinite(integrated.position)) and until.passed:
         failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     failures += _integration_failures(in_deg, in_m)
     failures += _range_failures(mechanism, position_margin, speed_margin, worst)
-    unmendable = _ctrl_failures(samples)
+    unmendable = [*unknown, *_ctrl_failures(samples)]
     failures += unmendable + [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,

@@ -17,9 +17,6 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.passive import is_gas_spring
 
-# Singular values of the controllable space below this are rounding, in units of the largest effect of an effort.
-_CONTROLLED_SIZE = 1e-9
-
 
 def drivable(mechanism: Mechanism) -> np.ndarray:
     """Return a mask (n_s,) of the freedoms that a drive could move: all but the spins of rods in loops."""
@@ -211,16 +208,17 @@ def steerable_columns(mechanism: Mechanism) -> np.ndarray:
     scale = np.concatenate([np.ones(n_s), np.full(n_s, rate)])
     A = A * scale / (scale[:, None] * rate)
     B = np.vstack([np.zeros_like(by_u), by_u]) / max(float(np.abs(by_u).max()), np.finfo(float).tiny)
-    space, sizes = _krylov_space(A, B)
-    shares = np.linalg.norm(space[:, sizes > _CONTROLLED_SIZE], axis=1).reshape(2, n_s)  # of positions and speeds
+    rounding = 1e-9  # of the singular values, in units of the largest effect of an effort
+    space, sizes = _krylov_space(A, B, rounding)
+    shares = np.linalg.norm(space[:, sizes > rounding], axis=1).reshape(2, n_s)  # of positions and speeds
     return np.all(shares > 1 - 1e-6, axis=0)
 
 
-def _krylov_space(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _krylov_space(A: np.ndarray, B: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the left singular vectors (n, r) and singular values (r,) of [B, A B, ..., A^(n-1) B].
 
-    If the first blocks span everything, they are enough. Of the matrix, at most n_u + 2 n columns are in memory: L of its
-    LQ factorisation has the same singular values and left singular vectors.
+    If the first blocks span everything, by singular values above `rounding`, they are enough. Of the matrix, at most
+    n_u + 2 n columns are in memory: L of its LQ factorisation has the same singular values and left singular vectors.
     """
     n, lower, block, reduced = len(A), np.empty((len(A), 0)), B, False
     for _ in range(n):
@@ -228,7 +226,7 @@ def _krylov_space(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         if lower.shape[1] < 2 * n:
             continue
         lower = np.linalg.qr(lower.T, mode="r").T
-        if not reduced and np.linalg.svd(lower, compute_uv=False)[-1] > _CONTROLLED_SIZE:
+        if not reduced and np.linalg.svd(lower, compute_uv=False)[-1] > rounding:
             break
         reduced = True
     space, sizes, _ = np.linalg.svd(lower, full_matrices=False)

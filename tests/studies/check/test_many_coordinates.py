@@ -138,7 +138,7 @@ def test_the_controllable_space_is_that_of_the_whole_matrix(n, m, idle):
     A, B = random.normal(size=(n, n)) / n, random.normal(size=(n, m))
     A[n - idle :, : n - idle], B[n - idle :] = 0, 0  # the last coordinates move by themselves
     whole = np.hstack([np.linalg.matrix_power(A, k) @ B for k in range(n)])
-    space, sizes = _krylov_space(A, B)
+    space, sizes = _krylov_space(A, B, 1e-9)
     expected = np.linalg.matrix_rank(whole, tol=1e-9)
     assert np.count_nonzero(sizes > 1e-9) == expected == n - idle
     basis, exact = space[:, sizes > 1e-9], np.linalg.svd(whole)[0][:, :expected]
