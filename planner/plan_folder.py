@@ -55,6 +55,8 @@ def record(plan: Plan) -> dict:
             "duration_s": plan.duration_s,
             "peak_effort": peaks("peak_effort", names),
             "peak_power_w": peaks("peak_power", names),
+            "peak_motor_power_w": peaks("peak_motor_power", names),
+            "peak_brake_power_w": peaks("peak_brake_power", names),
             "peak_closure_force_n": peaks("peak_closure_force", mechanism.closure_names),
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},

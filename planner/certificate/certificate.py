@@ -77,7 +77,8 @@ class Certificate(RenamedFields):
     speed_margin_rad_s: np.ndarray  # (n_q,)
     singularity_ratio: float  # least det J_z along the motion, relative to home
     peak_effort: np.ndarray  # (n_u,)
-    peak_power: np.ndarray  # (n_u,) [W], mechanical
+    peak_motor_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator gives
+    peak_brake_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator takes
     peak_closure_force: np.ndarray  # (n_closures,) [N]
     margins: tuple[Margin, ...]  # of the limits other than effort, range and speed
     speed_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's speed limit, as a share of it
@@ -90,6 +91,11 @@ class Certificate(RenamedFields):
     failures: tuple[str, ...]
     unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts, a rounded loop's gap
     contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
+
+    @property
+    def peak_power(self) -> np.ndarray:
+        """The largest mechanical power (n_u,) [W] of each actuator, as motor or as brake."""
+        return np.maximum(self.peak_motor_power, self.peak_brake_power)
 
     @property
     def passed(self) -> bool:
@@ -153,6 +159,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     in_m = float(integrated.position[~hinge].max(initial=0.0))
     velocity_error, growth = integrated.velocity, integrated.growth
 
+    power = u * samples.actuator_speeds
     inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
     allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), 1e-12, 1e-6 * float(inertial))
@@ -213,7 +220,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         speed_margin_rad_s=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
-        peak_power=np.abs(u * samples.actuator_speeds).max(axis=0),
+        peak_motor_power=power.max(axis=0, initial=0.0),
+        peak_brake_power=(-power).max(axis=0, initial=0.0),
         peak_closure_force=samples.closure_forces.max(axis=0, initial=0.0),
         margins=others,
         speed_overrun=speed_overrun,
