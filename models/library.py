@@ -13,7 +13,7 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -22,7 +22,7 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.deletion import couple_narrow_tendons, leave_out_missing_files
+from linkplan.models.deletion import couple_narrow_tendons, leave_out_large_textures, leave_out_missing_files
 from linkplan.models.errors import ModelError, listed, nearest, one_line, shown
 from linkplan.models.model_text import COMMENT, MAX_MODEL_BYTES, refuse_oversized, robot_element, urdf_root
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
@@ -280,7 +280,7 @@ def _name_all(elements: Sequence, kind: str) -> None:
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
-    """Return a model's name, its specification, and notes on attributes of an older MuJoCo and on attached URDFs."""
+    """Return a model's name, its specification, and notes on what its files do not give it."""
     text = str(source)
     if not text.isprintable() and not is_text(text):
         raise ModelError(f"a model's name has characters that cannot be shown: '{text}'")
@@ -289,7 +289,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
     if is_text(text):
         refuse_oversized(text.encode("utf-8", "replace"), "MJCF text")
         spec = _parse("MJCF text", text)
-        return spec.modelname or "MJCF text", spec, ()
+        return spec.modelname or "MJCF text", spec, leave_out_large_textures(spec, [Path()])
     path = Path(text)
     if os.path.isdir(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
@@ -305,19 +305,22 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
     old = [word for part in parts.values() for word in _RETIRED.findall(COMMENT.sub(b"", part))]
     retired = ", ".join(dict.fromkeys(word.decode() for word in old))
     notes = (f"attributes of an older MuJoCo are left out: {retired}",) if retired else ()
-    notes += _attached(parts.values(), path.parent)
+    attached = _attached(parts.values(), path.parent)
+    notes += _lost_in(attached)
     cleaned = {name: _RETIRED.sub(b"", part) for name, part in parts.items()} if old else parts
     try:
         if path.suffix != ".mjcf" and path.suffix.islower():
-            return shown(path.stem), mujoco.MjSpec.from_file(str(path), include=cleaned if old else None), notes
-        spec = mujoco.MjSpec.from_string(cleaned.pop(str(path)).decode("utf-8"), cleaned)  # MuJoCo reads no .mjcf or .URDF
-        spec.modelfiledir = str(path.parent.resolve())
-        return shown(path.stem), spec, notes
+            spec = mujoco.MjSpec.from_file(str(path), include=cleaned if old else None)
+        else:
+            spec = mujoco.MjSpec.from_string(cleaned.pop(str(path)).decode("utf-8"), cleaned)  # it reads no .mjcf or .URDF
+            spec.modelfiledir = str(path.parent.resolve())
     except (ValueError, mujoco.FatalError) as error:
         if _PART_OF_A_MODEL in str(error):
             raise ModelError(f"model '{text}' is a part that other models include; take a file that includes it") from error
         named = "" if path.suffix.lower() in (".xml", ".urdf") else "; model files are named .xml or .urdf"
         raise ModelError(f"model '{text}' does not parse: {one_line(error)}{named}") from error
+    folders = dict.fromkeys([path.parent, *(place.parent for place in attached.values())])
+    return shown(path.stem), spec, (*notes, *leave_out_large_textures(spec, folders))
 
 
 def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str, bytes]:
@@ -331,13 +334,18 @@ def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str
     return found
 
 
-def _attached(parts: Iterable[bytes], folder: Path) -> tuple[str, ...]:
-    """Return notes on the closures and motors of URDFs that a model attaches, which MuJoCo leaves out."""
+def _attached(parts: Iterable[bytes], folder: Path) -> dict[str, Path]:
+    """Return the files of the models that a model attaches, by name."""
+    names = [word.decode("utf-8", "replace") for part in parts for word in _ATTACHED.findall(COMMENT.sub(b"", part))]
+    return {name: place for name in names if (place := folder / name).is_file()}
+
+
+def _lost_in(attached: Mapping[str, Path]) -> tuple[str, ...]:
+    """Return notes on the closures and motors of attached URDFs, which MuJoCo leaves out."""
     notes = []
-    for name in (word.decode("utf-8", "replace") for part in parts for word in _ATTACHED.findall(COMMENT.sub(b"", part))):
-        path = folder / name
-        root = urdf_root(path) if path.is_file() else None
-        lost = [] if root is None else lost_when_attached(root, path)
+    for name, place in attached.items():
+        root = urdf_root(place)
+        lost = [] if root is None else lost_when_attached(root, place)
         if lost:
             notes.append(
                 f"of the attached '{name}' are left out: {listed(lost, 6)}; write them in the file that attaches it"

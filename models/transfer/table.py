@@ -16,8 +16,6 @@ from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, KnownPoses
 _SINGULAR_MARGIN_SHARE = 0.005
 # Beyond this multiple of the median transmission along the reach a pose counts as singular: G grows without limit there.
 _SINGULAR_RATIO_MULTIPLE = 10.0
-# The least width of a table as a share of the reach: positions of motors at closer poses differ by rounding alone.
-_LEAST_RANGE_SHARE = 1e-6
 # The quantities whose interpolation keeps the tolerance. Slopes are given, and their error is measured.
 REFINED = ("motor_position", "ratio", "inertia", "gravity")
 # Nodes of a table: a controller's has hundreds, and the largest measures the error that it is left with.
@@ -130,9 +128,10 @@ def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] |
             f"the range of {joint.name} is inside {joint.said(ends[0].position, 6)} to {joint.said(ends[1].position, 6)}"
             f" {joint.unit} ({ends[0].reason}; {ends[1].reason}), got {joint.said(asked[0], 6)} to {joint.said(asked[1], 6)}"
         )
-    if asked[1] - asked[0] < _LEAST_RANGE_SHARE * width:
+    share = 1e-6  # positions of motors at closer poses differ by rounding alone
+    if asked[1] - asked[0] < share * width:
         raise ModelError(
-            f"the range of {joint.name} is at least {_LEAST_RANGE_SHARE:g} of its reach of {joint.said(width, 6)}"
+            f"the range of {joint.name} is at least {share:g} of its reach of {joint.said(width, 6)}"
             f" {joint.unit} wide, got {joint.shown(asked[0]):g} to {joint.shown(asked[1]):g}"
         )
     return End(position=asked[0], reason="asked for"), End(position=asked[1], reason="asked for")
