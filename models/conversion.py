@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.errors import ModelError, listed
+from linkplan.models.errors import ModelError, listed, shown
 from linkplan.models.kinematics import rotation_of_rpy
 
 _READ_IN_MUJOCO = ("compiler", "option", "size")
@@ -121,12 +121,21 @@ def _text(element: ET.Element, path: str) -> str:
 
 
 def _numbers(joint: ET.Element, path: str, default: str) -> np.ndarray:
-    text = joint.findtext(path, default)
+    return numbers_of(
+        joint.findtext(path, default), len(default.split()), f"joint '{joint.get('name')}' in <gazebo> has {path}"
+    )
+
+
+def numbers_of(text: str, count: int, what: str) -> np.ndarray:
+    """Return the numbers (count,) in a text.
+
+    Raises:
+        ModelError: for another count or a number that is not finite; `what` says whose text it is.
+    """
     try:
         numbers = np.array(text.split(), dtype=float)
     except ValueError:
         numbers = np.empty(0)
-    most = len(default.split())
-    if len(numbers) != most or not np.all(np.isfinite(numbers)):
-        raise ModelError(f"joint '{joint.get('name')}' in <gazebo> has {path} = '{text}'; it takes {most} numbers")
+    if len(numbers) != count or not np.all(np.isfinite(numbers)):
+        raise ModelError(f"{what} = '{shown(text, 60)}'; it takes {count} numbers")
     return numbers

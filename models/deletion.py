@@ -14,6 +14,8 @@ import numpy as np
 from linkplan.models.errors import ModelError, listed, shown
 
 _OPENING = "opening file"
+# Most pixels of a model's textures together, and most points of its height fields: 200 and 270 MB in memory.
+MAX_IMAGE_PIXELS = 8192**2
 # First bytes of the text that stands for a file in a clone without Git LFS.
 _POINTER = b"version https://git-lfs"
 
@@ -187,14 +189,67 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
             _refuse_lost_mass(geom, mesh, path, mesh in pointers)
         delete_geoms(spec, geoms)
         spec.delete(mesh)
-    gone = {texture.name for texture in textures}
+    _delete_textures(spec, textures)
+    said = f"files that are not there are left out with what they draw: {listed(names, 6)}"
+    said += "; for Git LFS pointers, git lfs pull gets the files" if pointers else ""
+    return (*notes, said)
+
+
+def leave_out_large_textures(spec: mujoco.MjSpec, folders: Iterable[Path]) -> tuple[str, ...]:
+    """Delete the textures for which `MAX_IMAGE_PIXELS` leave no room, and return a note that names them: no plan needs them.
+
+    Args:
+        spec: a parsed model.
+        folders: of its file, and of the models that it attaches.
+
+    Raises:
+        ModelError: for height fields with more points.
+    """
+    room, large = MAX_IMAGE_PIXELS, {}
+
+    def pixels_of(beside: str, name: str) -> int:
+        return max((_pixels_of(_place(folder / beside, name, bool(spec.strippath))) for folder in folders), default=0)
+
+    for texture in spec.textures:
+        files = [name for name in (texture.file, *texture.cubefiles) if name]
+        faces = 1 if texture.type == mujoco.mjtTexture.mjTEXTURE_2D else 6
+        made = faces * int(texture.width) * int(texture.height)
+        pixels = sum(pixels_of(texture.compiler.texturedir, name) for name in files) if files else made
+        if pixels > room:
+            large[texture] = f"{texture.name or Path(files[0]).stem} ({pixels / 1e6:.3g} million pixels)"
+        else:
+            room -= pixels
+    for field in spec.hfields:
+        made = int(field.nrow) * int(field.ncol)
+        points = pixels_of(field.compiler.meshdir, field.file) if field.file else made
+        room -= points
+        if room < 0:
+            raise ModelError(
+                f"height field '{field.name}' has {points / 1e6:.3g} million points; height fields and textures have at most"
+                f" {MAX_IMAGE_PIXELS / 1e6:.3g} million together"
+            )
+    _delete_textures(spec, list(large))
+    most = f"of more than {MAX_IMAGE_PIXELS / 1e6:.3g} million pixels together"
+    return (f"textures {most} are left out of pictures: {listed(list(large.values()), 6)}",) if large else ()
+
+
+def _delete_textures(spec: mujoco.MjSpec, textures: list["mujoco._specs.MjsTexture"]) -> None:
+    gone = {texture.name or Path(texture.file).stem for texture in textures}
     for material in spec.materials:
         material.textures = ["" if name in gone else name for name in material.textures]
     for texture in textures:
         spec.delete(texture)
-    said = f"files that are not there are left out with what they draw: {listed(names, 6)}"
-    said += "; for Git LFS pointers, git lfs pull gets the files" if pointers else ""
-    return (*notes, said)
+
+
+def _pixels_of(place: Path) -> int:
+    """Return the number of pixels of an image: from a PNG's header, or a third of the bytes of another format."""
+    if not os.path.isfile(place):
+        return 0
+    with open(place, "rb") as file:
+        head = file.read(24)
+    if head[:8] == b"\x89PNG\r\n\x1a\n":
+        return int.from_bytes(head[16:20], "big") * int.from_bytes(head[20:24], "big")
+    return os.path.getsize(place) // 3
 
 
 def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:

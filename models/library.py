@@ -13,8 +13,7 @@ import os
 import re
 import threading
 import warnings
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -23,24 +22,21 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, built_in_text, is_text
 from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.deletion import couple_narrow_tendons, leave_out_missing_files
-from linkplan.models.errors import ModelError, nearest, one_line, shown
+from linkplan.models.deletion import couple_narrow_tendons, leave_out_large_textures, leave_out_missing_files
+from linkplan.models.errors import ModelError, listed, nearest, one_line, shown
+from linkplan.models.model_text import COMMENT, MAX_MODEL_BYTES, refuse_oversized, robot_element, urdf_root
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
 from linkplan.models.selection import Selection, select
-from linkplan.models.urdf_loops import complete
+from linkplan.models.urdf_loops import complete, lost_when_attached
 
-# Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
-MAX_MODEL_BYTES = 32_000_000
-_COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
-_SDF = re.compile(rb"<sdf[\s>]")
-_XACRO, _COMMENT = re.compile(rb"<xacro:\w"), re.compile(rb"<!--.*?-->", re.DOTALL)
 # Attributes that older versions of MuJoCo read and that no plan depends on.
 _RETIRED = re.compile(rb"""\s(sensornoise|apirate|collision)\s*=\s*["'](?:\d+|enable|disable|all|predefined|dynamic)["']""")
-_INCLUDE = re.compile(rb"""<include\s+file\s*=\s*["']([^"']+)["']""")
+# Files that a model includes, and models that it attaches.
+_INCLUDE = re.compile(rb"""<include\s[^>]*?\bfile\s*=\s*["']([^"']+)["']""")
+_ATTACHED = re.compile(rb"""<model\s[^>]*?\bfile\s*=\s*["']([^"']+)["']""")
 # MuJoCo's refusal of a file whose root element is <mujocoinclude>.
 _PART_OF_A_MODEL = "model type: 'mujocoinclude'"
-_UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 MAX_NAME_LENGTH = 500
 # Fields of a compiled model that must not be negative: the element's prefix and the word of MJCF.
 _NOT_NEGATIVE = (
@@ -56,26 +52,6 @@ _OWNERS = {
     "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator",
     "eq": "equality", "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
 }  # fmt: skip
-
-
-def urdf_root(source: str | Path) -> ET.Element | None:
-    """Return the <robot> element of a URDF (a path or text); None for another model."""
-    root = _root(str(source))
-    if root is None:
-        return None
-    for element in root.iter():  # names of a default namespace, as in Drake's URDFs, are {namespace}name; MuJoCo ignores it
-        element.tag = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else element.tag
-    return root if root.tag == "robot" else None
-
-
-def _root(source: str) -> ET.Element | None:
-    try:
-        if is_text(source):
-            return ET.fromstring(source)
-        path = Path(source)
-        return ET.fromstring(path.read_bytes()) if path.suffix.lower() in (".urdf", ".xml") and path.is_file() else None
-    except (ET.ParseError, OSError, ValueError, LookupError):  # MuJoCo's own reader is less strict
-        return None
 
 
 class _Kept(threading.local):
@@ -109,45 +85,6 @@ def mujoco_warnings() -> Iterator[list[str]]:
 
 # Set once for the process: MuJoCo can deadlock when one thread sets the handler while another compiles a model.
 mujoco.set_mju_user_warning(_keep)
-
-
-def refuse_oversized(content: bytes, what: str) -> None:
-    """Refuse an MJCF text that is too long, contains zero bytes, has a count or size above the limits, or is SDF or xacro.
-
-    Args:
-        content: the text.
-        what: name of the text in messages.
-
-    Raises:
-        ModelError: if a limit is exceeded, or with the converter of SDF or xacro.
-    """
-    if len(content) > MAX_MODEL_BYTES:
-        raise ModelError(f"{what} has {len(content)} bytes; at most {MAX_MODEL_BYTES} are read")
-    if b"\0" in content:
-        raise ModelError(f"{what} does not parse: it holds zero bytes; a model is MJCF or URDF text")
-    if _SDF.search(content):
-        raise ModelError(
-            f"{what} is SDF, and models are MJCF or URDF: sdf2mjcf (pip install sdformat-mjcf) converts it; then close its"
-            " loops by <connect> elements"
-        )
-    if _XACRO.search(_COMMENT.sub(b"", content)):
-        raise ModelError(
-            f"{what} is xacro, which makes a URDF: xacro (pip install xacro, or ROS) expands it: xacro FILE > robot.urdf"
-        )
-    for name, value in _COUNT.findall(content):
-        # Numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
-        most = {b"nstack": 1e8}.get(name, 20_000)
-        if any(_number(word) > most for word in value.decode("utf-8", "replace").split()):
-            text = shown(value.decode("utf-8", "replace"), 40)
-            raise ModelError(f'{what} has {name.decode()} = "{text}"; at most {most:g} is read')
-
-
-def _number(word: str) -> float:
-    """Return the number of a word with an optional unit letter, or 0 for another word, which MuJoCo refuses."""
-    try:
-        return float(word.rstrip("KMGTPEkmgtpe")) * _UNITS.get(word[-1:].upper(), 1)
-    except ValueError:
-        return 0.0
 
 
 def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
@@ -302,12 +239,11 @@ def _compiled(
 
 def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
     """Return a model's name, the specification of what is selected, and notes on what was left out."""
-    name, spec, retired = _read_spec(source)
+    name, spec, notes = _read_spec(source)
     root = urdf_root(source)
     if root is not None:
-        notes = complete(spec, source, root)
+        notes += complete(spec, source, root)
     else:
-        notes = (f"attributes of an older MuJoCo are left out: {', '.join(retired)}",) if retired else ()
         notes += () if is_text(str(source)) or str(source) in MODELS else leave_out_missing_files(spec, Path(source))
         notes += _angle_note(spec)
     _name_all(spec.bodies, "body")
@@ -344,7 +280,7 @@ def _name_all(elements: Sequence, kind: str) -> None:
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
-    """Return a model's name, its specification, and attributes of an older MuJoCo that were left out of it."""
+    """Return a model's name, its specification, and notes on what its files do not give it."""
     text = str(source)
     if not text.isprintable() and not is_text(text):
         raise ModelError(f"a model's name has characters that cannot be shown: '{text}'")
@@ -353,7 +289,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
     if is_text(text):
         refuse_oversized(text.encode("utf-8", "replace"), "MJCF text")
         spec = _parse("MJCF text", text)
-        return spec.modelname or "MJCF text", spec, ()
+        return spec.modelname or "MJCF text", spec, leave_out_large_textures(spec, [Path()])
     path = Path(text)
     if os.path.isdir(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
@@ -366,29 +302,55 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
     refuse_oversized(content, f"model '{text}'")
     parts = {str(path): content} | _included(content, path.parent, {})
-    old = [word for part in parts.values() for word in _RETIRED.findall(_COMMENT.sub(b"", part))]
-    retired = tuple(dict.fromkeys(word.decode() for word in old))
+    old = [word for part in parts.values() for word in _RETIRED.findall(COMMENT.sub(b"", part))]
+    retired = ", ".join(dict.fromkeys(word.decode() for word in old))
+    notes = (f"attributes of an older MuJoCo are left out: {retired}",) if retired else ()
+    attached = _attached(parts.values(), path.parent)
+    notes += _lost_in(attached)
     cleaned = {name: _RETIRED.sub(b"", part) for name, part in parts.items()} if old else parts
     try:
         if path.suffix != ".mjcf" and path.suffix.islower():
-            return shown(path.stem), mujoco.MjSpec.from_file(str(path), include=cleaned if old else None), retired
-        spec = mujoco.MjSpec.from_string(cleaned.pop(str(path)).decode("utf-8"), cleaned)  # MuJoCo reads no .mjcf or .URDF
-        spec.modelfiledir = str(path.parent.resolve())
-        return shown(path.stem), spec, retired
+            spec = mujoco.MjSpec.from_file(str(path), include=cleaned if old else None)
+        else:
+            spec = mujoco.MjSpec.from_string(cleaned.pop(str(path)).decode("utf-8"), cleaned)  # it reads no .mjcf or .URDF
+            spec.modelfiledir = str(path.parent.resolve())
     except (ValueError, mujoco.FatalError) as error:
         if _PART_OF_A_MODEL in str(error):
             raise ModelError(f"model '{text}' is a part that other models include; take a file that includes it") from error
         named = "" if path.suffix.lower() in (".xml", ".urdf") else "; model files are named .xml or .urdf"
         raise ModelError(f"model '{text}' does not parse: {one_line(error)}{named}") from error
+    folders = dict.fromkeys([path.parent, *(place.parent for place in attached.values())])
+    return shown(path.stem), spec, (*notes, *leave_out_large_textures(spec, folders))
 
 
 def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str, bytes]:
     """Return the files that a model includes, also by included ones, by name; those that are not there MuJoCo refuses."""
-    for name in (word.decode("utf-8", "replace") for word in _INCLUDE.findall(_COMMENT.sub(b"", content))):
+    for name in (word.decode("utf-8", "replace") for word in _INCLUDE.findall(COMMENT.sub(b"", content))):
         if name not in found and (folder / name).is_file():
             found[name] = read_file(folder / name, f"'{name}'", MAX_MODEL_BYTES, ModelError)
+            refuse_oversized(found[name], f"'{name}'")
+            robot_element(found[name].decode("utf-8", "replace"), f"'{name}'")
             _included(found[name], folder, found)
     return found
+
+
+def _attached(parts: Iterable[bytes], folder: Path) -> dict[str, Path]:
+    """Return the files of the models that a model attaches, by name."""
+    names = [word.decode("utf-8", "replace") for part in parts for word in _ATTACHED.findall(COMMENT.sub(b"", part))]
+    return {name: place for name in names if (place := folder / name).is_file()}
+
+
+def _lost_in(attached: Mapping[str, Path]) -> tuple[str, ...]:
+    """Return notes on the closures and motors of attached URDFs, which MuJoCo leaves out."""
+    notes = []
+    for name, place in attached.items():
+        root = urdf_root(place)
+        lost = [] if root is None else lost_when_attached(root, place)
+        if lost:
+            notes.append(
+                f"of the attached '{name}' are left out: {listed(lost, 6)}; write them in the file that attaches it"
+            )
+    return tuple(notes)
 
 
 def _parse(name: str, text: str) -> mujoco.MjSpec:

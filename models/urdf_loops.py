@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import is_text
-from linkplan.models.conversion import CLOSING, GazeboJoint, gazebo_joints
+from linkplan.models.conversion import CLOSING, GazeboJoint, gazebo_joints, numbers_of
 from linkplan.models.errors import ModelError, choose, listed
 from linkplan.models.extras import load_extra
 from linkplan.models.kinematics import data_at, in_body, rotation_of_rpy
@@ -29,7 +29,7 @@ _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 # Where closures and motors come from, in notes.
 _BESIDE, _CUT = "the YAML file beside the URDF", "loop_closures.yaml"
-_CLOSING = re.compile(r"closing_(.+)_1")
+_CLOSING = re.compile(r"closing_(.+)_[12]")
 # The distance [m] of a hinge's two points.
 _HINGE_WIDTH_M = 0.05
 # Kinds of actuators whose force follows their control by a filter.
@@ -152,9 +152,12 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
 
 def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: Sequence[CutHinge]) -> list[str]:
     """Close the loops that frames, loop_joints and YAML files name, and return a note for each source."""
-    frames = [(first, f"closing_{found[1]}_2") for first in _links(root) if (found := _CLOSING.fullmatch(first))]
+    closing = dict.fromkeys(found[1] for name in _links(root) if (found := _CLOSING.fullmatch(name)))
+    frames = [(f"closing_{name}_1", f"closing_{name}_2") for name in closing]
     loops = list(root.iter("loop_joint"))
     kinds = ["3d"] * len(frames) + (named.type or ["6d"] * len(named.closed_loop))
+    for kind in named.type:
+        choose(f"type of closure in {_BESIDE}", kind.lower(), ("3d", "6d"))
     pairs, added = [*frames, *named.closed_loop], gazebo_joints(root)
     spec.compiler.fusestatic = spec.compiler.fusestatic and not any((pairs, hinges, added))
     for pair, kind in zip(pairs, kinds, strict=True):
@@ -167,17 +170,28 @@ def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: S
         _close_hinge(spec, hinge, data, names)
     closed = [joint for joint in added if _close_gazebo_joint(spec, joint, data, names)]
     sources = {
-        "the URDF": ["-".join(pair) for pair in frames] + [str(loop.get("name")) for loop in loops],
+        "the URDF": ["-".join(pair) for pair in frames] + [loop.get("name", "loop") for loop in loops],
         "the URDF's <gazebo>": [joint.name for joint in closed],
         _BESIDE: ["-".join(pair) for pair in named.closed_loop],
         _CUT: [f"{hinge.link_a}-{hinge.link_b}" for hinge in hinges],
     }
     notes = [f"closures from {where}: {', '.join(names)}" for where, names in sources.items() if names]
+    unread = {loop.get("name", "loop"): listed(left, 6) for loop in loops if (left := _unread(loop))}
+    notes += [f"left out of loop_joint '{name}': {left}" for name, left in unread.items()]
     open_ = [f"{joint.name} (type {joint.kind}, {' to '.join(joint.links)})" for joint in added if joint not in closed]
     said = (
         f"joints in <gazebo> close no loop here: {', '.join(open_)}; {', '.join(CLOSING)} joints between links that move do"
     )
     return [*notes, said] if open_ else notes
+
+
+def lost_when_attached(root: ET.Element, path: Path) -> list[str]:
+    """Return the closures and motors of a URDF that MuJoCo does not read where an MJCF file attaches it."""
+    said = [f"loop_joint {loop.get('name')}" for loop in root.iter("loop_joint")]
+    said += [f"joint {joint.name} in <gazebo>" for joint in gazebo_joints(root)]
+    said += [f"frame {name}" for name in _links(root) if _CLOSING.fullmatch(name)]
+    said += [f"<{tag}>" for tag in ("transmission", "ros2_control") if root.find(tag) is not None]
+    return said + [what for what, read in ((_BESIDE, beside), (_CUT, loop_closures)) if read(path) is not None]
 
 
 def _link_of(root: ET.Element, name: str) -> str:
@@ -204,30 +218,65 @@ def _close(spec: mujoco.MjSpec, name: str, ends: Sequence[tuple[str, np.ndarray]
 
 def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
     """Close a loop_joint: a weld if it is fixed, a connect of its points, and one along the axis if it is a hinge."""
-    name, ends, turns = loop.get("name", "loop"), [], []
+    name = loop.get("name", "loop")
+    what = f"loop_joint '{name}' has"
+    kind = choose(f"type of loop_joint '{name}'", loop.get("type", "continuous"), CLOSING)
+    ends, turns = [], []
     for tag in ("link1", "link2"):
-        end = loop.find(tag)
-        if end is None:
-            raise ModelError(f"loop_joint '{name}' has no <{tag}>")
-        ends.append((end.get("link", ""), np.array(end.get("xyz", "0 0 0").split(), dtype=float)))
-        turns.append(rotation_of_rpy(np.array(end.get("rpy", "0 0 0").split(), dtype=float)))
-    kind = loop.get("type", "continuous")
+        end = _only(loop, tag, f"{what} {{}} <{tag}>; it has 1")
+        place, turn = (numbers_of(end.get(key, "0 0 0"), 3, f"{what} {tag} {key}") for key in ("xyz", "rpy"))
+        ends.append((end.get("link", ""), place))
+        turns.append(rotation_of_rpy(turn))
+    if ends[0][0] == ends[1][0]:
+        raise ModelError(f"{what} link1 and link2 = '{ends[0][0]}'; it joins two links")
     if kind == "fixed":
         _close(spec, name, ends, _WELD)
         return
     _close(spec, name, ends, _CONNECT)
-    axis = loop.find("axis")
-    if kind in ("revolute", "continuous") and axis is not None:
-        along = np.array(axis.get("xyz", "1 0 0").split(), dtype=float)
+    if kind != "ball" and loop.find("axis") is not None:
+        axis = _only(loop, "axis", f"{what} {{}} <axis>; it has at most 1")
+        along = _direction(numbers_of(axis.get("xyz", "1 0 0"), 3, f"{what} axis xyz"), f"{what} axis xyz")
         further = [(link, place + turn @ along * _HINGE_WIDTH_M) for (link, place), turn in zip(ends, turns, strict=True)]
         _close(spec, f"{name} axis", further, _CONNECT)
+
+
+def _only(loop: ET.Element, tag: str, said: str) -> ET.Element:
+    """Return the only child with a tag; `said` has a place for the number of others."""
+    found = loop.findall(tag)
+    if len(found) != 1:
+        raise ModelError(said.format(len(found) or "no"))
+    return found[0]
+
+
+def _direction(axis: np.ndarray, what: str) -> np.ndarray:
+    """Return the unit vector (3,) along an axis.
+
+    Raises:
+        ModelError: for an axis without a direction; `what` says whose it is.
+    """
+    largest = np.abs(axis).max()
+    if not 0 < largest < np.inf:
+        raise ModelError(f"{what} = '{' '.join(f'{one:g}' for one in axis)}', which has no direction")
+    return axis / largest / np.linalg.norm(axis / largest)
+
+
+def _unread(loop: ET.Element) -> list[str]:
+    """Return the elements and attributes of a loop_joint that are not read."""
+    end = {"link", "xyz", "rpy"}
+    read = {"loop_joint": {"name", "type"}, "link1": end, "link2": end, "axis": {"xyz"}}
+    given = [(one.tag, key) for one in (loop, *loop) for key in one.attrib]
+    attributes = [f"{key} of <{tag}>" for tag, key in given if key not in read.get(tag, {key})]
+    return [f"<{child.tag}>" for child in loop if child.tag not in read] + attributes
 
 
 def _close_hinge(spec: mujoco.MjSpec, hinge: CutHinge, data: mujoco.MjData, names: Sequence[str]) -> None:
     """Close a hinge that was cut by two connects on its axis, which let its links turn; `names` are those of all bodies."""
     links = (hinge.link_a, hinge.link_b)
     bodies = [names.index(choose("link in loop_closures.yaml", link, names)) for link in links]
-    along, name = np.array(hinge.axis) / np.linalg.norm(hinge.axis), "-".join(links)
+    name = "-".join(links)
+    along = _direction(np.array(hinge.axis), f"closure {name} has axis")
+    if not np.all(np.isfinite(hinge.point)):
+        raise ModelError(f"closure {name} has point = {list(hinge.point)}; it takes 3 finite numbers")
     for label, point in ((name, np.array(hinge.point)), (f"{name} axis", hinge.point + _HINGE_WIDTH_M * along)):
         ends = [in_body(data, body, point) for body in bodies]
         _close(spec, label, list(zip(links, ends, strict=True)), _CONNECT)

@@ -55,6 +55,8 @@ def record(plan: Plan) -> dict:
             "duration_s": plan.duration_s,
             "peak_effort": peaks("peak_effort", names),
             "peak_power_w": peaks("peak_power", names),
+            "peak_motor_power_w": peaks("peak_motor_power", names),
+            "peak_brake_power_w": peaks("peak_brake_power", names),
             "peak_closure_force_n": peaks("peak_closure_force", mechanism.closure_names),
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
@@ -249,12 +251,8 @@ def _certified(
         PlanFileError: when the motion belongs to another mechanism.
     """
     mechanism = problem.mechanism
-    sizes = (trajectory.n_s, trajectory.velocity.shape[2], trajectory.n_u, len(trajectory.start_pose))
-    if sizes != (mechanism.dof, mechanism.dof, mechanism.n_u, mechanism.n_q):
-        raise PlanFileError(
-            f"'{folder / 'trajectory.npz'}' is of another mechanism: it has {trajectory.n_s} independent joints and"
-            f" {trajectory.n_u} actuators, '{mechanism.name}' has {mechanism.dof} and {mechanism.n_u}"
-        )
+    if other := trajectory.misfit(mechanism.dof, mechanism.n_u, mechanism.n_q):
+        raise PlanFileError(f"'{folder / 'trajectory.npz'}' is of another mechanism than '{mechanism.name}': {other}")
     try:
         certificate = known or with_contacts(problem, trajectory, certify(problem, trajectory))
     except AssemblyError as error:

@@ -77,6 +77,18 @@ class Trajectory(OnIntervals):
         """The number of actuators."""
         return self.effort.shape[2]
 
+    def misfit(self, n_s: int, n_u: int, n_q: int) -> str:
+        """Return how the motion differs from one of n_s independent joints, n_u actuators and n_q joints, or ""."""
+        sizes = {
+            "positions of independent joints": (self.n_s, n_s),
+            "velocities of independent joints": (self.velocity.shape[2], n_s),
+            "efforts of actuators": (self.n_u, n_u),
+            "joints in its start pose": (len(self.start_pose), n_q),
+        }
+        return "; ".join(
+            f"it has {has} {what}, the mechanism {needs}" for what, (has, needs) in sizes.items() if has != needs
+        )
+
     @property
     def advance(self) -> np.ndarray:
         """The change of positions (n_s,) [rad] over a period of a periodic motion: whole turns, or 0."""

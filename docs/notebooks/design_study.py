@@ -37,7 +37,7 @@ least = []
 for torque in torques:
     plan = planner.plan(quickest.replace(limits={"effort": {"act_O": [-torque, torque]}})).require()
     least.append(plan.duration_s)
-    print(f"{torque:4.0f} N.m: {1000 * plan.duration_s:6.2f} ms, {plan.certificate.peak_power[0]:5.0f} W at the most")
+    print(f"{torque:4.0f} N.m: {1000 * plan.duration_s:6.2f} ms, {plan.certificate.peak_motor_power[0]:5.0f} W at the most")
 
 # %%
 figure, axes = plt.subplots(figsize=(7, 3.2), layout="constrained")
@@ -67,7 +67,7 @@ for factor in (1.05, 1.2, 1.5, 2.0):
     plan = linkplan.plan(swing.replace(duration_s=factor * fast)).require()
     heat.append(plan.objective)
     certificate = plan.certificate
-    torque, power = certificate.peak_effort[0], certificate.peak_power[0]
+    torque, power = certificate.peak_effort[0], certificate.peak_motor_power[0]
     print(f"{1000 * plan.duration_s:6.0f} ms {torque:8.1f} N.m {power:9.0f} W {plan.objective / heat[0]:15.2f}")
 
 # %% [markdown]

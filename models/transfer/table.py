@@ -14,7 +14,7 @@ from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, KnownPoses
 
 # The share of the reach that a table keeps from a singular pose, where G has no limit.
 _SINGULAR_MARGIN_SHARE = 0.005
-# Beyond this multiple of the transmission at home a pose counts as singular: G grows without limit towards such a pose.
+# Beyond this multiple of the median transmission along the reach a pose counts as singular: G grows without limit there.
 _SINGULAR_RATIO_MULTIPLE = 10.0
 # The quantities whose interpolation keeps the tolerance. Slopes are given, and their error is measured.
 REFINED = ("motor_position", "ratio", "inertia", "gravity")
@@ -75,7 +75,8 @@ def transfer_table(
     limits = tuple(_ends(outputs, k, one, ends[k] if ends else None) for k, one in enumerate(reaches))
     poses = KnownPoses(outputs)
 
-    most = _SINGULAR_RATIO_MULTIPLE * np.abs(transmission(outputs, outputs.mechanism.home[None]).ratio).max()
+    along = np.concatenate([one.poses for one in reaches])
+    most = _SINGULAR_RATIO_MULTIPLE * np.nanmedian(np.abs(transmission(outputs, along).ratio).max(axis=(1, 2)))
 
     def function(points: np.ndarray) -> dict[str, np.ndarray]:
         found, status = poses.at(points)
@@ -90,6 +91,11 @@ def transfer_table(
 
     spans = [(low.position, high.position) for low, high in limits]
     grid = adaptive_grid(function, spans, tolerance, _refined(outputs), most_nodes)
+    if np.count_nonzero(grid.values["status"] == ON_MAP) < 2:
+        names = ", ".join(joint.name for joint in outputs.joints)
+        raise ModelError(
+            f"the table of {names} has fewer than 2 nodes at regular closed poses; allow it another range or home"
+        )
     inverse, note = _inverse(outputs, grid, poses, tolerance, most_nodes)
     dead = _dead_centres(outputs, reaches[0], limits[0]) if len(reaches) == 1 else ()
     return TransferTable(
@@ -122,6 +128,12 @@ def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] |
             f"the range of {joint.name} is inside {joint.said(ends[0].position, 6)} to {joint.said(ends[1].position, 6)}"
             f" {joint.unit} ({ends[0].reason}; {ends[1].reason}), got {joint.said(asked[0], 6)} to {joint.said(asked[1], 6)}"
         )
+    share = 1e-6  # positions of motors at closer poses differ by rounding alone
+    if asked[1] - asked[0] < share * width:
+        raise ModelError(
+            f"the range of {joint.name} is at least {share:g} of its reach of {joint.said(width, 6)}"
+            f" {joint.unit} wide, got {joint.shown(asked[0]):g} to {joint.shown(asked[1]):g}"
+        )
     return End(position=asked[0], reason="asked for"), End(position=asked[1], reason="asked for")
 
 
@@ -144,8 +156,10 @@ def _inverse(
         return None, f"{len(outputs.motors)} motors do not determine {len(outputs.columns)} joints one by one"
     if not all(actuator.has_length for actuator in outputs.actuators):
         return None, "a motor on a site or slider-crank has no position"
-    ratio = grid.values["ratio"].reshape(-1, len(outputs.motors), len(outputs.columns))
     known = np.isfinite(motor).all(axis=1)
+    if np.ptp(motor[known], axis=0).min() == 0:
+        return None, "a motor stands still over the whole range"
+    ratio = grid.values["ratio"].reshape(-1, len(outputs.motors), len(outputs.columns))
     turn = np.linalg.det(ratio[known])
     if turn.min() <= 0 <= turn.max():
         return None, "a motor passes a dead centre on the way: one motor position has two joint positions"

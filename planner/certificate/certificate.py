@@ -29,6 +29,7 @@ from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
+from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -76,7 +77,8 @@ class Certificate(RenamedFields):
     speed_margin_rad_s: np.ndarray  # (n_q,)
     singularity_ratio: float  # least det J_z along the motion, relative to home
     peak_effort: np.ndarray  # (n_u,)
-    peak_power: np.ndarray  # (n_u,) [W], mechanical
+    peak_motor_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator gives
+    peak_brake_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator takes
     peak_closure_force: np.ndarray  # (n_closures,) [N]
     margins: tuple[Margin, ...]  # of the limits other than effort, range and speed
     speed_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's speed limit, as a share of it
@@ -89,6 +91,11 @@ class Certificate(RenamedFields):
     failures: tuple[str, ...]
     unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts, a rounded loop's gap
     contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
+
+    @property
+    def peak_power(self) -> np.ndarray:
+        """The largest mechanical power (n_u,) [W] of each actuator, as motor or as brake."""
+        return np.maximum(self.peak_motor_power, self.peak_brake_power)
 
     @property
     def passed(self) -> bool:
@@ -152,6 +159,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     in_m = float(integrated.position[~hinge].max(initial=0.0))
     velocity_error, growth = integrated.velocity, integrated.growth
 
+    power = u * samples.actuator_speeds
     inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
     allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), 1e-12, 1e-6 * float(inertial))
@@ -182,11 +190,19 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         (closure_gap > max(CLOSURE_M, mechanism.closed_m), opened),
     )
     failures = [sentence for broken, sentence in findings if broken]
+    figures = {
+        "the effort that the motion needs": np.hstack([tau, needed]),
+        "a joint's speed": samples.joint_rates,
+        "a loop's gap": mechanism.gaps_m(q),
+        "a closure's force": samples.closure_forces,
+    }
+    failures += [sentence for what, values in figures.items() for sentence in not_finite(what, values, time)]
+    unknown = extras_not_finite(problem.objective.extra, mechanism, time, q, v, a, u)
     if not np.all(np.isfinite(integrated.position)) and until.passed:
         failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     failures += _integration_failures(in_deg, in_m)
     failures += _range_failures(mechanism, position_margin, speed_margin, worst)
-    unmendable = _ctrl_failures(samples)
+    unmendable = [*unknown, *_ctrl_failures(samples)]
     failures += unmendable + [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
@@ -204,7 +220,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         speed_margin_rad_s=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
-        peak_power=np.abs(u * samples.actuator_speeds).max(axis=0),
+        peak_motor_power=power.max(axis=0, initial=0.0),
+        peak_brake_power=(-power).max(axis=0, initial=0.0),
         peak_closure_force=samples.closure_forces.max(axis=0, initial=0.0),
         margins=others,
         speed_overrun=speed_overrun,

@@ -19,6 +19,7 @@ from linkplan.planner.closed_chain.prescribed import highest_frequency, prescrib
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan, tracking_errors
+from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
@@ -253,6 +254,8 @@ def _failure(plan: Plan) -> str | None:
     assert certificate is not None  # of a motion
     if not certificate.passed:
         return f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
+    if plan.objective is not None and not np.isfinite(plan.objective):
+        return f"the objective ({plan.problem.objective.name}) is {as_no_number(plan.objective)}"
     if tolerance is None or is_exact(plan.problem, certificate):
         return None
     return (

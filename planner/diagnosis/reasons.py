@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import demanded, least_effort, sampled
+from linkplan.models.poses.along import demanded, least_effort, needed_effort, sampled
 from linkplan.planner.closed_chain.guess import Guess, even_poses, motion_of
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
 from linkplan.planner.limits.actuators import ControlLimit
@@ -17,6 +17,7 @@ from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, record, recorded, step_of
 from linkplan.planner.search.ladder import HURRIED, Search
@@ -24,7 +25,7 @@ from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_start
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
 from linkplan.planner.search.starts import enough_time, least_time_plan, no_time, shortest_motion
-from linkplan.planner.solvers.solve import build_solver, run_solver, solve, why_stopped
+from linkplan.planner.solvers.solve import INVALID, build_solver, run_solver, solve, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
@@ -195,7 +196,21 @@ def less_than_least_time(search: Search) -> Plan | None:
 def solver_stopped(search: Search) -> Plan | None:
     """Return the plan with the reason why the solver stopped before a result."""
     reason = why_stopped(search.stopped or "", search.problem.solver.max_time_s)
+    if search.stopped == INVALID:
+        reason = "; ".join(_extras_not_finite(search)) or reason
     return None if reason is None else _failed(search, reason + _needs_of_smooth_path(search))
+
+
+def _extras_not_finite(search: Search) -> list[str]:
+    """Return the sentences on extra limits and costs that are not finite along the smooth path."""
+    problem, path = search.problem, search.smooth
+    if not problem.extras:
+        return []
+    times, poses = even_poses(problem, path)
+    v, a = path.velocity(times), path.acceleration(times)
+    effort, _ = needed_effort(problem.mechanism, poses, v, a)
+    found = extras_not_finite(problem.extras, problem.mechanism, times, poses, v, a, effort)
+    return [f"{sentence} along the smooth path" for sentence in found]
 
 
 def one_limit(search: Search) -> Plan | None:
@@ -268,6 +283,8 @@ def nothing_found(search: Search) -> Plan:
     stopped = solver_stopped(search)  # while looking for a reason
     if stopped is not None:
         return stopped
+    if unknown := _extras_not_finite(search):
+        return _failed(search, "; ".join(unknown))
     status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
     needs = _needs_of_smooth_path(search)
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){needs}")

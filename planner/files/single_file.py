@@ -1,7 +1,7 @@
 """Single files, written whole or not at all; files of the user are never replaced.
 
-`write_new` makes a new file, `write_over` replaces an earlier one, and `write_file_whole` replaces only files that carry
-linkplan's mark.
+`write_new` makes a new file, `write_over` replaces an earlier one, `write_again` replaces a file that is as it was written,
+and `write_file_whole` replaces only files that carry linkplan's mark.
 """
 
 import os
@@ -68,6 +68,38 @@ def write_over(path: Path, content: bytes) -> None:
         replace_file(place, lambda work: work.write_bytes(content))
     except (OSError, RuntimeError) as error:
         raise PlanFileError(f"cannot write '{path}': {getattr(error, 'strerror', None) or error}") from error
+
+
+def write_again(path: Path, content: bytes, earlier: bytes) -> None:
+    """Replace a file that was written before with the content `earlier`, or write a new one if there is none.
+
+    Raises:
+        PlanFileError: if the file has another content by now or is a link, or the disk refuses.
+    """
+    if not os.path.lexists(path):
+        write_new(path, content)
+        return
+
+    def write_and_check(part: Path) -> None:
+        part.write_bytes(content)
+        _check_unchanged(path, earlier)
+
+    try:
+        replace_file(path, write_and_check)
+    except OSError as error:
+        raise PlanFileError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def _check_unchanged(path: Path, earlier: bytes) -> None:
+    """Refuse a file that is not as it was written."""
+    if path.is_symlink() or not path.is_file():
+        raise PlanFileError(
+            f"'{path}' is not the file that was written before, and nothing is overwritten; move it or name another"
+        )
+    if path.stat().st_size != len(earlier) or path.read_bytes() != earlier:
+        raise PlanFileError(
+            f"'{path}' has changed since it was written, and nothing is overwritten; move it or name another"
+        )
 
 
 def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:

@@ -16,7 +16,6 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.actuators import ControlLimit, EffortRateLimit, MotorLimit, PowerLimit, RobustLimit
@@ -44,8 +43,7 @@ from linkplan.planner.limits.path_limit import (
     with_limits,
 )
 from linkplan.planner.limits.samples import least_between
-from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, uses
-from linkplan.planner.problem.instant import free_instant
+from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, uses
 from linkplan.planner.problem.sites import SiteLimit
 
 # Between two segments at nearly equal distances, the weighted mean exceeds the least squared distance by at most 0.28 / k of
@@ -222,9 +220,7 @@ class ExtraPathLimit(PathLimit):
     def measured(self, at: Poses) -> Measured:
         limit = at.problem.extra_limits[self.item]
         motion = (at.q, at.v, at.a, at.u) if isinstance(at, Samples) else (at.q,)
-        instant, symbols = free_instant(at.problem.mechanism)
-        function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(self.extra, instant))])
-        values = sampled(function, *motion).reshape(-1)
+        values = extra_along(self.extra, at.problem.mechanism, *motion)
         return Measured(limit.name, values, (limit.lower, limit.upper), limit.unit, limit.size)
 
     @classmethod

@@ -17,6 +17,7 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.samples import Poses, Samples, least_between, samples_of
+from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
@@ -107,6 +108,8 @@ class Margin:
 
     def sentence(self, verb: str = "comes to") -> str:
         """Return a sentence with the worst value, its time and its limit."""
+        if not np.isfinite(self.value):
+            return f"{self.title} is {as_no_number(self.value)} at t = {self.time_s:.4g} s"
         amount = f"{self.value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
         at = f"at t = {self.time_s:.4g} s"
@@ -270,6 +273,7 @@ def overrun_margins(kind: type[PathLimit], problem: Problem, motion: Trajectory)
     return [margin for margin in found if margin is not None and not margin.kept]
 
 
+@np.errstate(invalid="ignore")  # infinity less infinity is not kept either
 def margin_of(of: PathLimit, measured: Measured, samples: Samples) -> Margin:
     """Return the margin of a quantity along a motion.
 

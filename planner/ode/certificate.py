@@ -9,6 +9,7 @@ from linkplan.planner.limits.samples import least_between, sample_points
 from linkplan.planner.ode.integration import integrate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.problem.extra import as_no_number, not_finite
 from linkplan.planner.transcription.schemes import Scheme
 
 # The integrated state may end this share of each state's size from the solution; a smaller tolerance is refined towards.
@@ -94,6 +95,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
             failures.append(f"state {name} leaves its limits by {-value:.3g} between the nodes")
     if beyond.max() > INTEGRATION_SHARE:
         failures.append(f"the integrated state leaves its limits by {beyond.max():.3g} of its size between the nodes")
+    failures += functions_not_finite(problem, time, x, u, trajectory.duration_s)
     for k, value in enumerate(path_margin):
         if value < -LIMIT_SLACK * path_size[k]:
             failures.append(f"path quantity {k} leaves its limits by {-value:.3g} between the nodes")
@@ -124,6 +126,19 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         effort_overrun=np.zeros(len(growth)),
         failures=tuple(failures),
     )
+
+
+def functions_not_finite(
+    problem: OdeProblem, time: np.ndarray, x: np.ndarray, u: np.ndarray, duration_s: float
+) -> list[str]:
+    """Return the sentences on the problem's functions that are not finite along x (n, n_x) and u (n, n_u) at times (n,)."""
+    at, found = (x.T, u.T, problem.parameters, time[None]), []
+    for name in ("rate", "running_cost", "path"):
+        found += not_finite(name, np.array(problem.at_instant(name)(*at)).reshape(-1, len(time)).T, time)
+    for name in ("final_cost", "ends"):
+        values = np.array(problem.at_ends(name)(x[0], x[-1], duration_s, problem.parameters)).ravel()
+        found += [f"{name} is {as_no_number(value)}" for value in values[~np.isfinite(values)][:1]]
+    return found
 
 
 def sizes_of(x: np.ndarray) -> np.ndarray:

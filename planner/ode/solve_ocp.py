@@ -13,6 +13,7 @@ import numpy as np
 
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.planner.ode.case import FirstSolution, OdeCase
+from linkplan.planner.ode.certificate import functions_not_finite
 from linkplan.planner.ode.formulation import start_of, units_of
 from linkplan.planner.ode.plan import OdePlan, plan_without_motion
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem
@@ -34,7 +35,7 @@ from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, progress, record, recorded, recording, silent, step_of
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Rung, Steps, followed, try_in_turn
-from linkplan.planner.solvers.solve import OUT_OF_TIME, solve, why_stopped
+from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, solve, why_stopped
 from linkplan.planner.transcription.mesh import broken
 
 __all__ = ["RUNGS", "OdePlan", "plan_ode"]
@@ -211,11 +212,25 @@ def _contradiction(problem: OdeProblem) -> str | None:
     return None
 
 
+def _not_finite_on_the_first_guess(problem: OdeProblem) -> list[str]:
+    """Return the sentences on the problem's functions that are not finite along its first guess."""
+    guess = OdeSearch(problem=problem).guesses[0]
+    shares, known = np.linspace(0.0, 1.0, len(guess.state)), np.linspace(0.0, 1.0, len(guess.effort))
+    effort = np.zeros((len(shares), problem.n_u))
+    for k in range(problem.n_u):
+        effort[:, k] = np.interp(shares, known, guess.effort[:, k])
+    return functions_not_finite(problem, guess.duration_s * shares, guess.state, effort, guess.duration_s)
+
+
 def _nothing_found(problem: OdeProblem) -> OdePlan:
     """Return the plan of a problem that no start solved; the first start had more time than later ones."""
     steps = recorded()
     status = steps[0].solver_status if steps else OUT_OF_TIME
     stopped = why_stopped(status, problem.solver.max_time_s)
+    if status == INVALID:
+        unknown = _not_finite_on_the_first_guess(problem)
+        met = "the solver met a number that is not finite (NaN)"
+        stopped = f"{met}: {'; '.join(unknown)} along the first guess" if unknown else stopped
     if stopped is not None:
         return OdePlan(problem=problem, status="failed", message=f"failed: {stopped}", history=steps)
     return plan_without_motion(problem, "failed", f"no start led to a solution ({status})")

@@ -335,8 +335,9 @@ def check_shapes(
     for name, n_rows in rows.items():
         if len(getattr(limits, name)) != n_rows:
             raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(limits, name))}")
-    guessed = guess.path.shape[1] if isinstance(guess, GuessedPath) else getattr(guess, "n_s", n_s)
-    if guessed != n_s:
-        raise ProblemError(f"the guess moves {guessed} joints, '{mechanism.name}' has {n_s} independent ones")
+    if isinstance(guess, GuessedPath) and guess.path.shape[1] != n_s:
+        raise ProblemError(f"the guess moves {guess.path.shape[1]} joints, '{mechanism.name}' has {n_s} independent ones")
+    if isinstance(guess, Trajectory) and (other := guess.misfit(n_s, mechanism.n_u, mechanism.n_q)):
+        raise ProblemError(f"the guess is of another mechanism than '{mechanism.name}': {other}")
     if len(motors) != mechanism.n_u:
         raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(motors)}")

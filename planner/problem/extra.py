@@ -1,5 +1,6 @@
 """Users' own path limits and running costs: CasADi expressions of named joints, efforts and sites."""
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -9,6 +10,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, choose, one_line, shown
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.problem.instant import Instant, free_instant
 
@@ -156,22 +158,56 @@ def expressed(extra: Extra, at: Instant) -> ca.SX:
     return found
 
 
+@functools.lru_cache(maxsize=64)
 def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     """Return for each of q, v, a and u whether an expression depends on it.
 
     Raises:
-        ProblemError: as `expressed`, and for a constant expression.
+        ProblemError: as `expressed`, for a constant expression, and for one that has NaN as a constant.
     """
     instant, symbols = free_instant(mechanism)
     found = expressed(extra, instant)
-    if ca.Function("extra", symbols, [found], {"allow_free": True}).has_free():
+    function = ca.Function("extra", symbols, [found], {"allow_free": True})
+    if function.has_free():
         raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has no symbols but the instant's, got others")
+    codes = range(function.n_instructions())
+    constants = [function.instruction_constant(k) for k in codes if function.instruction_id(k) == ca.OP_CONST]
+    if np.isnan(constants).any():
+        raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has the constant nan, which is no number")
     depends = {name: ca.depends_on(found, one) for name, one in zip("qvau", symbols, strict=False)}
     if not any(depends.values()):
         raise ProblemError(
             f"extra {extra.kind} '{extra.name}': its expression depends on position, velocity or effort, got a constant"
         )
     return depends
+
+
+def extra_along(extra: Extra, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
+    """Return the values (n,) of an extra limit or cost along q (n, n_q), or along q, v, a (n, n_s) and u (n, n_u)."""
+    instant, symbols = free_instant(mechanism)
+    function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(extra, instant))])
+    return sampled(function, *motion).reshape(-1)
+
+
+def not_finite(what: str, values: np.ndarray, time: np.ndarray) -> list[str]:
+    """Return the sentence on the first instant (n,) [s] at which values (n, ...) are not all finite; none if they are."""
+    rows = values.reshape(len(time), -1)
+    bad = ~np.isfinite(rows)
+    if not bad.any():
+        return []
+    k = int(np.argmax(bad.any(axis=1)))
+    return [f"{what} is {as_no_number(rows[k][bad[k]][0])} at t = {time[k]:.4g} s"]
+
+
+def as_no_number(value: float) -> str:
+    """Return the words for a value that is not finite: "not finite (NaN)", "not finite (inf)"."""
+    return f"not finite ({'NaN' if np.isnan(value) else f'{value:g}'})"
+
+
+def extras_not_finite(extras: Sequence[Extra], mechanism: Mechanism, time: np.ndarray, *motion: np.ndarray) -> list[str]:
+    """Return the sentences on extra limits and costs that are not finite along a motion, see `extra_along`."""
+    along = ((f"the extra {one.kind} '{one.name}'", extra_along(one, mechanism, *motion)) for one in extras)
+    return [sentence for what, values in along for sentence in not_finite(what, values, time)]
 
 
 def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:

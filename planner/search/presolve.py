@@ -217,7 +217,8 @@ def sentence_beyond(
         assert measured is not None  # of the pose
         low, high = measured.bounds
         nearest = np.clip(measured.values, low, high)
-        off = np.abs(measured.values - nearest)
+        finite = np.isfinite(measured.values)  # what is not is no proof; the motion's certificate names it
+        off = np.abs(np.where(finite, measured.values, 0.0) - np.where(finite, nearest, 0.0))
         k = int(np.argmax(off))
         # Sites are as exact as the mechanism is large.
         size = problem.mechanism.extent_m if isinstance(limit, SitePathLimit) else measured.size or abs(nearest[k]) or 1.0

@@ -20,6 +20,7 @@ from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import without_solving
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.solving import first_mesh
+from linkplan.planner.solvers.solve import OUT_OF_TIME
 
 
 def along_smooth_path(search: Search) -> Plan | None:
@@ -40,7 +41,7 @@ def along_smooth_path(search: Search) -> Plan | None:
         mesh, durations = first_mesh(problem, search.smooth)
         motion = motion_along(problem, search.smooth, mesh.breaks(durations))
         objective, _ = objective_value(problem, motion)
-        within = f" within {asked.solver.max_time_s:g} s" if search.stopped else ""
+        within = f" within {asked.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
         said = (
             f"motion of {motion.duration_s:.6g} s along the smooth path, which keeps every limit; the solver found no"
             f" better one{within}"

@@ -14,7 +14,8 @@ from linkplan.planner.problem.consistency import check_asked_pose
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.bode.bode import REACH_SHARES, inner_reach
 from linkplan.studies.bode.scan import Line, coordinate_line, motion_line, reduced_limits
-from linkplan.studies.frequency.feedback_loops import operating_point, require_actuated
+from linkplan.studies.check.holding import require_actuated
+from linkplan.studies.frequency.feedback_loops import operating_point
 
 _DEFAULT_POSES = 5
 

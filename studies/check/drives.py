@@ -11,6 +11,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
+from linkplan.models.reduction.reduced import linearised
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
@@ -58,7 +59,10 @@ def motors_hint(mechanism: Mechanism) -> str:
 
 
 def _depth(parents: np.ndarray, body: int) -> int:
-    return 0 if body == 0 else 1 + _depth(parents, int(parents[body]))
+    depth = 0
+    while body:
+        body, depth = int(parents[body]), depth + 1
+    return depth
 
 
 def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
@@ -186,3 +190,44 @@ def _efforts(mechanism: Mechanism, column: int) -> list[tuple[Actuator, np.ndarr
 
 def _ends(ends: np.ndarray) -> str:
     return f"{ends[0] + 0.0:.3g} to {ends[1] + 0.0:.3g}"
+
+
+def steerable_columns(mechanism: Mechanism) -> np.ndarray:
+    """Return a mask (n_s,) of the independent coordinates that the actuators together control next to home.
+
+    They are those within the controllable space of the motion linearised at home under the effort nearest to the holding
+    effort: the range of [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
+    """
+    n_s, still = mechanism.dof, np.zeros(mechanism.dof)
+    dynamics, pose = mechanism.dynamics, mechanism.home
+    holding = np.array(dynamics.inverse_dynamics(pose, still, still)).ravel()
+    effort = np.linalg.pinv(np.array(dynamics.effort_map(pose))) @ holding
+    by_s, by_v, by_u = linearised(dynamics, pose, still, effort)
+    A = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [by_s, by_v]])
+    rate = max(float(np.abs(np.linalg.eigvals(A)).max()), 1.0)
+    scale = np.concatenate([np.ones(n_s), np.full(n_s, rate)])
+    A = A * scale / (scale[:, None] * rate)
+    B = np.vstack([np.zeros_like(by_u), by_u]) / max(float(np.abs(by_u).max()), np.finfo(float).tiny)
+    rounding = 1e-9  # of the singular values, in units of the largest effect of an effort
+    space, sizes = _krylov_space(A, B, rounding)
+    shares = np.linalg.norm(space[:, sizes > rounding], axis=1).reshape(2, n_s)  # of positions and speeds
+    return np.all(shares > 1 - 1e-6, axis=0)
+
+
+def _krylov_space(A: np.ndarray, B: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the left singular vectors (n, r) and singular values (r,) of [B, A B, ..., A^(n-1) B].
+
+    If the first blocks span everything, by singular values above `rounding`, they are enough. Of the matrix, at most
+    n_u + 2 n columns are in memory: L of its LQ factorisation has the same singular values and left singular vectors.
+    """
+    n, lower, block, reduced = len(A), np.empty((len(A), 0)), B, False
+    for _ in range(n):
+        lower, block = np.hstack([lower, block]), A @ block
+        if lower.shape[1] < 2 * n:
+            continue
+        lower = np.linalg.qr(lower.T, mode="r").T
+        if not reduced and np.linalg.svd(lower, compute_uv=False)[-1] > rounding:
+            break
+        reduced = True
+    space, sizes, _ = np.linalg.svd(lower, full_matrices=False)
+    return space, sizes

@@ -15,7 +15,6 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach, toggles
-from linkplan.models.reduction.reduced import linearised
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.dynamics import site_names
 from linkplan.planner.problem.consistency import check_asked_pose
@@ -26,6 +25,7 @@ from linkplan.studies.check.drives import (
     motors_hint,
     pressed_stops,
     pushed_one_way,
+    steerable_columns,
     undriven,
 )
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, thinned
@@ -153,7 +153,7 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     driven = {
         int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > ROUNDING_SHARE * reached.max()
     }
-    steerable = _steerable(mechanism) if driven else np.zeros(mechanism.dof, dtype=bool)
+    steerable = steerable_columns(mechanism) if driven else np.zeros(mechanism.dof, dtype=bool)
     base, floating = floating_sentence(mechanism.model), floating_columns(mechanism)
     problems += [] if base is None else [base]
     for can in reaches:
@@ -290,30 +290,6 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     every = "turn" if can.upper.reason == "full turn" else can.upper.reason
     again = "" if can.period is None else f", and again every {every}"
     return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
-
-
-def _steerable(mechanism: Mechanism) -> np.ndarray:
-    """Return a mask (n_s,) of the independent coordinates that the actuators together control next to home.
-
-    They are those within the controllable space of the motion linearised at home under the effort nearest to the holding
-    effort: the range of [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
-    """
-    n_s, still = mechanism.dof, np.zeros(mechanism.dof)
-    dynamics, pose = mechanism.dynamics, mechanism.home
-    holding = np.array(dynamics.inverse_dynamics(pose, still, still)).ravel()
-    effort = np.linalg.pinv(np.array(dynamics.effort_map(pose))) @ holding
-    by_s, by_v, by_u = linearised(dynamics, pose, still, effort)
-    A = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [by_s, by_v]])
-    rate = max(float(np.abs(np.linalg.eigvals(A)).max()), 1.0)
-    scale = np.concatenate([np.ones(n_s), np.full(n_s, rate)])
-    A = A * scale / (scale[:, None] * rate)
-    B = np.vstack([np.zeros_like(by_u), by_u]) / max(float(np.abs(by_u).max()), np.finfo(float).tiny)
-    reached = [B]
-    for _ in range(2 * n_s - 1):
-        reached.append(A @ reached[-1])
-    space, sizes, _ = np.linalg.svd(np.hstack(reached), full_matrices=False)
-    shares = np.linalg.norm(space[:, sizes > 1e-9], axis=1).reshape(2, n_s)  # of positions and speeds
-    return np.all(shares > 1 - 1e-6, axis=0)
 
 
 def _range(joint: Joint) -> str:

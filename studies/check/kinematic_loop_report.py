@@ -31,7 +31,7 @@ from linkplan.planner.problem.problem import Problem
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Sweep:
-    """A mechanism along a path of n poses (n, n_q), with its reduced inertias.
+    """A mechanism along a path of n poses (n, n_q).
 
     `coordinate` is the independent joint that is swept over its reach while the others stay at home, None along a problem's
     motion.
@@ -41,7 +41,6 @@ class Sweep:
     title: str
     coordinate: int | None
     poses: np.ndarray
-    reduced_inertia: np.ndarray  # (n, n_s, n_s)
 
     @property
     def positions(self) -> np.ndarray:
@@ -58,6 +57,7 @@ class KinematicLoopPath(Sweep):
     """
 
     time_s: np.ndarray | None
+    reduced_inertia: np.ndarray  # (n, n_s, n_s)
     ratio: np.ndarray  # (n, n_s, n_u) effort on a coordinate per effort of an actuator
     rates: np.ndarray  # (n, n_q, n_s) every joint's speed per speed of a coordinate
     reflected_inertia: np.ndarray  # (n, n_u), others free; infinite if the actuator moves nothing, nan if M_r is singular
@@ -78,16 +78,12 @@ def measure(
     coordinate: int | None = None,
     time_s: np.ndarray | None = None,
     limit: np.ndarray | None = None,
-    inertia: np.ndarray | None = None,
 ) -> KinematicLoopPath:
-    """Return the report along closed poses (n, n_q).
-
-    `limit` (n_u, 2) is the actuators' own by default; `inertia` (n, n_s, n_s) is computed if it is not known.
-    """
+    """Return the report along closed poses (n, n_q). `limit` (n_u, 2) is the actuators' own by default."""
     dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
     still = np.zeros((len(poses), mechanism.dof))
     ratio = sampled(dynamics.effort_map, poses)
-    inertia = sampled(dynamics.reduced_inertia, poses) if inertia is None else inertia
+    inertia = sampled(dynamics.reduced_inertia, poses)
     weight = sampled(_at_rest(dynamics), poses)[:, :, 0]
     holding = least_effort(weight, ratio)
     unheld = weight - np.einsum("ksu,ku->ks", ratio, holding)
@@ -121,14 +117,14 @@ def _at_rest(dynamics: ReducedDynamics) -> ca.Function:
     return ca.Function("at_rest", [q], [ca.densify(inverse(q, still, still))])
 
 
+def measured(of: Sweep) -> KinematicLoopPath:
+    """Return the report along a path, unless the path is a report itself."""
+    return of if isinstance(of, KinematicLoopPath) else measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate)
+
+
 def reach_paths(along: Sequence[Sweep]) -> tuple[KinematicLoopPath, ...]:
-    """Return the report along each path, unless the path is a report itself."""
-    return tuple(
-        of
-        if isinstance(of, KinematicLoopPath)
-        else measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate, inertia=of.reduced_inertia)
-        for of in along
-    )
+    """Return the report along each path."""
+    return tuple(map(measured, along))
 
 
 def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep, ...]:
@@ -141,9 +137,7 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
         poses = thinned(swept(mechanism, can), most_poses(mechanism))
-        inertia = sampled(mechanism.dynamics.reduced_inertia, poses)
-        title = f"the reach of {name}{others}"
-        found.append(Sweep(mechanism=mechanism, title=title, coordinate=column, poses=poses, reduced_inertia=inertia))
+        found.append(Sweep(mechanism=mechanism, title=f"the reach of {name}{others}", coordinate=column, poses=poses))
     return tuple(found)
 
 
@@ -222,7 +216,8 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
 
 def inertia_notes(path: Sweep) -> list[str]:
     """Return a sentence on the poses of a path at which the reduced inertia is singular, if there are any."""
-    singular = np.flatnonzero(~is_regular(path.reduced_inertia))
+    inertia = sampled(path.mechanism.dynamics.reduced_inertia, path.poses)
+    singular = np.flatnonzero(~is_regular(inertia))
     if not len(singular):
         return []
     k, joints = int(singular[0]), path.mechanism.independent_joints
@@ -230,7 +225,7 @@ def inertia_notes(path: Sweep) -> list[str]:
     at = where([joints[i] for i in of], path.positions[k, of])
     return [
         f"singular inertia at {at}, in {len(singular)} of {len(path.poses)} poses along {path.title}:"
-        f" {singular_inertia_text(joints, path.reduced_inertia[k])} there, and no effort fixes their acceleration"
+        f" {singular_inertia_text(joints, inertia[k])} there, and no effort fixes their acceleration"
     ]
 
 

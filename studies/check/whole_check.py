@@ -18,6 +18,7 @@ from linkplan.studies.check.kinematic_loop_report import (
     Sweep,
     has_whole_records,
     inertia_notes,
+    measured,
     motion_path,
     path_record,
     reach_paths,
@@ -28,6 +29,22 @@ from linkplan.studies.check.summary import summary_blocks
 from linkplan.studies.output.document import Block, Text
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class MeasuredPaths(Sequence[KinematicLoopPath]):
+    """The loop reports along sweeps, each measured when it is asked for and not kept.
+
+    A report has the square of the number of coordinates in each of its poses, and each coordinate has a report.
+    """
+
+    along: tuple[Sweep, ...]
+
+    def __len__(self) -> int:
+        return len(self.along)
+
+    def __getitem__(self, index: int) -> KinematicLoopPath:
+        return measured(self.along[index])
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)  # without slots: the paths are measured once, when they are asked for
 class WholeCheck:
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
@@ -35,9 +52,13 @@ class WholeCheck:
     found: Inspection
     along: tuple[Sweep, ...]
 
-    @cached_property
-    def paths(self) -> tuple[KinematicLoopPath, ...]:
+    @property
+    def paths(self) -> Sequence[KinematicLoopPath]:
         """The loop report along the motion, or along each sweep; a summary of many coordinates needs none."""
+        return MeasuredPaths(along=self.along) if self.brief else self._few_paths
+
+    @cached_property
+    def _few_paths(self) -> tuple[KinematicLoopPath, ...]:
         return reach_paths(self.along)
 
     @property
@@ -69,7 +90,7 @@ class WholeCheck:
         brief = self.brief
         paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
         left_out = (
-            f"of {len(self.paths)} coordinates each has its own quantities above, at rest, where they change along its"
+            f"of {len(self.along)} coordinates each has its own quantities above, at rest, where they change along its"
             f" reach; the JSON record has {'all of them' if has_whole_records(self.found.mechanism) else 'every pose'}"
         )
         return [*inspection_blocks(self.found), *paths, *([Text(text=left_out)] if brief else [])]

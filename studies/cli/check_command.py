@@ -33,12 +33,12 @@ def run_check(arguments: argparse.Namespace) -> int:
     found = whole.found
 
     def draw(place: Path) -> None:
-        from linkplan.models.library import urdf_root
+        from linkplan.models.model_text import urdf_root
         from linkplan.models.selected_model import whole_model_text
         from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
 
         inspection_figure(found, place / "mechanism.png")
-        for number, path in enumerate(whole.paths if len(whole.paths) <= MAX_FIGURES else (), 1):
+        for number, path in enumerate(whole.paths if len(whole.along) <= MAX_FIGURES else (), 1):
             path_figure(path, found.reaches, place / f"loop-{number}.png")
         if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
             written = "selected.xml" if mechanism.selection else "model.xml"

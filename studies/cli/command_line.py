@@ -224,7 +224,7 @@ def _selection(parser: argparse.ArgumentParser) -> None:
     text = "of a larger robot, read only these bodies or joints (commas between names), what hangs on them and their loops"
     _add(parser, "--keep", "NAMES", text)
     _flag(parser, "--fix-base", "lock what lies between the world and the kept bodies, and a base that no actuator moves")
-    text = "lock a joint at an angle [deg], or a slide at a position [m]; may be given again"
+    text = "lock a joint at an angle [deg], or a slide at a position [m], beside a file's locks; may be given again"
     _repeated(parser, "--lock", "JOINT=VALUE", text)
     _add(parser, "--keyframe", "NAME", 'the keyframe of the home pose (default: "home")')
     text = "joints that get a motor within their effort limits (commas between names), where the model has no actuators"

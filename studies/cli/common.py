@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report
     from linkplan.studies.tasks.engine import Engine
 
+Value = TypeVar("Value")
 # Options for further files in a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
 
@@ -161,11 +162,19 @@ def selection_asked(arguments: argparse.Namespace) -> dict[str, object]:
     for text in arguments.lock:
         name, _, value = text.rpartition("=")
         try:
-            locks[name.strip()] = float(value)
+            number = float(value)
         except ValueError:
             raise ProblemError(f"--lock takes JOINT=VALUE, in degrees or metres, got '{text}'") from None
+        once(locks, name.strip(), number, "--lock")
     table |= {"lock": locks, "keyframe": arguments.keyframe, "fix_base": arguments.fix_base}
     return {key: value for key, value in table.items() if value}
+
+
+def once(found: dict[str, Value], joint: str, value: Value, option: str) -> None:
+    """Set the value of a joint in `found`, which has none of it yet."""
+    if joint in found:
+        raise ProblemError(f"{option} names joint {joint} twice; it takes one value for a joint")
+    found[joint] = value
 
 
 def names_asked(text: str | None, option: str) -> list[str]:
@@ -188,7 +197,10 @@ def tables_of(
         refuse_no_model(source, (*MODELS, *PROBLEMS))
         name, tables, folder = source, {"mechanism": {"model": source}}, None
     set_all(tables, overrides)
-    tables["mechanism"] = {**tables.get("mechanism", {}), **(selection or {})}
+    section, asked = tables.get("mechanism", {}), dict(selection or {})
+    if isinstance(section.get("lock"), dict) and isinstance(asked.get("lock"), dict):
+        asked["lock"] = section["lock"] | asked["lock"]  # --lock adds to the locks of a file
+    tables["mechanism"] = {**section, **asked}
     return name, tables, folder, is_problem
 
 

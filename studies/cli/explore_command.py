@@ -1,6 +1,8 @@
 """The command `explore`."""
 
 import argparse
+import threading
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from linkplan.models.errors import ProblemError
@@ -9,8 +11,8 @@ from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import whole
 from linkplan.studies.cli.common import new_file, refuse_no_model, selection_asked, set_all
-from linkplan.studies.cli.exit_codes import DONE
-from linkplan.studies.cli.printing import flush_streams, progress, show
+from linkplan.studies.cli.exit_codes import DONE, saved_fault_report
+from linkplan.studies.cli.printing import flush_streams, progress, refuse, show
 
 
 def run_explore(arguments: argparse.Namespace) -> int:
@@ -21,13 +23,9 @@ def run_explore(arguments: argparse.Namespace) -> int:
     target, say = new_file(arguments), progress(arguments)
     whole(arguments.port, "--port", 0, 65535)
     session = Session(first=_problem(arguments, say))
-    saved: list[str] = []
-
-    def save(problem: Problem) -> str:
-        return _save(problem, Path("problem.toml") if target is None else target, saved)
-
+    save = SavedProblem(place=Path("problem.toml") if target is None else target).save
     try:
-        server = Server(session, save, arguments.port)
+        server = Server(session, save, arguments.port, tell=_tell)
     except OSError as error:
         raise ProblemError(f"port {arguments.port} of 127.0.0.1 cannot be used: {error.strerror or error}") from error
     with server:
@@ -56,11 +54,32 @@ def _problem(arguments: argparse.Namespace, say) -> Problem:
     return Problem.from_tables(name, tables, folder)
 
 
-def _save(problem: Problem, target: Path, saved: list[str]) -> str:
-    """Write a problem file; one that this page has written before is replaced, any other file is refused."""
-    from linkplan.planner.files.single_file import write_new, write_over
+@dataclass(eq=False, kw_only=True)
+class SavedProblem:
+    """The problem file of a page. Mutable: it keeps what it wrote, which alone it replaces."""
 
-    write = write_over if str(target) in saved else write_new
-    write(target, problem.to_toml().encode("utf-8"))
-    saved.append(str(target))
-    return str(target)
+    place: Path
+    written: bytes | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def save(self, problem: Problem) -> str:
+        """Write the file, and return its path.
+
+        Raises:
+            PlanFileError: if the file is there and is not as this page wrote it.
+        """
+        from linkplan.planner.files.single_file import write_again, write_new
+
+        content = problem.to_toml().encode("utf-8")
+        with self.lock:
+            if self.written is None:
+                write_new(self.place, content)
+            else:
+                write_again(self.place, content, self.written)
+            self.written = content
+        return str(self.place)
+
+
+def _tell(error: BaseException) -> None:
+    """Print one line on an error that a request has met."""
+    refuse("explore", saved_fault_report(error))

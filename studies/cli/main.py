@@ -11,10 +11,11 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from linkplan.models.deadline import check, ended_by, listening
-from linkplan.models.errors import CertificateError, LinkplanError, one_line
+from linkplan.models.errors import CertificateError, LinkplanError, ProblemError, one_line, shown
 from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, NoMotionError, is_of_memory, saved_fault_report
 from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, put, quiet, refuse, show
@@ -101,8 +102,21 @@ def _with_own_figures() -> None:
     os.environ["MATPLOTLIBRC"] = os.devnull
 
 
+def _refuse_unusable_date() -> None:
+    """Refuse a SOURCE_DATE_EPOCH that is no time: NumPy and matplotlib fail on it when they are loaded."""
+    text = os.environ.get("SOURCE_DATE_EPOCH")
+    if text is None:
+        return
+    try:
+        datetime.fromtimestamp(int(text), UTC)
+    except (ValueError, OverflowError, OSError):
+        asked = "the environment variable SOURCE_DATE_EPOCH is a time in whole seconds since 1970"
+        raise ProblemError(f"{asked}, got '{shown(text, 60)}'; unset it or correct it") from None
+
+
 def _run(arguments: argparse.Namespace) -> int:
     try:
+        _refuse_unusable_date()
         name = _SHARED.get(arguments.command, f"{arguments.command}_command")
         module = importlib.import_module(f"linkplan.studies.cli.{name}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")

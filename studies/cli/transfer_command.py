@@ -7,7 +7,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.common import deliver, names_asked, output_folder, plan_of, selection_asked, tables_of
+from linkplan.studies.cli.common import deliver, names_asked, once, output_folder, plan_of, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress
 
@@ -55,7 +55,7 @@ def numbers(text: str, key: str) -> list[float]:
 
 def _ends(ranges: list[str], mechanism: Mechanism) -> dict[str, tuple[float, float]]:
     """Return the ranges of --range, JOINT=LOW:HIGH in degrees or metres, in rad or m by joint."""
-    found = {}
+    found: dict[str, tuple[float, float]] = {}
     for text in ranges:
         name, _, both = text.partition("=")
         ends = both.split(":")
@@ -64,5 +64,5 @@ def _ends(ranges: list[str], mechanism: Mechanism) -> dict[str, tuple[float, flo
         except ValueError:
             raise ProblemError(f"--range takes JOINT=LOW:HIGH in degrees (metres for a slide), got '{text}'") from None
         joint = mechanism.joints[mechanism.joint_index(name.strip(), ProblemError)]
-        found[joint.name] = (joint.read(low), joint.read(high))
+        once(found, joint.name, (joint.read(low), joint.read(high)), "--range")
     return found

@@ -12,6 +12,7 @@ from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.plan import Plan
+from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.compare import Comparison, error_figures, rollout_record, steered_by_unit
 
@@ -83,8 +84,13 @@ def default_gains(comparison: Comparison) -> list[str]:
     unset = [f"{key} = {getattr(tracking, key):g}" for key in ("kp", "kd") if key not in given]
     if not run or not unset:
         return []
-    ran = f"{' and '.join(run)} ran with {' and '.join(unset)}"
-    return [f"{ran}, defaults whatever the mechanism: `linkplan tune` finds gains for [tracking]"]
+    ran = f"{' and '.join(run)} ran with {' and '.join(unset)}, defaults whatever the mechanism"
+    time = comparison.plan.trajectory.dense_times(1)
+    positions = comparison.plan.trajectory.position_at(time)
+    why = why_no_loop(problem.mechanism, positions, problem.limits.actuators_effort)
+    if why is not None:
+        return [f"{ran}: choose them in [tracking], for there is no linear loop to find gains for: {why}"]
+    return [f"{ran}: `linkplan tune` finds gains for [tracking]"]
 
 
 def lost_notes(comparison: Comparison) -> list[str]:

@@ -2,7 +2,8 @@
 
 import json
 import secrets
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 
@@ -20,8 +21,11 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     allow_reuse_address = False
 
-    def __init__(self, session: Session, save: Save, port: int = 0) -> None:
-        self.session, self.save, self.token = session, save, secrets.token_urlsafe(16)
+    def __init__(
+        self, session: Session, save: Save, port: int = 0, tell: Callable[[BaseException], None] = lambda _: None
+    ) -> None:
+        """Make the server; `tell` is told of errors that are no refusals."""
+        self.session, self.save, self.tell, self.token = session, save, tell, secrets.token_urlsafe(16)
         ThreadingHTTPServer.__init__(self, ("127.0.0.1", port), _Handler)
 
     @property
@@ -33,6 +37,12 @@ class Server(ThreadingHTTPServer):
     def address(self) -> str:
         """The page's address, with the token."""
         return f"http://{self.hosts[0]}/{self.token}/"
+
+    def handle_error(self, request: object, client_address: object) -> None:  # noqa: ARG002
+        """Say nothing of a browser that has gone; tell of another error."""
+        error = sys.exception()
+        if error is not None and not isinstance(error, ConnectionError | TimeoutError):
+            self.tell(error)
 
     def answer(self, path: str, asked: Mapping) -> tuple[str, bytes]:
         """Return the type and the content at a path below the token."""
@@ -60,7 +70,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             length = int(self.headers.get("Content-Length", ""))
             asked = json.loads(self.rfile.read(length)) if 0 <= length <= _MAX_BODY_BYTES else None
-        except ValueError:
+        except (ValueError, RecursionError):
             asked = None
         self._respond(("plan", "save"), asked)
 
@@ -75,11 +85,19 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(404, "text/plain", b"there is nothing here\n")
         elif not isinstance(asked, dict):
             self._send(400, "text/plain", b"a JSON object is needed\n")
+        elif not isinstance(asked.get("values", {}), dict) or not isinstance(asked.get("objective", ""), str | None):
+            self._send(400, "text/plain", b"values are a JSON object, the objective is a text\n")
         else:
-            try:
-                self._send(200, *self.server.answer(path, asked))
-            except LinkplanError as error:
-                self._send(200, "application/json", _json({"refused": one_line(error)}))
+            self._send(*self._answer(path, asked))
+
+    def _answer(self, path: str, asked: dict) -> tuple[int, str, bytes]:
+        try:
+            return (200, *self.server.answer(path, asked))
+        except LinkplanError as error:
+            return 200, "application/json", _json({"refused": one_line(error)})
+        except Exception as error:
+            self.server.tell(error)
+            return 500, "text/plain", b"a fault of linkplan's own; its terminal says more\n"
 
     def _send(self, code: int, kind: str, content: bytes) -> None:
         self.send_response(code)

@@ -26,10 +26,9 @@ from linkplan.controllers.trackers.pd import pd
 from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
-from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import where
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.check.holding import held_pose
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.frequency.response import Response
 
@@ -113,38 +112,9 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
         LinkplanError: if the mechanism does not have one actuator per degree of freedom, if its loops do not close, or if
             no effort inside the limits (n_u, 2) holds the pose.
     """
-    require_actuated(mechanism)
-    pose = close_at(mechanism, np.atleast_1d(position))
-    still = np.zeros((1, mechanism.dof))
-    hold, missed = needed_effort(mechanism, pose[None], still, still)
+    pose, hold = held_pose(mechanism, position, effort_limit)
     told = tuple(mechanism.channels)
-    point = OperatingPoint(mechanism=mechanism, pose=pose, velocity=still[0], hold=hold[0], told=told)
-    if not np.all(np.isfinite(hold)) or np.abs(missed).max() > HOLDING_TOLERANCE * max(1.0, np.abs(hold).max()):
-        raise LinkplanError(f"no effort holds '{mechanism.name}' at {point.name}")
-    limit = mechanism.effort_limit if effort_limit is None else effort_limit
-    for actuator, effort, (low, high) in zip(mechanism.actuators, hold[0], limit, strict=True):
-        # An actuator at a limit responds in one direction only, so the loop is not linear there.
-        room = HOLDING_TOLERANCE * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
-        if not low + room < effort < high - room:
-            shown = effort if abs(effort) > room else 0.0
-            raise LinkplanError(
-                f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {shown:.4g}"
-                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
-                " the holding effort"
-            )
-    return point
-
-
-def require_actuated(mechanism: Mechanism) -> None:
-    """Refuse a mechanism that does not have one actuator for each degree of freedom."""
-    if mechanism.n_u == 0:
-        raise LinkplanError(f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
-    if mechanism.n_u != len(mechanism.channels):
-        names = ", ".join(mechanism.independent_joints[k].name for k in mechanism.channels)
-        raise LinkplanError(
-            f"frequency responses need one actuator for every degree of freedom; '{mechanism.name}' has {mechanism.n_u}"
-            f" ({', '.join(a.name for a in mechanism.actuators)}) for {len(mechanism.channels)} ({names})"
-        )
+    return OperatingPoint(mechanism=mechanism, pose=pose, velocity=np.zeros(mechanism.dof), hold=hold, told=told)
 
 
 def refuse_above_nyquist(frequency_hz: np.ndarray, period_s: float | None) -> None:

@@ -193,8 +193,13 @@ def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)
     rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
-    powers = zip(mechanism.actuators, certificate.peak_power, strict=True)
-    return [*rows, *([f"largest power of {actuator.name}", power, "W"] for actuator, power in powers)]
+    powers = zip(mechanism.actuators, certificate.peak_motor_power, certificate.peak_brake_power, strict=True)
+    for actuator, given, taken in powers:
+        rows += [
+            [f"largest power of {actuator.name} as {what}", power, "W"]
+            for what, power in (("motor", given), ("brake", taken))
+        ]
+    return rows
 
 
 def proof_blocks(proof: Proof | None, names: Iterable[str] = ()) -> list[Block]:

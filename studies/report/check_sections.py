@@ -14,7 +14,7 @@ from linkplan.studies.report.animation import animation, frames_of
 def check_sections(whole: WholeCheck) -> list[Section]:
     """Return the sections of a check."""
     first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(whole.found))
-    n = len(whole.paths)
+    n = len(whole.along)
     return [first, *(path_section(path, whole.name, n) for path in whole.paths)]
 
 

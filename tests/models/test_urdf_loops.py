@@ -6,57 +6,7 @@ import pytest
 import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.cli.main import main
-
-
-def link(name: str, mass: float = 0.5, *, visual: str = "") -> str:
-    inertia = f'<inertia ixx="{mass / 100}" iyy="{mass / 100}" izz="{mass / 100}" ixy="0" ixz="0" iyz="0"/>'
-    inertial = f'<inertial><origin xyz="0 0 0.05"/><mass value="{mass}"/>{inertia}</inertial>' if mass else ""
-    return f'<link name="{name}">{inertial}{visual}</link>'
-
-
-def joint(name: str, parent: str, child: str, xyz: str, *, kind: str = "revolute", axis: str = "0 1 0") -> str:
-    limit = '<limit lower="-3" upper="3" effort="7" velocity="20"/>' if kind == "revolute" else ""
-    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
-    return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="{axis}"/>{limit}</joint>'
-
-
-FOUR_BAR = "".join(
-    [
-        link("base"),
-        link("crank"),
-        link("coupler"),
-        link("rocker"),
-        joint("motor", "base", "crank", "0 0 0"),
-        joint("A", "crank", "coupler", "0 0 0.1"),
-        joint("C", "base", "rocker", "0.2 0 0"),
-    ]
-)
-FRAMES = "".join(
-    [
-        link("end_A", 0.0),
-        link("end_B", 0.0),
-        joint("end_A_frame", "coupler", "end_A", "0.2 0 0.05", kind="fixed"),
-        joint("end_B_frame", "rocker", "end_B", "0 0 0.15", kind="fixed"),
-    ]
-)
-ENDS = {"coupler": "0.2 0 0.05", "rocker": "0 0 0.15"}
-TRANSMISSION = '<transmission name="t"><joint name="motor"/><actuator name="m"/></transmission>'
-LOOP_JOINT = (
-    '<loop_joint name="B" type="continuous"><link1 link="coupler" xyz="0.2 0 0.05" rpy="0 0 0"/>'
-    '<link2 link="rocker" xyz="0 0 0.15" rpy="0 0 0"/><axis xyz="0 1 0"/></loop_joint>'
-)
-YAML = "closed_loop: [['end_A', 'end_B']]\ntype: ['3d']\nname_mot: ['motor']\n"
-
-
-def robot(*parts: str) -> str:
-    return f'<robot name="four-bar">{"".join(parts)}</robot>'
-
-
-def written(folder, text: str, yaml: str | None = None) -> str:
-    (folder / "robot.urdf").write_text(text, encoding="utf-8")
-    if yaml is not None:
-        (folder / "robot.yaml").write_text(yaml, encoding="utf-8")
-    return str(folder / "robot.urdf")
+from tests.support.four_bar_urdf import CUT, FOUR_BAR, FRAMES, LOOP_JOINT, TRANSMISSION, YAML, joint, link, robot, written
 
 
 def assert_four_bar(mechanism) -> None:
@@ -72,9 +22,6 @@ def assert_four_bar(mechanism) -> None:
     end_of_coupler = turned(q["motor"], 0, 0.1) + turned(q["motor"] + q["A"], 0.2, 0.05)
     end_of_rocker = np.array([0.2, 0.0]) + turned(q["C"], 0, 0.15)
     np.testing.assert_allclose(end_of_coupler, end_of_rocker, atol=1e-10)
-
-
-CUT = "closures: [{link_a: coupler, link_b: rocker, point: [0.2, 0, 0.15], axis: [0, 2, 0]}]\nindependent: [motor]\n"
 
 
 @pytest.mark.parametrize("folder", ["", "package/urdf"])
@@ -181,6 +128,7 @@ def test_a_link_without_mass_gets_a_little_and_is_named(tmp_path):
         (YAML + "joint_name: ['Q']\njoint_type: ['FIXED']\n", ["joint in the YAML file beside the URDF 'Q'"]),
         ("closed_loop: [", ["not YAML"]),
         (YAML + "joint_name: ['A']\njoint_type: ['SCREW']\n", ["SCREW", "SPHERICAL"]),
+        (YAML.replace("3d", "4d"), ["type of closure in the YAML file beside the URDF '4d'", "legal: 3d, 6d"]),
         (YAML.replace("['3d']", "['3d', '6d']"), ["closed_loop", "type"]),
         ("closed_loop: 3\nname_mot: []\n", ["closed_loop"]),
     ],

@@ -5,6 +5,7 @@ import functools
 import numpy as np
 import pytest
 
+from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.transfer.grid import adaptive_grid, interpolated
 from linkplan.models.transfer.output_map import output_map
@@ -114,3 +115,27 @@ def test_off_the_map_there_are_no_numbers_and_a_reason():
     assert 0 < np.mean(status == 0) < 1
     assert np.isnan(table.grid.values["ratio"][status != 0]).all()
     assert np.isfinite(table.grid.values["ratio"][status == 0]).all()
+
+
+LONG_ROCKER = """<mujoco><compiler angle="degree"/><default><joint axis="0 -1 0"/>
+<geom type="capsule" size="0.01" contype="0" conaffinity="0"/></default><worldbody>
+<body name="crank"><joint name="O"/><geom fromto="0 0 0 0 0 .1"/><body name="coupler" pos="0 0 .1"><joint name="A"/>
+<geom fromto="0 0 0 .2 0 0"/></body></body><body name="rocker" pos="5 0 0">
+<joint name="C"/><geom fromto="0 0 0 0 0 .1"/></body>
+</worldbody><equality><connect name="B" body1="coupler" body2="rocker" anchor=".2 0 0"/></equality><actuator>
+<motor name="m" joint="O" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("name", ["C", "A"])
+def test_a_table_covers_its_reach_where_home_is_next_to_a_dead_centre(name):
+    """At home the rocker turns as fast as the crank; the median along the reach is 30 times slower."""
+    table = transfer_table(output_map(load_mechanism(LONG_ROCKER, independent=[name]), [name]), 1e-3)
+    assert table.known.mean() > 0.9
+
+
+@pytest.mark.parametrize("high_rad", [1e-100, 1e-13, 4e-8])
+def test_a_range_that_rounding_fills_is_refused(high_rad):
+    outputs = output_map(load_mechanism(LONG_ROCKER, independent=["C"]), ["C"])
+    with pytest.raises(ModelError, match=r"range of C is at least 1e-06 of its reach of 5\.2\d* deg wide, got 0 to "):
+        transfer_table(outputs, 1e-3, [(0.0, high_rad)])
+    assert transfer_table(outputs, 1e-3, [(0.0, 4e-7)]).known.all()

@@ -42,6 +42,8 @@ def test_the_figures_of_a_motion_with_a_closed_form():
     assert certificate.peak_effort == pytest.approx(PEAK_EFFORT)
     peak = 36 * HINGE_INERTIA * TURN**2 * np.sqrt(3) / 18  # of t (1 - t) (1 - 2 t)
     assert 0.95 * peak < certificate.peak_power[0] <= peak  # on a coarse grid
+    assert certificate.peak_motor_power == pytest.approx(certificate.peak_power, rel=1e-9)  # it brakes as it drives
+    assert certificate.peak_brake_power == pytest.approx(certificate.peak_power, rel=1e-9)
     assert certificate.dynamics_allowed == pytest.approx(0.02 * PEAK_EFFORT)
     assert certificate.effort_excess == certificate.inverse_dynamics_excess == 0.0
     assert certificate.effort_overrun.tolist() == [0.0]

@@ -10,14 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linkplan.models.errors import CertificateError, PlanFileError
+from linkplan.models.errors import CertificateError, PlanFileError, ProblemError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST
+from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import motion_table
 from linkplan.planner.plan_folder import read_plan, record, write_plan
 from linkplan.planner.plan_record import PLAN_FORMAT
+from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
 from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING
@@ -289,6 +291,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no coefficients": (with_arrays(effort=ONES[:0]), "trajectory.npz"),
     "a start pose that is a column": (with_arrays(start_pose=np.zeros((3, 1))), "trajectory.npz"),
     "a start pose of another mechanism": (with_arrays(start_pose=np.zeros(5)), "of another mechanism"),
+    "an empty start pose": (with_arrays(start_pose=np.zeros(0)), "it has 0 joints in its start pose, the mechanism 3"),
     "a motion out of reach": (with_arrays(position=5 + np.ones((5, 40, 1))), "trajectory.npz"),
 }
 
@@ -302,6 +305,22 @@ def test_a_broken_folder_is_refused_in_one_line(case, saved):
         read_plan(saved)
     assert len(str(raised.value).splitlines()) == 1
     assert words in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"start_pose": np.zeros(0)}, "it has 0 joints in its start pose, the mechanism 3"),
+        ({"velocity": np.zeros((4, 40, 0))}, "it has 0 velocities of independent joints, the mechanism 1"),
+        ({"effort": np.zeros((3, 40, 2))}, "it has 2 efforts of actuators, the mechanism 1"),
+    ],
+)
+def test_a_guess_of_another_mechanism_is_refused_by_what_differs(changes, said, saved):
+    with_arrays(**changes)(saved)
+    _, tables, _ = read_tables("knee-sine")
+    with pytest.raises(ProblemError, match="the guess is of another mechanism than 'optimus-knee'") as refused:
+        Problem.from_tables("guessed", tables | {"guess": {"plan": str(saved)}})
+    assert said in str(refused.value)
 
 
 @pytest.mark.parametrize("what", ["nothing", "an empty folder", "a file"])

@@ -1,10 +1,13 @@
 """The report on a mechanism of many coordinates: each with its own quantities, in a length that is read."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
+from linkplan.studies.check.drives import _krylov_space
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import most_poses, path_record, reach_paths, reach_sweeps, thinned
 from linkplan.studies.check.whole_check import check_whole
@@ -94,3 +97,49 @@ def test_the_animations_of_many_coordinates_have_as_many_numbers_as_one(wholes):
     frames = [len(block.times) for block in blocks if isinstance(block, Animation)]
     assert len(frames) == 9
     assert 41 * 9 < sum(frames) * wholes[9].found.mechanism.model.nbody * 13 <= 120_000
+
+
+def largest_arrays(work) -> int:
+    """Return the most bytes of arrays that are alive at once while `work` runs."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.slow
+def test_memory_grows_with_the_square_of_the_coordinates():
+    """Twice the coordinates take at most four times the memory; with the cube of them it was eight times."""
+    peaks = []
+    for n in (24, 48):
+        mechanism = load_mechanism(chain(n))
+        check_whole(mechanism, None).summary()  # modules and compiled functions are loaded
+        reach.cache_clear()
+        peaks.append(largest_arrays(lambda of=mechanism: check_whole(of, None).summary()))
+    assert peaks[0] > 1e6
+    assert peaks[1] < 4.5 * peaks[0], peaks
+
+
+@pytest.mark.slow
+def test_reports_of_many_coordinates_are_in_memory_one_at_a_time():
+    whole, other = (check_whole(load_mechanism(chain(40)), None) for _ in range(2))
+    one = other.paths[0]
+    size = one.rates.nbytes + one.ratio.nbytes + one.reduced_inertia.nbytes
+    assert largest_arrays(lambda: [path_record(path) for path in whole.paths]) < 12 * size  # of 40 reports
+
+
+@pytest.mark.parametrize(("n", "m"), [(6, 1), (6, 2), (7, 3), (5, 5)])
+@pytest.mark.parametrize("idle", [0, 2])
+def test_the_controllable_space_is_that_of_the_whole_matrix(n, m, idle):
+    """The singular values and the projector onto the space are those of [B, A B, ...] in one piece."""
+    random = np.random.default_rng(n + 10 * m + 100 * idle)
+    A, B = random.normal(size=(n, n)) / n, random.normal(size=(n, m))
+    A[n - idle :, : n - idle], B[n - idle :] = 0, 0  # the last coordinates move by themselves
+    whole = np.hstack([np.linalg.matrix_power(A, k) @ B for k in range(n)])
+    space, sizes = _krylov_space(A, B, 1e-9)
+    expected = np.linalg.matrix_rank(whole, tol=1e-9)
+    assert np.count_nonzero(sizes > 1e-9) == expected == n - idle
+    basis, exact = space[:, sizes > 1e-9], np.linalg.svd(whole)[0][:, :expected]
+    np.testing.assert_allclose(basis @ basis.T, exact @ exact.T, atol=1e-9)

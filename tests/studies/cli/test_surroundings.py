@@ -75,3 +75,18 @@ def test_more_waypoints_than_a_mesh_has_room_for_are_counted_and_refused():
     message = refusal(lambda: load_problem("knee-reach", [f"motion.waypoints=[{', '.join([point] * 1001)}]"]), LinkplanError)
     assert "at most 1000" in message
     assert "1001" in message
+
+
+@pytest.mark.parametrize("text", ["abc", "", "1e5", "9" * 20])
+def test_a_date_of_the_surroundings_that_is_none_is_refused_in_one_line(text, monkeypatch, capsys):
+    """NumPy, SciPy and matplotlib read it when they are loaded, and fail."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", text)
+    assert program.main(["list"]) == 2
+    said = capsys.readouterr().err
+    assert "SOURCE_DATE_EPOCH is a time in whole seconds since 1970" in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_date_of_the_surroundings_is_no_hindrance(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "315532800")
+    assert program.main(["list"]) == 0

@@ -1,0 +1,65 @@
+"""Poses that the actuators hold with effort to both sides: what a linear feedback loop about a pose needs."""
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.tree.joints import where
+
+
+def require_actuated(mechanism: Mechanism) -> None:
+    """Refuse a mechanism that does not have one actuator for each degree of freedom."""
+    if mechanism.n_u == 0:
+        raise LinkplanError(f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
+    if mechanism.n_u != len(mechanism.channels):
+        names = ", ".join(mechanism.independent_joints[k].name for k in mechanism.channels)
+        raise LinkplanError(
+            f"frequency responses need one actuator for every degree of freedom; '{mechanism.name}' has {mechanism.n_u}"
+            f" ({', '.join(a.name for a in mechanism.actuators)}) for {len(mechanism.channels)} ({names})"
+        )
+
+
+def held_pose(
+    mechanism: Mechanism, position: np.ndarray, effort_limit: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the closed pose (n_q,) at independent positions (n_s,) [rad or m], and the effort (n_u,) that holds it.
+
+    Raises:
+        LinkplanError: if the mechanism does not have one actuator per degree of freedom, if its loops do not close, or if
+            no effort inside the limits (n_u, 2) holds the pose.
+    """
+    require_actuated(mechanism)
+    pose = close_at(mechanism, np.atleast_1d(position))
+    still = np.zeros((1, mechanism.dof))
+    (hold,), missed = needed_effort(mechanism, pose[None], still, still)
+    channels = list(mechanism.channels)
+    at = where([mechanism.independent_joints[k] for k in channels], pose[mechanism.independent][channels])
+    if not np.all(np.isfinite(hold)) or np.abs(missed).max() > HOLDING_TOLERANCE * max(1.0, np.abs(hold).max()):
+        raise LinkplanError(f"no effort holds '{mechanism.name}' at {at}")
+    limit = mechanism.effort_limit if effort_limit is None else effort_limit
+    for actuator, effort, (low, high) in zip(mechanism.actuators, hold, limit, strict=True):
+        # An actuator at a limit responds in one direction only, so the loop is not linear there.
+        room = HOLDING_TOLERANCE * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
+        if not low + room < effort < high - room:
+            shown = effort if abs(effort) > room else 0.0
+            raise LinkplanError(
+                f"'{mechanism.name}' cannot be held at {at}: {actuator.name} would need {shown:.4g}"
+                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
+                " the holding effort"
+            )
+    return pose, hold
+
+
+def why_no_loop(mechanism: Mechanism, positions: np.ndarray, effort_limit: np.ndarray) -> str | None:
+    """Return the reason why none of the positions (n, n_s) has a feedback loop that gains are found for; None if one has."""
+    why = None
+    for position in positions:
+        try:
+            held_pose(mechanism, position, effort_limit)
+        except LinkplanError as error:
+            why = why or str(error)
+        else:
+            return None
+    return why
