@@ -178,6 +178,9 @@ def build_parser() -> Parser:
     _add(export, "--joints", "A,B", text)
     text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"
     _add(export, "--tracker", "NAME", text, default="pd+ff")
+    text = "for the law of a plan in c: leave out rows of its tables while efforts and gains stay within this share of their"
+    text += " largest values (default: 0, a row at every control instant)"
+    _add(export, "--tolerance", "SHARE", text, float)
     _add(export, "--every-s", "T", "time between samples (default: ten samples in every interval of the plan's mesh)", float)
     _anyway(export)
     _selection(export)

@@ -11,7 +11,7 @@ import numpy as np
 
 from linkplan.studies.export.c_model import (
     DERIVATIVES,
-    NEWTON_STEPS,
+    MAX_NEWTON_STEPS,
     ModelCode,
     header_text,
     random_states,
@@ -75,7 +75,8 @@ def write_model(code: ModelCode, place: Path, *, compiled: bool = True) -> dict:
         "mechanism": code.mechanism.name,
         "format": "c",
         "files": sorted(texts),
-        "newton_steps": NEWTON_STEPS,
+        "model_hash": code.mechanism.fingerprint(),
+        "max_newton_steps": MAX_NEWTON_STEPS,
         "functions": cost,
         "sizes": sizes(place, f"{code.prefix}.c", code.prefix.upper(), flags) if compiled else [],
         "sizes_without": [] if whole else [f"{code.prefix}_{DERIVATIVES}"],
@@ -126,8 +127,9 @@ def cost_blocks(record: dict, target: Path) -> list[Block]:
         heads = ["operations of one call", *kinds, "error in float, share of the largest value"]
         found.append(table_of("", heads, rows, digits=2))
     else:
-        text = f"{record['tracker']} at {record['instants']} instants every {record['period_s']:g} s"
-        text += f", {record['table_numbers']} numbers"
+        ends = "repeats" if record["periodic"] else "holds start and goal"
+        text = f"{record['tracker']} over {record['duration_s']:g} s in {record['instants']} rows, {record['table_numbers']}"
+        text += f" numbers; it {ends}"
         found.append(Text(text=text))
     if not record["sizes"]:
         text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long"
