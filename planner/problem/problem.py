@@ -94,6 +94,7 @@ class Problem:
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # sentences on choices that the problem leaves open
+    unread_extras: tuple = ()  # records of a saved plan's extra limits and costs, whose expressions its files do not hold
 
     @classmethod
     def reach(

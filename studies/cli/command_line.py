@@ -74,6 +74,7 @@ def build_parser() -> Parser:
     text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
     prove = command("prove", text, output=False)
     _add(prove, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _flag(prove, "--no-existence", "prove the limits alone, and do not look for the model's own motion near the plan")
     _all(prove)
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
