@@ -70,6 +70,8 @@ def stride_along(
 
 def strides(mechanism: Mechanism, starts: np.ndarray, positions: np.ndarray, step_size: np.ndarray) -> np.ndarray:
     """Return the poses (n, n_q) at positions (n, n_s), each one stride from its own start (n, n_q); NaN if irregular."""
+    if len(starts) == 0:
+        return np.empty(starts.shape)
     states, function = _states(mechanism, starts), mapped(_stretch(mechanism, 1), len(starts))
     with np.errstate(over="ignore", invalid="ignore"):
         after, phi, predicted = (x.T for x in evaluated(function, states.T, positions.T))
@@ -294,7 +296,7 @@ def steps_to(
 def advance_all(
     mechanism: Mechanism, starts: np.ndarray, targets: np.ndarray, deadline: Deadline = NO_DEADLINE
 ) -> np.ndarray:
-    """Return the poses (n, n_q) at targets (n, n_s), each continued from its own start (n, n_q) like `advance`, side by side.
+    """Return the poses (n, n_q) at targets (n, n_s), each continued from its own start (n, n_q) by `advance`, side by side.
 
     A pose is NaN where the loop opens on the way.
     """
