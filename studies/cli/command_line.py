@@ -179,6 +179,7 @@ def build_parser() -> Parser:
     _add(export, "--joints", "A,B", text)
     text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"
     _add(export, "--tracker", "NAME", text, default="pd+ff")
+    _flag(export, "--sizes", "for a model in c: measure flash and stack even if the code is long and compiles for minutes")
     text = "for the law of a plan in c: leave out rows of its tables while efforts and gains stay within this share of their"
     text += " largest values (default: 0, a row at every control instant)"
     _add(export, "--tolerance", "SHARE", text, float)

@@ -70,7 +70,7 @@ def _export_c(arguments: argparse.Namespace) -> int:
         say(f"{code.mechanism.name}: C code")
 
         def write(place: Path) -> None:
-            said.update(write_model(code, place))
+            said.update(write_model(code, place, compiled=arguments.sizes or None))
             write_json(place / "export.json", said)
 
     write_whole(target, write, "export.json")

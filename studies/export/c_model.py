@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import continue_to
+from linkplan.models.poses.assembly import advance_all
 from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.export.c_source import CFunction, function_of, helpers, identifier
 from linkplan.studies.export.c_text import (
@@ -173,11 +173,11 @@ def random_states(mechanism: Mechanism, n: int, seed: int) -> dict[str, np.ndarr
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.independent_joints])
     poses = np.empty((0, mechanism.n_q))
-    while len(poses) < n:  # a walk inside a fifth of a radian, begun again at home where the loops open
-        walk = home + 0.2 * unit * random.uniform(-1, 1, (n - len(poses), mechanism.dof))
-        walk = np.clip(walk, np.minimum(ranges[:, 0], home), np.maximum(ranges[:, 1], home))
-        found, arrived = continue_to(mechanism, mechanism.home, walk)
-        poses = np.concatenate([poses, found[:arrived]])
+    while len(poses) < n:  # inside a fifth of a radian, drawn again where the loops open on the way from home
+        s = home + 0.2 * unit * random.uniform(-1, 1, (n - len(poses), mechanism.dof))
+        s = np.clip(s, np.minimum(ranges[:, 0], home), np.maximum(ranges[:, 1], home))
+        found = advance_all(mechanism, np.tile(mechanism.home, (len(s), 1)), s)
+        poses = np.concatenate([poses, found[np.isfinite(found[:, 0])]])
     limit = np.abs(mechanism.effort_limit).max(axis=1)
     effort = np.where(np.isfinite(limit), limit, 1.0)
     return {

@@ -202,7 +202,17 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
     record = write_model(code, tmp_path)
     assert record["sizes"] == []
-    assert "too long" in text_of(cost_blocks(record, tmp_path))
+    assert "--sizes measures it" in text_of(cost_blocks(record, tmp_path))
+
+
+@needs_gcc
+def test_code_of_a_whole_robot_is_measured_when_asked(monkeypatch, tmp_path):
+    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
+    monkeypatch.setattr(c_files, "COMPILERS", {"gcc": ["-O2"]})
+    assert main(["export", "slider-crank", "--to", "c", "--sizes", "-o", str(tmp_path / "c")]) == 0
+    record = json.loads((tmp_path / "c" / "export.json").read_text())
+    assert [row["real"] for row in record["sizes"]] == ["double", "float"]
+    assert record["sizes_without"] == []
 
 
 @needs_gcc
