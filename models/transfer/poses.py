@@ -48,7 +48,7 @@ class KnownPoses:
 
         if self._tree is None:
             self._tree = scipy.spatial.KDTree(self.points / self.unit, balanced_tree=False, compact_nodes=False)
-        return self._tree.query(points / self.unit)[1]
+        return np.asarray(self._tree.query(points / self.unit)[1])
 
     def _keep(self, found: np.ndarray) -> None:
         closed = found[np.isfinite(found[:, 0])]

@@ -24,8 +24,6 @@ REFINED = ("motor_position", "ratio", "inertia", "gravity")
 # Nodes of a table: a controller's has hundreds, and the largest measures the error that it is left with.
 MOST_NODES = 4000
 MOST_JOINTS = 3
-# By this share of its range a joint goes beyond it in the way back: cells at the edge of the map have nodes there.
-_BEYOND_SHARE = 0.125
 # Status of a node of the way back, not reachable, without which the cells at the edge of the map would lack a corner.
 BESIDE_MAP = 3
 
@@ -169,7 +167,7 @@ def _inverse(
     slope = grid.values["ratio_slope"].reshape(*ratio.shape, -1)[known]
     pairs = _Pairs(joint=grid.points[known], motor=motor[known], ratio=ratio[known], slope=slope)
     low, high = (np.array([axis[end] for axis in grid.axes]) for end in (0, -1))
-    beyond = _BEYOND_SHARE * (high - low)
+    beyond = 0.125 * (high - low)  # cells at the edge of the map have nodes there
 
     def back(points: np.ndarray) -> dict[str, np.ndarray]:
         return {"joint_position": _joint_positions(outputs, poses, pairs, points, (low - beyond, high + beyond))}
@@ -240,7 +238,7 @@ class _Pairs:
         """Return the indices (m,) of the pairs that are nearest to motor positions (m, n_m)."""
         import scipy.spatial
 
-        return scipy.spatial.KDTree(self.motor / self.unit).query(wanted / self.unit)[1]
+        return np.asarray(scipy.spatial.KDTree(self.motor / self.unit).query(wanted / self.unit)[1])
 
     def extrapolated(self, wanted: np.ndarray) -> np.ndarray:
         """Return joint positions (m, n_o) at motor positions (m, n_m), to the second order about the nearest pair."""

@@ -24,8 +24,6 @@ from linkplan.studies.export.c_text import (
 MAX_NEWTON_STEPS = 200
 # The function that a controller rarely needs, and that is longer than all others together.
 DERIVATIVES = "inverse_dynamics_derivatives"
-# States in the test vector.
-_VECTOR_LENGTH = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -163,7 +161,7 @@ def source_text(code: ModelCode) -> str:
 
 def test_text(code: ModelCode) -> str:
     """Return a C program that compares every function with the test vector; its exit code is 1 if one is off."""
-    states = random_states(code.mechanism, _VECTOR_LENGTH, seed=1)
+    states = random_states(code.mechanism, 16, seed=1)
     return tests_text(code.prefix, code.real, code.interface, code.mechanism.independent, states)
 
 
