@@ -56,7 +56,7 @@ class Problem:
         reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
-        mesh, solver: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`; `starts`, `compile`, `max_time_s`.
+        mesh, solver: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`; `starts`, `compile`, `max_time_s`
         tracking: `kp`, `kd`, `period_s`, `delay_periods`, `duration_s` and the weights of LQR.
         robust, imperfections: as in files: {"payload_factor": [0.8, 1.2]}, {"delay_periods": [0.5, 2.0]} (`experiment`).
         extra_costs: a list of `ExtraCost`, running costs in addition to `minimize`, or the whole objective if that is {}.
