@@ -103,7 +103,7 @@ def run_prove(arguments: argparse.Namespace) -> int:
     else:
         plan = plan_of(arguments.plan, say, arguments.set)
     plan = with_motion(plan)
-    say(PROVING)
+    say("proving the limits" if arguments.no_existence else PROVING)
     proof = plan.prove(existence=not arguments.no_existence)
     said = {"plan": plan.problem.name, "verdict": proof.verdict} | proof.record()
     show(arguments, said, [Text(text=plan.problem.name), *proof_blocks(proof, names_in(plan))])
