@@ -15,8 +15,9 @@ def run_export(arguments: argparse.Namespace) -> int:
     choose("format", arguments.to, (*FORMATS, *FOLDER_FORMATS), ProblemError)
     if arguments.to in FOLDER_FORMATS:
         return _export_c(arguments)
-    if arguments.tolerance is not None:
-        raise ProblemError(f"--tolerance is for the tables of a plan's law in C, got --to {arguments.to}")
+    for name in ("tolerance", "sizes"):
+        if getattr(arguments, name):
+            raise ProblemError(f"--{name} is for code in C, got --to {arguments.to}")
     from linkplan.planner.files.single_file import write_new
     from linkplan.studies.export.export import exported
 
@@ -48,6 +49,8 @@ def _export_c(arguments: argparse.Namespace) -> int:
 
         if arguments.joints is not None:
             raise ProblemError("--joints is for ros, and for a model in C; a plan's law has the plan's own coordinates")
+        if arguments.sizes:
+            raise ProblemError("--sizes is for a model in C; a law's flash and stack are measured anyway")
         plan = plan_asked(arguments, say)
         tables, passed = law_tables(plan, arguments.tracker, arguments.tolerance or 0.0), plan.passed
 

@@ -347,6 +347,10 @@ def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
         (["knee-reach", "--to", "c", "--every-s", "0.1"], "--every-s"),
         (["knee-reach", "--to", "c", "--joints", "C"], "the plan's own coordinates"),
         (["optimus-knee", "--to", "c", "--joints", "Q"], "'Q'"),
+        (["optimus-knee", "--to", "c", "--tolerance", "0.1"], "--tolerance is for the tables of a plan's law"),
+        (["knee-reach", "--to", "c", "--sizes"], "--sizes is for a model"),
+        (["knee-reach", "--to", "csv", "--sizes"], "--sizes is for code in C"),
+        (["knee-reach", "--to", "csv", "--tolerance", "0.1"], "--tolerance is for code in C"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):
