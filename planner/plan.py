@@ -242,20 +242,23 @@ class Plan:
             raise LinkplanError(f"nothing to {use}, the plan has no motion: {self.message}")
         return self.trajectory
 
-    def prove(self) -> Proof:
+    def prove(self, *, existence: bool = True) -> Proof:
         """Return the proof of the motion's limits at every instant, from the coefficients of its polynomials alone.
 
         Ball arithmetic encloses the closure and the efforts by inverse dynamics between all samples. `proved`, `refuted`,
         `undecided` and `sampled` findings are in the proof's `of(answer)`; `passed` says that nothing is refuted, `complete`
         that all is proved.
 
+        Args:
+            existence: whether a motion of the model near the plan is looked for, too, for at most a minute.
+
         Raises:
             LinkplanError: if the plan has no motion.
         """
-        return self._proved(NO_DEADLINE)
+        return self._proved(NO_DEADLINE, existence=existence)
 
     def with_proof(self, until: Deadline = NO_DEADLINE, *, existence: bool = True) -> Self:
-        """Return this plan with its proof.
+        """Return this plan with its proof; its status is "failed" if that refutes a limit.
 
         Args:
             until: the deadline.
@@ -266,9 +269,15 @@ class Plan:
             OutOfTimeError: if the deadline passes before all claims are judged, or some intervals show that they take
                 twice the time to it.
         """
-        return replace(self, proof=self._proved(until, existence=existence))
+        proof = self._proved(until, existence=existence)
+        if proof.passed or not self.passed or self.certificate is None:
+            return replace(self, proof=proof)
+        refuted = tuple(f"the proof refutes: {finding.sentence()}" for finding in proof.of("refuted"))
+        certificate = replace(self.certificate, failures=refuted)
+        message = f"failed: the motion does not pass its certificate between the samples: {'; '.join(refuted)}"
+        return replace(self, proof=proof, status="failed", message=message, objective=None, certificate=certificate)
 
-    def _proved(self, until: Deadline, *, existence: bool = True) -> Proof:
+    def _proved(self, until: Deadline, *, existence: bool) -> Proof:
         from linkplan.planner.proof.prove import prove
 
         trajectory = self.require_motion("prove")

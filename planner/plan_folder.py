@@ -74,7 +74,7 @@ def record(plan: Plan) -> dict:
             "versions": versions(),
             "fingerprint": part_hashes(mechanism.model),
             "problem": problem.source,
-            "extras": [asdict(one) for one in extra_records(problem.extras)],
+            "extras": [asdict(one) for one in (*extra_records(problem.extras), *problem.unread_extras)],
         }
     )
 
@@ -238,7 +238,7 @@ def _read(
         raise PlanFileError(f"'{folder}' was planned with {had}; plan.json has their bounds, weights and units; got others")
     if saved.extras and not problem.extras:
         note = f"read without {_lost(saved)}: nothing here was checked against it"
-        problem = replace(problem, notes=(*problem.notes, note))
+        problem = replace(problem, notes=(*problem.notes, note), unread_extras=tuple(saved.extras))
     return saved, trajectory, problem
 
 

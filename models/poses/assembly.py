@@ -71,6 +71,8 @@ def stride_along(
 
 def strides(mechanism: Mechanism, starts: np.ndarray, positions: np.ndarray, step_size: np.ndarray) -> np.ndarray:
     """Return the poses (n, n_q) at positions (n, n_s), each one stride from its own start (n, n_q); NaN if irregular."""
+    if len(starts) == 0:
+        return np.empty(starts.shape)
     states, function = _states(mechanism, starts), mapped(_stretch(mechanism, 1), len(starts))
     with np.errstate(over="ignore", invalid="ignore"):
         after, phi, predicted = (x.T for x in evaluated(function, states.T, positions.T))
@@ -219,10 +221,15 @@ def _on_branch(mechanism: Mechanism, poses: np.ndarray) -> int:
     """Return the number of poses (n, n_q) after the first that close overconstrained loops without a fold on the way."""
     if len(poses) < 2:
         return 0
-    closed = mechanism.gaps_m(poses[1:]) <= mechanism.closed_m
-    turned = sampled(mechanism.dynamics.orientation, poses[:-1], poses[1:])
-    stays = closed & np.all(turned.reshape(len(closed), -1) > 0, axis=1)
+    stays = _stay_on_branch(mechanism, poses[:-1], poses[1:])
     return len(stays) if np.all(stays) else int(np.argmin(stays))
+
+
+def _stay_on_branch(mechanism: Mechanism, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return a mask (n,) of the strides between poses (n, n_q) that close overconstrained loops without a fold."""
+    closed = mechanism.gaps_m(after) <= mechanism.closed_m
+    turned = sampled(mechanism.dynamics.orientation, before, after)
+    return closed & np.all(turned.reshape(len(closed), -1) > 0, axis=1)
 
 
 def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -289,6 +296,43 @@ def steps_to(
         share = 0.5 * min(share, longest)
         if share < _LEAST_STEP_SHARE:
             return
+
+
+def advance_all(
+    mechanism: Mechanism, starts: np.ndarray, targets: np.ndarray, deadline: Deadline = NO_DEADLINE
+) -> np.ndarray:
+    """Return the poses (n, n_q) at targets (n, n_s), each continued from its own start (n, n_q) by `advance`, side by side.
+
+    A pose is NaN where the loop opens on the way.
+    """
+    step_size, independent, n_q = step_sizes(mechanism), mechanism.independent, mechanism.n_q
+    stretch, found = _stretch(mechanism, 1), np.full(starts.shape, np.nan)
+    if len(starts) == 0:
+        return found
+    states, share, active = _states(mechanism, starts), np.ones(len(starts)), np.arange(len(starts))
+    while len(active):
+        deadline.require_time()
+        before = states[active]
+        left = targets[active] - before[:, independent]
+        longest = np.max(np.abs(left) / step_size[independent], axis=1, initial=0.0)
+        whole = longest <= share[active]
+        fraction = np.where(whole, 1.0, share[active] / np.maximum(longest, np.finfo(float).tiny))
+        position = np.where(whole[:, None], targets[active], before[:, independent] + fraction[:, None] * left)
+        # Few sizes of maps: CasADi takes longer to set one up than to evaluate it.
+        rows = np.minimum(np.arange(max(16, 1 << (len(active) - 1).bit_length())), len(active) - 1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            given = before[rows].T, position[rows].T
+            after, phi, predicted = (x.T[: len(active)] for x in evaluated(mapped(stretch, len(rows)), *given))
+            regular = _are_regular(mechanism, before, after, phi, predicted, step_size)
+        if mechanism.projected and np.any(regular):
+            regular[regular] = _stay_on_branch(mechanism, before[regular, :n_q], after[regular, :n_q])
+        states[active[regular]] = after[regular]
+        share[active] = np.where(regular, np.minimum(1.0, 2 * share[active]), 0.5 * np.minimum(share[active], longest))
+        arrived = active[regular & whole]
+        found[arrived] = states[arrived, :n_q]
+        lost = ~regular & (share[active] < _LEAST_STEP_SHARE) | ~(longest < _MAX_PATH_STEPS)
+        active = active[~(regular & whole) & ~lost]
+    return found
 
 
 def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -80,12 +80,16 @@ def adaptive_grid(
     while True:
         values = {name: known(axes)[name] for name in names}
         scale = {name: _size(value) for name, value in values.items()}
-        halved = [_halved(known, axes, k, values, scale, tolerance / len(axes)) for k in range(len(axes))]
-        if all(len(after) == len(before) for after, before in zip(halved, axes, strict=True)):
+        misses = [_misses(known, axes, k, values, scale) for k in range(len(axes))]
+        coarse = [miss > tolerance / len(axes) for miss in misses]
+        if not any(np.any(intervals) for intervals in coarse):
             break
-        if np.prod([len(axis) for axis in halved]) > most_nodes:
+        fits = np.prod([len(axis) + np.count_nonzero(more) for axis, more in zip(axes, coarse, strict=True)]) <= most_nodes
+        if not fits:
+            coarse = _coarsest(axes, misses, coarse, most_nodes)
+        axes = [_halved(axis, intervals) for axis, intervals in zip(axes, coarse, strict=True)]
+        if not fits:
             break  # the measured error says by how much the tolerance is missed
-        axes = halved
     whole = known(axes)
     scale = {name: _size(value) for name, value in whole.items()}
     errors, checked = _measured(function, axes, whole, scale)
@@ -125,8 +129,8 @@ def _size(value: np.ndarray) -> float:
     return largest if largest > _ZERO_SIZE else 1.0
 
 
-def _halved(known, axes, k: int, values, scale, tolerance: float) -> np.ndarray:
-    """Return axis k with those intervals halved in whose middle linear interpolation misses by more than the tolerance."""
+def _misses(known, axes, k: int, values, scale) -> np.ndarray:
+    """Return the misses (n,) of linear interpolation in the middle of each interval of axis k, as shares of the scale."""
     axis = axes[k]
     middles = 0.5 * (axis[:-1] + axis[1:])
     between = known([*axes[:k], middles, *axes[k + 1 :]])
@@ -136,7 +140,25 @@ def _halved(known, axes, k: int, values, scale, tolerance: float) -> np.ndarray:
         off = np.abs(np.moveaxis(between[name], k, 0) - 0.5 * (ends[:-1] + ends[1:])) / scale[name]
         off = off.reshape(len(middles), -1)
         miss = np.maximum(miss, np.where(np.isfinite(off), off, 0.0).max(axis=1, initial=0.0))
-    return np.sort(np.concatenate([axis, middles[miss > tolerance]]))
+    return miss
+
+
+def _coarsest(axes, misses, coarse, most_nodes: int) -> list[np.ndarray]:
+    """Return masks of the coarse intervals of each axis that miss by most, as many as the size of the grid allows."""
+    sizes, chosen = [len(axis) for axis in axes], [np.zeros_like(intervals) for intervals in coarse]
+    candidates = [(misses[k][i], k, i) for k, intervals in enumerate(coarse) for i in np.flatnonzero(intervals)]
+    for _, k, i in sorted(candidates, reverse=True):
+        sizes[k] += 1
+        if np.prod(sizes) > most_nodes:
+            break
+        chosen[k][i] = True
+    return chosen
+
+
+def _halved(axis: np.ndarray, intervals: np.ndarray) -> np.ndarray:
+    """Return an axis with some intervals (n,) halved."""
+    middles = 0.5 * (axis[:-1] + axis[1:])
+    return np.sort(np.concatenate([axis, middles[intervals]]))
 
 
 def _measured(function, axes, values, scale) -> tuple[dict[str, float], int]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.models.poses.along import RANGE_ROUNDING
-from linkplan.models.poses.assembly import advance, step_sizes, strides
+from linkplan.models.poses.assembly import advance_all, step_sizes, strides
 from linkplan.models.transfer.output_map import OutputMap
 
 # Status of a point: on the map; the loops do not close there; next to a singular pose; or 100 plus the index of the joint
@@ -17,38 +17,44 @@ class KnownPoses:
     def __init__(self, outputs: OutputMap) -> None:
         self.outputs = outputs
         self.poses, self.points = outputs.mechanism.home[None], outputs.home[None]
+        self.unit = step_sizes(outputs.mechanism)[outputs.coordinates]
+        self._tree = None  # of the points; made when it is first used
 
     def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the poses (n, n_q) at output positions (n, n_o), NaN where the loops open, and each point's status (n,)."""
         mechanism = self.outputs.mechanism
-        unit = step_sizes(mechanism)[self.outputs.coordinates]
-        distance = np.linalg.norm((points - self.outputs.home) / unit, axis=1)
-        found = self.near(points)
+        found, tried = self.near(points), np.full(len(points), -1)
         self._keep(found)
-        left = [k for k in np.argsort(distance, kind="stable").tolist() if np.isnan(found[k, 0])]
-        for k in left:
-            start = self.poses[np.argmin(np.linalg.norm((self.points - points[k]) / unit, axis=1))]
-            pose, arrived = advance(mechanism, start, self.outputs.independent(points[k : k + 1])[0])
-            if arrived:
-                found[k] = pose
-                self._keep(found[k : k + 1])
-        return found, self._status(found)
+        while True:  # from what is known by now, until no start is nearer than before
+            left = np.flatnonzero(np.isnan(found[:, 0]))
+            nearest = self._nearest(points[left])
+            left, nearest = left[nearest != tried[left]], nearest[nearest != tried[left]]
+            if len(left) == 0:
+                return found, self._status(found)
+            tried[left] = nearest
+            found[left] = advance_all(mechanism, self.poses[nearest], self.outputs.independent(points[left]))
+            self._keep(found[left])
 
     def near(self, points: np.ndarray) -> np.ndarray:
         """Return the poses (n, n_q) that are one stride from a known pose, NaN for others."""
-        import scipy.spatial
-
-        step_size = step_sizes(self.outputs.mechanism)
-        unit = step_size[self.outputs.coordinates]
-        _, nearest = scipy.spatial.KDTree(self.points / unit).query(points / unit)
+        step_size, nearest = step_sizes(self.outputs.mechanism), self._nearest(points)
         if self.outputs.mechanism.projected:  # overconstrained loops fold unseen in a single stride
             return np.full((len(points), self.poses.shape[1]), np.nan)
         return strides(self.outputs.mechanism, self.poses[nearest], self.outputs.independent(points), step_size)
 
+    def _nearest(self, points: np.ndarray) -> np.ndarray:
+        """Return the indices (n,) of the known poses that are nearest to output positions (n, n_o)."""
+        import scipy.spatial
+
+        if self._tree is None:
+            self._tree = scipy.spatial.KDTree(self.points / self.unit, balanced_tree=False, compact_nodes=False)
+        return np.asarray(self._tree.query(points / self.unit)[1])
+
     def _keep(self, found: np.ndarray) -> None:
-        closed = found[np.isfinite(found[:, 0])] if len(found) else found
-        self.poses = np.concatenate([self.poses, closed])
-        self.points = self.poses[:, self.outputs.coordinates]
+        closed = found[np.isfinite(found[:, 0])]
+        if len(closed):
+            self.poses, self._tree = np.concatenate([self.poses, closed]), None
+            self.points = self.poses[:, self.outputs.coordinates]
 
     def _status(self, found: np.ndarray) -> np.ndarray:
         mechanism = self.outputs.mechanism

@@ -1,5 +1,8 @@
 """Transfer tables: a linkage over the range of its output joints, and the way back from the motors' positions."""
 
+from __future__ import annotations
+
+import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
@@ -8,9 +11,9 @@ import numpy as np
 from linkplan.models.errors import ModelError
 from linkplan.models.poses.inverse_kinematics import ARRIVED_SHARE
 from linkplan.models.poses.reach import Reach, reach, toggles
-from linkplan.models.transfer.grid import Grid, adaptive_grid
+from linkplan.models.transfer.grid import Function, Grid, adaptive_grid, interpolated
 from linkplan.models.transfer.output_map import OutputMap, motor_map, transmission
-from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, KnownPoses
+from linkplan.models.transfer.poses import NEAR_SINGULAR, ON_MAP, OPEN_LOOPS, KnownPoses
 
 # The share of the reach that a table keeps from a singular pose, where G has no limit.
 _SINGULAR_MARGIN_SHARE = 0.005
@@ -21,6 +24,8 @@ REFINED = ("motor_position", "ratio", "inertia", "gravity")
 # Nodes of a table: a controller's has hundreds, and the largest measures the error that it is left with.
 MOST_NODES = 4000
 MOST_JOINTS = 3
+# Status of a node of the way back, not reachable, without which the cells at the edge of the map would lack a corner.
+BESIDE_MAP = 3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -30,6 +35,16 @@ class End:
     position: float
     reason: str
     margin: float = 0.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Inverse(Grid):
+    """The output joints' positions over the motors' positions, with the `status` of each node.
+
+    `answered` is the share of reachable positions, at random, that interpolation answers; `errors` are measured with them.
+    """
+
+    answered: float
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -46,7 +61,7 @@ class TransferTable:
     grid: Grid
     ends: tuple[tuple[End, End], ...]
     dead_centres: tuple[tuple[int, float], ...]
-    inverse: Grid | None
+    inverse: Inverse | None
     inverse_note: str
 
     @property
@@ -96,7 +111,7 @@ def transfer_table(
         raise ModelError(
             f"the table of {names} has fewer than 2 nodes at regular closed poses; allow it another range or home"
         )
-    inverse, note = _inverse(outputs, grid, poses, tolerance, most_nodes)
+    inverse, note = _inverse(outputs, function, grid, poses, tolerance, most_nodes)
     dead = _dead_centres(outputs, reaches[0], limits[0]) if len(reaches) == 1 else ()
     return TransferTable(
         outputs=outputs, tolerance=tolerance, grid=grid, ends=limits, dead_centres=dead, inverse=inverse, inverse_note=note
@@ -148,8 +163,8 @@ def _dead_centres(outputs: OutputMap, found: Reach, ends: tuple[End, End]) -> tu
 
 
 def _inverse(
-    outputs: OutputMap, grid: Grid, poses: KnownPoses, tolerance: float, most_nodes: int
-) -> tuple[Grid | None, str]:
+    outputs: OutputMap, forth: Function, grid: Grid, poses: KnownPoses, tolerance: float, most_nodes: int
+) -> tuple[Inverse | None, str]:
     """Return the table of output positions over motor positions, and the reason why there is none."""
     motor = grid.values["motor_position"].reshape(-1, len(outputs.motors))
     if len(outputs.motors) != len(outputs.columns):
@@ -163,40 +178,117 @@ def _inverse(
     turn = np.linalg.det(ratio[known])
     if turn.min() <= 0 <= turn.max():
         return None, "a motor passes a dead centre on the way: one motor position has two joint positions"
-    start, places = grid.points[known], motor[known]
+    slope = grid.values["ratio_slope"].reshape(*ratio.shape, -1)[known]
+    pairs = _Pairs(joint=grid.points[known], motor=motor[known], ratio=ratio[known], slope=slope)
+    low, high = (np.array([axis[end] for axis in grid.axes]) for end in (0, -1))
+    beyond = 0.125 * (high - low)  # cells at the edge of the map have nodes there
 
     def back(points: np.ndarray) -> dict[str, np.ndarray]:
-        return {"joint_position": _joint_positions(outputs, grid, poses, (start, places), points)}
+        return {"joint_position": _joint_positions(outputs, poses, pairs, points, (low - beyond, high + beyond))}
 
-    spans = list(zip(places.min(axis=0).tolist(), places.max(axis=0).tolist(), strict=True))
-    return adaptive_grid(back, spans, tolerance, ["joint_position"], most_nodes), ""
+    spans = list(zip(pairs.motor.min(axis=0).tolist(), pairs.motor.max(axis=0).tolist(), strict=True))
+    found = adaptive_grid(back, spans, tolerance, ["joint_position"], most_nodes)
+    s = low + np.random.default_rng(1).random((MOST_NODES // 2, len(low))) * (high - low)
+    values = forth(s)
+    on_map = values["status"] == ON_MAP
+    return _completed(found, pairs, s[on_map], values["motor_position"][on_map], (low, high)), ""
+
+
+def _completed(grid: Grid, pairs: _Pairs, joint: np.ndarray, motor: np.ndarray, box: tuple[np.ndarray, ...]) -> Inverse:
+    """Return a table with its missing nodes filled in every cell that has reachable positions, and in the cells next to it.
+
+    A cell at the edge of the map has nodes off it: there the position is extrapolated from the nearest known pair.
+
+    Args:
+        grid: with NaN off the map.
+        pairs: known positions of joints and motors.
+        joint: reachable positions (n, n_o), with which the error is measured.
+        motor: the motors' positions (n, n_m) there.
+        box: the ends of the output joints' ranges.
+    """
+    position, shape = np.array(grid.values["joint_position"]), tuple(len(axis) for axis in grid.axes)
+    near = np.zeros(shape, dtype=bool)
+    for places in (pairs.motor, motor):
+        cell = [
+            np.clip(np.searchsorted(axis, x, side="right") - 1, 0, len(axis) - 2)
+            for axis, x in zip(grid.axes, places.T, strict=True)
+        ]
+        for corner in itertools.product((-1, 0, 1, 2), repeat=len(shape)):
+            near[tuple(np.clip(k + up, 0, n - 1) for k, up, n in zip(cell, corner, shape, strict=True))] = True
+    flat, points = position.reshape(-1, len(shape)), grid.points
+    low, high = (end + sign * 1e-9 * (box[1] - box[0]) for end, sign in zip(box, (-1, 1), strict=True))
+    inside = np.all((flat >= low) & (flat <= high), axis=1)
+    missing = np.flatnonzero(near.ravel() & np.isnan(flat).any(axis=1))
+    flat[missing] = pairs.extrapolated(points[missing])
+    status = np.where(inside, ON_MAP, np.where(np.isnan(flat).any(axis=1), OPEN_LOOPS, BESIDE_MAP))
+    values = {"joint_position": position, "status": status.reshape(shape).astype(float)}
+    off = np.abs(interpolated(grid.axes, position, motor) - joint) / grid.scale["joint_position"]
+    answered = np.isfinite(off).all(axis=1)
+    errors = {"joint_position": float(off[answered].max(initial=0.0))}
+    return Inverse(
+        axes=grid.axes,
+        values=values,
+        scale=grid.scale,
+        errors=errors,
+        checked=len(joint),
+        answered=float(answered.mean()) if len(joint) else 0.0,
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Pairs:
+    """Positions of joints (n, n_o) and motors (n, n_m) at the same poses, G (n, n_m, n_o) and dG/ds (n, n_m, n_o, n_o)."""
+
+    joint: np.ndarray
+    motor: np.ndarray
+    ratio: np.ndarray
+    slope: np.ndarray
+
+    @property
+    def unit(self) -> np.ndarray:
+        return np.ptp(self.motor, axis=0)
+
+    def nearest(self, wanted: np.ndarray) -> np.ndarray:
+        """Return the indices (m,) of the pairs that are nearest to motor positions (m, n_m)."""
+        import scipy.spatial
+
+        return np.asarray(scipy.spatial.KDTree(self.motor / self.unit).query(wanted / self.unit)[1])
+
+    def extrapolated(self, wanted: np.ndarray) -> np.ndarray:
+        """Return joint positions (m, n_o) at motor positions (m, n_m), to the second order about the nearest pair."""
+        at = self.nearest(wanted)
+        off, back = wanted - self.motor[at], np.linalg.inv(self.ratio[at])
+        first = np.einsum("kom,km->ko", back, off)
+        bent = 0.5 * np.einsum("kmop,ko,kp->km", self.slope[at], first, first)
+        return self.joint[at] + np.einsum("kom,km->ko", back, off - bent)
 
 
 def _joint_positions(
-    outputs: OutputMap, grid: Grid, poses: KnownPoses, known: tuple[np.ndarray, np.ndarray], wanted: np.ndarray
+    outputs: OutputMap, poses: KnownPoses, pairs: _Pairs, wanted: np.ndarray, box: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return the output positions (n, n_o) at which the motors are at `wanted` (n, n_m), NaN off the table.
+    """Return the output positions (n, n_o) at which the motors are at `wanted` (n, n_m), NaN outside a box or off the map.
 
-    Newton with the exact map, s <- s + G^-1 (l - l(s)), from the nearest of the `known` pairs of output and motor positions.
+    Newton with the exact map, s <- s + G^-1 (l - l(s)), from the nearest of the known pairs of output and motor positions.
+    A position on the other side of a dead centre is off the map.
     """
-    import scipy.spatial
-
-    start, places = known
-    unit = np.ptp(places, axis=0)
-    s = start[scipy.spatial.KDTree(places / unit).query(wanted / unit)[1]]
-    low, high = (np.array([axis[end] for axis in grid.axes]) for end in (0, -1))
-    rounding = 1e-9 * (high - low)
-    done = np.zeros(len(s), dtype=bool)
+    unit, s = pairs.unit, pairs.joint[pairs.nearest(wanted)]
+    (low, high), side = box, np.sign(np.linalg.det(pairs.ratio[0]))
+    done, lost = np.zeros(len(s), dtype=bool), np.zeros(len(s), dtype=bool)
     for _ in range(20):
-        active = np.flatnonzero(~done & np.isfinite(s).all(axis=1))
+        active = np.flatnonzero(~done & ~lost)
         if len(active) == 0:
             break
-        motor, ratio = motor_map(outputs, poses.near(s[active]))
+        q = poses.near(s[active])
+        far = np.isnan(q[:, 0])
+        q[far] = poses.at(s[active][far])[0]
+        motor, ratio = motor_map(outputs, q)
         off = wanted[active] - motor
-        there = np.isfinite(off).all(axis=1)
-        step = np.full(off.shape, np.nan)
-        step[there] = np.linalg.solve(ratio[there], off[there][:, :, None])[:, :, 0]
-        s[active] = np.clip(s[active] + step, low - rounding, high + rounding)
-        done[active] = np.abs(off / unit).max(axis=1) < ARRIVED_SHARE
+        lost[active] = ~np.isfinite(off).all(axis=1)
+        ratio[lost[active]] = 0.0
+        lost[active] |= ~(side * np.linalg.det(ratio) > 0)
+        done[active] = ~lost[active] & (np.abs(off / unit).max(axis=1) < ARRIVED_SHARE)
+        there = ~lost[active]
+        step = np.linalg.solve(ratio[there], off[there][:, :, None])[:, :, 0]
+        s[active[there]] = np.clip(s[active[there]] + step, low, high)
     s[~done] = np.nan
     return s

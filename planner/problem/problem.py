@@ -56,10 +56,9 @@ class Problem:
         reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
-        mesh: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`.
-        solver: `starts`, `compile`, `max_time_s`.
+        mesh, solver: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`; `starts`, `compile`, `max_time_s`
         tracking: `kp`, `kd`, `period_s`, `delay_periods`, `duration_s` and the weights of LQR.
-        robust, imperfections: as in files: {"payload_factor": [0.8, 1.2]}, {"delay_periods": [0.5, 2.0]} for `experiment`.
+        robust, imperfections: as in files: {"payload_factor": [0.8, 1.2]}, {"delay_periods": [0.5, 2.0]} (`experiment`).
         extra_costs: a list of `ExtraCost`, running costs in addition to `minimize`, or the whole objective if that is {}.
         extra_limits: a list of `ExtraLimit`, limits at every instant.
         name: of the problem in messages, tables and files; by default the mechanism's name with the kind of motion.
@@ -94,6 +93,7 @@ class Problem:
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # sentences on choices that the problem leaves open
+    unread_extras: tuple = ()  # records of extra limits and costs of a saved plan, whose files lack the expressions
 
     @classmethod
     def reach(

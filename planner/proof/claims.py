@@ -266,20 +266,31 @@ def _extras(problem: Problem, _: Trajectory) -> Iterator[Claim]:
 
 
 def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
-    """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`."""
+    """Return the findings that only a certificate has: what is not enclosed, with the reason, and its `failures`.
+
+    A limit among them is not proved.
+    """
     mechanism = problem.mechanism
-    lines = [("contacts between geoms", "distances between geoms are compared at samples")]
-    lines += [
+    lines = [
         (f"ctrl of {actuator.name}", "only MuJoCo knows its length")
         for actuator in mechanism.actuators
-        if actuator.is_servo and not actuator.has_length
+        if actuator.is_servo
+        and not actuator.has_length
+        and np.isfinite([actuator.control_lower, actuator.control_upper]).any()
     ]
     lines += [
         (f"extra limit '{limit.name}'", "balls do not enclose one of its operations")
         for limit in problem.extra_limits
         if enclosed(problem, limit) is None
     ]
+    lines += [
+        (f"extra limit '{one.name}'", "its expression is Python, which files do not hold; linkplan.read_plan takes it again")
+        for one in problem.unread_extras
+        if one.kind == "limit"
+    ]
+    contacts = "distances between geoms are compared at samples"
     return [
-        *(Finding(name=name, answer="sampled", reason=reason) for name, reason in lines),
+        Finding(name="contacts between geoms", answer="sampled", reason=contacts),
+        *(Finding(name=name, answer="undecided", reason=f"not proved: {reason}") for name, reason in lines),
         *(Finding(name="certificate at samples", answer="refuted", reason=sentence) for sentence in failures),
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from flint import arb, arb_poly, arb_series
 
 from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import VELOCITY_SHARE, end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, ends_off_m
@@ -114,16 +115,21 @@ def _slope(trajectory: Trajectory, speed: np.ndarray) -> Finding:
 
 
 def _start(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the finding on the start pose, which selects the branch: it is the problem's own."""
-    if problem.motion.start is None:
-        return []
+    """Return the finding on the start pose, which selects the branch: it is where the problem's branch leads to.
+
+    Where the problem prescribes no start, the branch is that of the pose from which the planner begins.
+    """
     name, spins = "the motion starts on the problem's branch", problem.mechanism.cyclic
     moved = np.zeros(problem.mechanism.n_q, dtype=bool)
     moved[problem.mechanism.independent[spins]] = True
     try:
-        own = problem.start_pose()
+        begin = problem.start_pose()
     except (AssemblyError, ProblemError) as error:
         return [Finding(name=name, answer="refuted", reason=str(error))]
+    try:
+        own = close_at(problem.mechanism, trajectory.position[0, 0], begin)
+    except AssemblyError as error:
+        return [Finding(name=name, answer="undecided", reason=f"not proved: {error}")]
     apart = np.where(moved, 0.0, np.abs(trajectory.start_pose - own))
     return [finding_of(name, float(apart.max(initial=0.0)), START_POSE_ERROR, "rad or m", float(trajectory.breaks_s[0]))]
 

@@ -108,8 +108,8 @@ def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int
     try:
         blocks, claims = blocks_of(problem.mechanism), claims_of(problem, trajectory)
     except UnknownOperationError as error:
-        reason = f"the model has an operation that balls do not enclose ({error})"
-        return [Finding(name="closure and efforts", answer="sampled", reason=reason)], 0
+        reason = f"not proved: the model has an operation that balls do not enclose ({error})"
+        return [Finding(name="closure and efforts", answer="undecided", reason=reason)], 0
     shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until, "order": order}
     sweep = _Sweep(claims=claims, **shared)
     sweep.run()
@@ -119,7 +119,7 @@ def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int
 def _existence(problem: Problem, trajectory: Trajectory, until: Deadline, order: int, *, existence: bool) -> list[Finding]:
     """Return the findings on a motion of the model near a trajectory whose loops are proved to close."""
     if not existence:
-        return [no_motion("`linkplan prove` looks for one")]
+        return [no_motion("`linkplan prove` looks for one, unless --no-existence is given")]
     found, tube = [no_motion("there is no time left")], first_tube(trajectory)
     while tube is not None and not until.passed and any(finding.answer != "proved" for finding in found):
         try:

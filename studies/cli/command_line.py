@@ -74,6 +74,7 @@ def build_parser() -> Parser:
     text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
     prove = command("prove", text, output=False)
     _add(prove, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _flag(prove, "--no-existence", "prove the limits alone, and do not look for the model's own motion near the plan")
     _all(prove)
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
@@ -180,6 +181,10 @@ def build_parser() -> Parser:
     _add(export, "--joints", "A,B", text)
     text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"
     _add(export, "--tracker", "NAME", text, default="pd+ff")
+    _flag(export, "--sizes", "for a model in c: measure flash and stack even if the code is long and compiles for minutes")
+    text = "for the law of a plan in c: leave out rows of its tables while efforts and gains stay within this share of their"
+    text += " largest values (default: 0, a row at every control instant)"
+    _add(export, "--tolerance", "SHARE", text, float)
     _add(export, "--every-s", "T", "time between samples (default: ten samples in every interval of the plan's mesh)", float)
     _anyway(export)
     _selection(export)

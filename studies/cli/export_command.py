@@ -15,6 +15,9 @@ def run_export(arguments: argparse.Namespace) -> int:
     choose("format", arguments.to, (*FORMATS, *FOLDER_FORMATS), ProblemError)
     if arguments.to in FOLDER_FORMATS:
         return _export_c(arguments)
+    for name in ("tolerance", "sizes"):
+        if getattr(arguments, name):
+            raise ProblemError(f"--{name} is for code in C, got --to {arguments.to}")
     from linkplan.planner.files.single_file import write_new
     from linkplan.studies.export.export import exported
 
@@ -41,12 +44,15 @@ def _export_c(arguments: argparse.Namespace) -> int:
     said: dict = {}
     passed = True
     if Path(arguments.plan).is_dir() or tables_of(arguments.plan, [])[3]:
-        from linkplan.studies.export.c_law import law_tables, write_law
+        from linkplan.studies.export.c_law import write_law
+        from linkplan.studies.export.law_tables import law_tables
 
         if arguments.joints is not None:
             raise ProblemError("--joints is for ros, and for a model in C; a plan's law has the plan's own coordinates")
+        if arguments.sizes:
+            raise ProblemError("--sizes is for a model in C; a law's flash and stack are measured anyway")
         plan = plan_asked(arguments, say)
-        tables, passed = law_tables(plan, arguments.tracker), plan.passed
+        tables, passed = law_tables(plan, arguments.tracker, arguments.tolerance or 0.0), plan.passed
 
         def write(place: Path) -> None:
             said.update(write_law(tables, place) | {"plan": plan.problem.name})
@@ -57,6 +63,8 @@ def _export_c(arguments: argparse.Namespace) -> int:
         from linkplan.studies.export.c_model import model_code
         from linkplan.studies.export.output_joints import with_outputs
 
+        if arguments.tolerance is not None:
+            raise ProblemError("--tolerance is for the tables of a plan's law in C; a model's code has none")
         _, tables, folder, _ = tables_of(arguments.plan, arguments.set, selection_asked(arguments))
         mechanism = mechanism_from_tables(tables, folder)
         if arguments.joints is not None:
@@ -65,7 +73,7 @@ def _export_c(arguments: argparse.Namespace) -> int:
         say(f"{code.mechanism.name}: C code")
 
         def write(place: Path) -> None:
-            said.update(write_model(code, place))
+            said.update(write_model(code, place, compiled=arguments.sizes or None))
             write_json(place / "export.json", said)
 
     write_whole(target, write, "export.json")

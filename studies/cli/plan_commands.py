@@ -54,8 +54,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         return record(plan) | ({} if price is None else {"price": asdict(price)})
 
     show(arguments, document, blocks)
-    refuted = arguments.prove and plan.proof is not None and not plan.proof.passed
-    return DONE if plan.passed and not refuted else NO
+    return DONE if plan.passed else NO
 
 
 def _proved(plan: Plan, asked: bool, seconds: float, say: Progress) -> Plan:
@@ -104,8 +103,8 @@ def run_prove(arguments: argparse.Namespace) -> int:
     else:
         plan = plan_of(arguments.plan, say, arguments.set)
     plan = with_motion(plan)
-    say(PROVING)
-    proof = plan.prove()
+    say("proving the limits" if arguments.no_existence else PROVING)
+    proof = plan.prove(existence=not arguments.no_existence)
     said = {"plan": plan.problem.name, "verdict": proof.verdict} | proof.record()
     show(arguments, said, [Text(text=plan.problem.name), *proof_blocks(proof, names_in(plan))])
     return DONE if proof.passed else NO

@@ -11,7 +11,7 @@ import numpy as np
 
 from linkplan.studies.export.c_model import (
     DERIVATIVES,
-    NEWTON_STEPS,
+    MAX_NEWTON_STEPS,
     ModelCode,
     header_text,
     random_states,
@@ -29,16 +29,21 @@ COMPILERS = {
     "gcc": ["-O2"],
     "arm-none-eabi-gcc": ["-O2", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"],
 }
-# A compiler needs seconds for a linkage, and many minutes for the 100,000 operations of a whole robot. Where the derivatives
-# make the code longer, it is measured without them.
-_COMPILE_SECONDS, MOST_MEASURED_OPERATIONS = 120, 30_000
+# A compiler needs a second for a linkage, ten for the 30,000 operations of two legs, and minutes for a whole robot. Longer
+# code is measured when that is asked for. Where the derivatives make it longer, it is measured without them.
+_COMPILE_SECONDS, MOST_MEASURED_OPERATIONS = 120, 8_000
 
 
 def costs(code: ModelCode) -> list[dict]:
-    """Return each function's operations by kind, and the bound on its error in float as a share of its largest value."""
-    states = random_states(code.mechanism, _FLOAT_STATES, seed=2)
+    """Return each function's operations by kind, and the bound on its error in float as a share of its largest value.
+
+    Functions of more than 10,000 operations are evaluated at fewer of the states, at least at a quarter of them.
+    """
+    every = random_states(code.mechanism, _FLOAT_STATES, seed=2)
     found = []
     for one in code.interface:
+        n = int(_FLOAT_STATES * np.clip(1e4 / max(1, one.function.n_instructions()), 0.25, 1.0))
+        states = {name: values[:n] for name, values in every.items()}
         rounded = in_single_precision(one.function, *[states[name] for name in one.inputs])
         worst = 0.0
         for single, wanted in zip(rounded, one.values(states), strict=True):
@@ -49,15 +54,19 @@ def costs(code: ModelCode) -> list[dict]:
     return found
 
 
-def write_model(code: ModelCode, place: Path, *, compiled: bool = True) -> dict:
-    """Write header, source, test and CMake file into a folder, and return what the code costs; `compiled` measures sizes."""
+def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -> dict:
+    """Write header, source, test and CMake file into a folder, and return what the code costs.
+
+    `compiled` says whether sizes are measured; by default those of code that compiles within seconds.
+    """
     cost = costs(code)
     lengths = {row["function"]: sum(row["operations"].values()) for row in cost}
-    whole = sum(lengths.values()) <= MOST_MEASURED_OPERATIONS
-    compiled = compiled and sum(lengths.values()) - lengths[f"{code.prefix}_{DERIVATIVES}"] <= MOST_MEASURED_OPERATIONS
+    whole = compiled or sum(lengths.values()) <= MOST_MEASURED_OPERATIONS
+    if compiled is None:
+        compiled = sum(lengths.values()) - lengths[f"{code.prefix}_{DERIVATIVES}"] <= MOST_MEASURED_OPERATIONS
     flags = [] if whole else [f"-D{code.prefix.upper()}_WITHOUT_DERIVATIVES"]
     lines = [
-        "Operations of a call, and the bound on the error in float (share of the largest value, at 2000 random states):"
+        "Operations of a call, and the bound on the error in float (share of the largest value, at 500 to 2000 states):"
     ]
     for row in cost:
         said = ", ".join(f"{n} {kind}" for kind, n in row["operations"].items()) or "none"
@@ -75,7 +84,8 @@ def write_model(code: ModelCode, place: Path, *, compiled: bool = True) -> dict:
         "mechanism": code.mechanism.name,
         "format": "c",
         "files": sorted(texts),
-        "newton_steps": NEWTON_STEPS,
+        "model_hash": code.mechanism.fingerprint(),
+        "max_newton_steps": MAX_NEWTON_STEPS,
         "functions": cost,
         "sizes": sizes(place, f"{code.prefix}.c", code.prefix.upper(), flags) if compiled else [],
         "sizes_without": [] if whole else [f"{code.prefix}_{DERIVATIVES}"],
@@ -126,11 +136,13 @@ def cost_blocks(record: dict, target: Path) -> list[Block]:
         heads = ["operations of one call", *kinds, "error in float, share of the largest value"]
         found.append(table_of("", heads, rows, digits=2))
     else:
-        text = f"{record['tracker']} at {record['instants']} instants every {record['period_s']:g} s"
-        text += f", {record['table_numbers']} numbers"
+        ends = "repeats" if record["periodic"] else "holds start and goal"
+        text = f"{record['tracker']} over {record['duration_s']:g} s in {record['instants']} rows, {record['table_numbers']}"
+        text += f" numbers; it {ends}"
         found.append(Text(text=text))
     if not record["sizes"]:
-        text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long"
+        text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long:"
+        text += " --sizes measures it, in up to minutes"
         found.append(Text(text=text, tone="note"))
     rows = [[row["compiler"], row["real"], row["flash_bytes"], row["stack_bytes"]] for row in record["sizes"]]
     if rows:

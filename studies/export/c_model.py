@@ -7,17 +7,23 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import continue_to
+from linkplan.models.poses.assembly import advance_all
 from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.export.c_source import CFunction, function_of, helpers, identifier
-from linkplan.studies.export.c_text import MATH, block_comment, declared_array, header_of, tests_text
+from linkplan.studies.export.c_text import (
+    MATH,
+    NO_LIMIT,
+    block_comment,
+    declared_array,
+    header_of,
+    limit_macros,
+    tests_text,
+)
 
-# Newton steps of a closure from the last pose: two leave 1e-9 after a stride of two degrees, three leave rounding.
-NEWTON_STEPS = 3
+# Most Newton steps of a closure. A stride of two degrees needs three; from home to the end of a range needs some thirty.
+MAX_NEWTON_STEPS = 200
 # The function that a controller rarely needs, and that is longer than all others together.
 DERIVATIVES = "inverse_dynamics_derivatives"
-# States in the test vector.
-_VECTOR_LENGTH = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -50,17 +56,18 @@ def model_code(mechanism: Mechanism) -> ModelCode:
     gamma, still = dynamics.velocity_map(q), ca.SX.zeros(mechanism.dof)
     ratio, inertia = dynamics.effort_map(q).T, dynamics.reduced_inertia(q)
     effort = dynamics.inverse_dynamics(q, v, a)
-    slopes = ca.cse([ca.jtimes(effort, q, gamma), ca.jacobian(effort, v)])  # a third of the operations is common
+    slopes = ca.jtimes(effort, q, gamma), ca.jacobian(effort, v)
+    _, step, _, determinants = dynamics.closure_step(q)
     phi = dynamics.closure(q)
-    size = ca.mmax(ca.fabs(phi)) if phi.numel() else ca.SX(0)
+    size = ca.sum1(ca.fabs(phi)) if phi.numel() else ca.SX(0)  # not the largest: C's fmax leaves out what is no number
     inner = [
         function_of(
             f"{prefix}_closure_step",
-            "Newton's step in the dependent joints",
+            "Newton's step in the dependent joints, and the determinants of the blocks of J_z",
             [("q", q)],
-            [("step", dynamics.closure_step(q)[1])],
+            [("step", step), ("det", determinants)],
         ),
-        function_of(f"{prefix}_closure_gap", "largest residual of the closure equations", [("q", q)], [("gap", size)]),
+        function_of(f"{prefix}_closure_gap", "sum of the closure equations' residuals", [("q", q)], [("gap", size)]),
     ]
     about = {
         "velocity_map": "Gamma (N_Q x N_S): rates of all joints = Gamma v",
@@ -109,15 +116,25 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
         "",
         *about,
     ]
-    sizes = {"N_Q": mechanism.n_q, "N_S": mechanism.dof, "N_U": mechanism.n_u, "NEWTON_STEPS": NEWTON_STEPS}
-    lines = [f"#define {upper}_{name} {value}" for name, value in sizes.items()]
+    sizes = {"N_Q": mechanism.n_q, "N_S": mechanism.dof, "N_U": mechanism.n_u, "MAX_NEWTON_STEPS": MAX_NEWTON_STEPS}
+    sizes |= {"NOT_FINITE": 1, "NOT_CLOSED": 2}
+    lines = [f'#define {upper}_MODEL_HASH "{mechanism.fingerprint()}"']
+    lines += [f"#define {upper}_{name} {value}" for name, value in sizes.items()]
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
+    actuators = mechanism.actuators
+    lines += ["", f"/* The model's limits: Q of the joints, U of the actuators' efforts; {NO_LIMIT:g} is none. */"]
+    lines += limit_macros(
+        code.prefix, "Q", [j.name for j in mechanism.joints], ranges, [j.si_units[0] for j in mechanism.joints]
+    )
+    lines += limit_macros(code.prefix, "U", [a.name for a in actuators], mechanism.effort_limit, [a.unit for a in actuators])
     lines += ["", "/* a closed pose to start from */", f"extern const {code.real} {code.prefix}_home[{mechanism.n_q}];", ""]
     lines += [
         block_comment(
             [
                 "Close the loops at independent positions s: q is the last closed pose on entry, the new one on return.",
-                f"{NEWTON_STEPS} Newton steps are made, whatever comes. Returns the largest residual [m or rad]:",
-                "above 1e-6 the pose is not closed (too far from the last one, or out of reach).",
+                "One call is enough, also from home to a start pose far away, in strides on the branch of q. A control",
+                f"period takes three Newton steps, a call at most {MAX_NEWTON_STEPS}. Returns 0, or with q as it was",
+                f"{upper}_NOT_FINITE for an s or q that is not finite, {upper}_NOT_CLOSED where the loops open on the way.",
             ]
         ),
         f"{_close_prototype(code)};",
@@ -144,7 +161,7 @@ def source_text(code: ModelCode) -> str:
 
 def test_text(code: ModelCode) -> str:
     """Return a C program that compares every function with the test vector; its exit code is 1 if one is off."""
-    states = random_states(code.mechanism, _VECTOR_LENGTH, seed=1)
+    states = random_states(code.mechanism, 16, seed=1)
     return tests_text(code.prefix, code.real, code.interface, code.mechanism.independent, states)
 
 
@@ -154,11 +171,11 @@ def random_states(mechanism: Mechanism, n: int, seed: int) -> dict[str, np.ndarr
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.independent_joints])
     poses = np.empty((0, mechanism.n_q))
-    while len(poses) < n:  # a walk inside a fifth of a radian, begun again at home where the loops open
-        walk = home + 0.2 * unit * random.uniform(-1, 1, (n - len(poses), mechanism.dof))
-        walk = np.clip(walk, np.minimum(ranges[:, 0], home), np.maximum(ranges[:, 1], home))
-        found, arrived = continue_to(mechanism, mechanism.home, walk)
-        poses = np.concatenate([poses, found[:arrived]])
+    while len(poses) < n:  # inside a fifth of a radian, drawn again where the loops open on the way from home
+        s = home + 0.2 * unit * random.uniform(-1, 1, (n - len(poses), mechanism.dof))
+        s = np.clip(s, np.minimum(ranges[:, 0], home), np.maximum(ranges[:, 1], home))
+        found = advance_all(mechanism, np.tile(mechanism.home, (len(s), 1)), s)
+        poses = np.concatenate([poses, found[np.isfinite(found[:, 0])]])
     limit = np.abs(mechanism.effort_limit).max(axis=1)
     effort = np.where(np.isfinite(limit), limit, 1.0)
     return {
@@ -170,18 +187,79 @@ def random_states(mechanism: Mechanism, n: int, seed: int) -> dict[str, np.ndarr
 
 
 def _close_prototype(code: ModelCode) -> str:
-    return f"{code.real} {code.prefix}_close(const {code.real} s[{code.mechanism.dof}], {code.real} q[{code.mechanism.n_q}])"
+    return f"int {code.prefix}_close(const {code.real} s[{code.mechanism.dof}], {code.real} q[{code.mechanism.n_q}])"
 
 
 def _close_text(code: ModelCode) -> str:
-    mechanism, prefix, real = code.mechanism, code.prefix, code.real
-    given = [f"  q[{int(i)}] = s[{k}];" for k, i in enumerate(mechanism.independent)]
+    """Return the C function that closes the loops: a continuation in strides, each closed by Newton's method.
+
+    A stride is taken if its first Newton step is at most half a radian or metre, each further one at most a quarter of the
+    one before (Deuflhard, Newton Methods for Nonlinear Problems, 2011, 5.1.3), and no determinant of a block of J_z changes
+    sign: it is then on its branch. Otherwise it is halved. Newton ends at a step below the root of the precision: the error
+    after it is rounding.
+    """
+    mechanism, prefix, real, upper = code.mechanism, code.prefix, code.real, code.prefix.upper()
+    n_s, n_q = mechanism.dof, mechanism.n_q
+    finite = f"""  for (i = 0; i < {n_s}; ++i) if (!(s[i] - s[i] == 0)) return {upper}_NOT_FINITE;
+  for (i = 0; i < {n_q}; ++i) if (!(q[i] - q[i] == 0)) return {upper}_NOT_FINITE;"""
+    begin = "\n".join([_close_prototype(code), "{", "  int i;" if not code.inner else ""])
+    given = "\n".join(f"  q[{int(i)}] = s[{k}];" for k, i in enumerate(mechanism.independent))
     if not code.inner:
-        return "\n".join([_close_prototype(code), "{", *given, "  return 0;", "}", ""])
-    moved = [f"    q[{int(i)}] += step[{k}];" for k, i in enumerate(mechanism.dependent)]
-    lines = [_close_prototype(code), "{", f"  {real} step[{len(mechanism.dependent)}], gap[1];", "  int k;", *given]
-    lines += [f"  for (k = 0; k < {NEWTON_STEPS}; ++k) {{", f"    {prefix}_closure_step(q, step);", *moved, "  }"]
-    return "\n".join([*lines, f"  {prefix}_closure_gap(q, gap);", "  return gap[0];", "}", ""])
+        return f"{begin}\n{finite}\n{given}\n  return 0;\n}}\n"
+    n_z, n_d = (code.inner[0].function.numel_out(k) for k in (0, 1))
+    columns = [
+        f"  static const int {name}[{len(at)}] = {{{', '.join(map(str, at.tolist()))}}};"
+        for name, at in (("independent", mechanism.independent), ("dependent", mechanism.dependent))
+    ]
+    gap = 1e-6 * max(1.0, mechanism.extent_m)
+    return f"""{_close_prototype(code)}
+{{
+{chr(10).join(columns)}
+  const {real} small = sizeof({real}) == sizeof(float) ? ({real})3e-4 : ({real})1e-8;
+  const {real} closed = sizeof({real}) == sizeof(float) ? ({real}){10 * gap!r} : ({real}){gap!r};
+  {real} from[{n_q}], slope[{n_z}] = {{0}}, trial[{n_q}], step[{n_z}], det[{n_d}], sign[{n_d}];
+  {real} gap[1], share = 0, stride = 1;
+  int i, left = {upper}_MAX_NEWTON_STEPS;
+{finite}
+  for (i = 0; i < {n_q}; ++i) from[i] = q[i];
+  {prefix}_closure_step(from, step, sign);
+  while (share < 1) {{
+    const {real} next = share + stride < 1 ? share + stride : 1;
+    {real} before = 0, size;
+    int arrived = 0, k;
+    for (i = 0; i < {n_q}; ++i) trial[i] = from[i];
+    for (i = 0; i < {n_s}; ++i) {{
+      const int at = independent[i];
+      trial[at] = next < 1 ? q[at] + next * (s[i] - q[at]) : s[i];
+    }}
+    for (i = 0; i < {n_z}; ++i) trial[dependent[i]] += (next - share) * slope[i];
+    for (k = 0; !arrived; ++k) {{
+      int regular = 1;
+      if (left-- == 0) return {upper}_NOT_CLOSED;
+      {prefix}_closure_step(trial, step, det);
+      size = 0;
+      for (i = 0; i < {n_z}; ++i) size += MATH(fabs)(step[i]); /* a step that is no number makes it none */
+      for (i = 0; i < {n_d}; ++i) regular = regular && det[i] * sign[i] > 0;
+      if (!(regular && size <= (k == 0 ? ({real})0.5 : ({real})0.25 * before + small))) break;
+      for (i = 0; i < {n_z}; ++i) trial[dependent[i]] += step[i];
+      arrived = size < small;
+      before = size;
+    }}
+    if (arrived) {{
+      for (i = 0; i < {n_z}; ++i) slope[i] = (trial[dependent[i]] - from[dependent[i]]) / (next - share);
+      for (i = 0; i < {n_q}; ++i) from[i] = trial[i];
+      share = next;
+      stride *= 2;
+    }} else {{
+      stride *= ({real})0.5;
+    }}
+  }}
+  {prefix}_closure_gap(from, gap);
+  if (!(gap[0] <= closed)) return {upper}_NOT_CLOSED;
+  for (i = 0; i < {n_q}; ++i) q[i] = from[i];
+  return 0;
+}}
+"""
 
 
 def _passive(mechanism: Mechanism, k: int) -> str:

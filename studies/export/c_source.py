@@ -6,6 +6,8 @@ are cast to the precision, and mathematical functions are called as MATH(sin)(x)
 """
 
 import re
+import unicodedata
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -67,9 +69,9 @@ class CFunction:
 def function_of(
     name: str, about: str, inputs: Sequence[tuple[str, ca.SX]], outputs: Sequence[tuple[str, ca.SX]]
 ) -> CFunction:
-    """Return the C function of named expressions; matrices are stored row by row."""
+    """Return the C function of named expressions, which compute common parts once; matrices are stored row by row."""
     arguments, results = [x for _, x in inputs], [ca.densify(y).T for _, y in outputs]
-    function = ca.Function(name, arguments, results)
+    function = ca.Function(name, arguments, ca.cse(results))
     return CFunction(
         name=name, about=about, function=function, inputs=[key for key, _ in inputs], outputs=[key for key, _ in outputs]
     )
@@ -81,7 +83,14 @@ def helpers(text: str, real: str) -> str:
     return "".join(_HELPERS[name].format(real=real) + "\n" for name in called)
 
 
-def identifier(name: str) -> str:
-    """Return a name as a C identifier."""
-    plain = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_") or "mechanism"
-    return plain if plain[0].isalpha() else f"m_{plain}"
+def identifier(name: str, first: str = "linkplan") -> str:
+    """Return a name as a C identifier after a first word, which is the prefix of identifiers, files and CMake targets.
+
+    With "linkplan" first it is no target of CMake's (test, all, install), no header of C's (math.h) and no keyword. Letters
+    that ASCII lacks are replaced by a checksum of the name.
+    """
+    letters = unicodedata.normalize("NFKD", name)
+    plain = [letter for letter in letters if letter.isascii()]
+    lost = any(not letter.isascii() and not unicodedata.combining(letter) for letter in letters)
+    words = [*re.findall(r"[A-Za-z0-9]+", "".join(plain)), *([f"{zlib.crc32(name.encode()):08x}"] if lost else [])]
+    return "_".join([first, *words])

@@ -16,6 +16,8 @@ MATH = """#include <math.h>
 #endif
 """
 _LINE_NUMBERS = 4
+# What stands for no limit, within the range of single precision.
+NO_LIMIT = 1e30
 
 
 def block_comment(lines: Sequence[str]) -> str:
@@ -48,6 +50,21 @@ typedef double {real};
 
 #endif /* {upper}_H */
 """
+
+
+def limit_macros(prefix: str, kind: str, names: Sequence[str], limits: np.ndarray, unit: Sequence[str]) -> list[str]:
+    """Return a macro for each end of limits (n, 2), such as PREFIX_Q0_MIN, with the name and unit behind it."""
+    found = []
+    for k, ((low, high), name, of) in enumerate(zip(bounded(limits), names, unit, strict=True)):
+        note = block_comment([f"{name} [{of}]"])
+        for end, value in (("MIN", low), ("MAX", high)):
+            found.append(f"#define {prefix.upper()}_{kind}{k}_{end} ({float(value)!r}) {note}")
+    return found
+
+
+def bounded(limits: np.ndarray) -> np.ndarray:
+    """Return limits with `NO_LIMIT` in place of infinity, which C99 has no number for."""
+    return np.clip(limits, -NO_LIMIT, NO_LIMIT)
 
 
 def declared_array(declaration: str, values: np.ndarray, real: str) -> str:
@@ -116,7 +133,7 @@ int main(void)
   for (k = 0; k < {n}; ++k) {{
     {real} pose[{upper}_N_Q], s[{upper}_N_S] = {{{given}}};
     for (i = 0; i < {upper}_N_Q; ++i) pose[i] = q[k][i];
-    if (!({prefix}_close(s, pose) < 1e-5)) {{
+    if ({prefix}_close(s, pose)) {{
       printf("the loops do not close\\n");
       failed = 1;
     }}
@@ -131,14 +148,15 @@ int main(void)
 
 def cmake_text(prefix: str) -> str:
     """Return a CMakeLists.txt of a static library, one for float, and their tests."""
+    # A suffix after "-" is in no C identifier, so a target of one model is never that of another, such as NAME_test.
     upper = prefix.upper()
     lines = ["cmake_minimum_required(VERSION 3.10)", f"project({prefix} C)", "set(CMAKE_C_STANDARD 99)", "enable_testing()"]
-    for suffix, flag in (("", None), ("_float", f"{upper}_FLOAT")):
+    for suffix, flag in (("", None), ("-float", f"{upper}_FLOAT")):
         lines += ["", f"add_library({prefix}{suffix} STATIC {prefix}.c)"]
         lines += [f"target_include_directories({prefix}{suffix} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})"]
         lines += [f"target_compile_definitions({prefix}{suffix} PUBLIC {flag})"] if flag else []
         lines += ["if(UNIX)", f"  target_link_libraries({prefix}{suffix} PUBLIC m)", "endif()"]
-        lines += [f"add_executable({prefix}{suffix}_test {prefix}_test.c)"]
-        lines += [f"target_link_libraries({prefix}{suffix}_test {prefix}{suffix})"]
-        lines += [f"add_test(NAME {prefix}{suffix} COMMAND {prefix}{suffix}_test)"]
+        lines += [f"add_executable({prefix}{suffix}-test {prefix}_test.c)"]
+        lines += [f"target_link_libraries({prefix}{suffix}-test {prefix}{suffix})"]
+        lines += [f"add_test(NAME {prefix}{suffix} COMMAND {prefix}{suffix}-test)"]
     return "\n".join(lines) + "\n"

@@ -18,7 +18,7 @@ from linkplan.studies.output.text import brief_rows, limits_said, notes_of
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
 _TITLES = {
     "refuted": "Refuted: the motion certainly breaks these",
-    "undecided": "Undecided: the smallest boxes did not decide these",
+    "undecided": "Undecided: these are neither proved nor refuted",
     "proved": "Proved at every instant, for the model and the polynomials of the plan",
 }
 

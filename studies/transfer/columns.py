@@ -38,7 +38,8 @@ MEANINGS = {
     "damping_rest": "damping that it lacks",
     "friction_rate": "rates of the linkage's joints with dry friction, over those of the output joints",
     "effort_rest": "effort at rest that it lacks: weight and springs",
-    "status": "0: on the map; 1: the loops do not close; 2: next to a singular pose; 100 + k: joint k is beyond its range",
+    "status": "0: on the map; 1: the loops do not close; 2: next to a singular pose; 3: beside the map, for interpolation at"
+    " the edge of the way back; 100 + k: joint k is beyond its range",
 }
 
 
@@ -81,9 +82,10 @@ def inverse_columns(transfer: Transfer) -> dict[str, np.ndarray] | None:
         for motor, x in zip(outputs.actuators, inverse.points.T, strict=True)
     ]
     joints = inverse.values["joint_position"].reshape(len(inverse.points), -1).T
-    return dict(motors) | {
+    named = {
         f"joint_position_{joint.name} [{joint.si_units[0]}]": x for joint, x in zip(outputs.joints, joints, strict=True)
     }
+    return dict(motors) | named | {"status [1]": inverse.values["status"].ravel()}
 
 
 def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
@@ -95,7 +97,7 @@ def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
     arrays |= {f"axis_{k}": axis for k, axis in enumerate(grid.axes)}
     if inverse is not None:
         arrays |= {f"inverse_axis_{k}": axis for k, axis in enumerate(inverse.axes)}
-        arrays["inverse_joint_position"] = inverse.values["joint_position"]
+        arrays |= {f"inverse_{name}": value for name, value in inverse.values.items()}
     about = {
         "joints": [joint.name for joint in outputs.joints],
         "joint_units": [joint.si_units for joint in outputs.joints],

@@ -145,7 +145,7 @@ def cpp_header(transfer: Transfer) -> str:
         f"//   motor {k}: {one.name} [{one.si_units[0]}], effort [{one.si_units[1]}]"
         for k, one in enumerate(outputs.actuators)
     ]
-    n, space = len(grid.points), f"linkage_{identifier('_'.join(joint.name for joint in outputs.joints))}"
+    n, space = len(grid.points), identifier(" ".join(joint.name for joint in outputs.joints), "linkage")
     rows = np.hstack([grid.values[name].reshape(n, -1) for name in ("motor_position", "ratio")])
     nodes = [len(axis) for axis in grid.axes]
     data = [f"constexpr int kJoints = {len(nodes)};", f"constexpr int kMotors = {len(outputs.motors)};"]

@@ -94,6 +94,7 @@ def transfer_record(transfer: Transfer) -> dict:
         "scale": table.grid.scale,
         "points_checked": table.grid.checked,
         "inverse_error": None if table.inverse is None else table.inverse.errors["joint_position"],
+        "inverse_answered": None if table.inverse is None else table.inverse.answered,
         "ends": ends,
         "dead_centres": [{"motor": outputs.actuators[m].name, "position": x} for m, x in table.dead_centres],
         "home": {
@@ -117,7 +118,9 @@ def _facts(transfer: Transfer) -> list[tuple[str, str]]:
     if table.inverse is not None:
         size = " x ".join(str(len(axis)) for axis in table.inverse.axes)
         error = table.inverse.errors["joint_position"]
-        rows.append(("table from motor to joint positions", f"{size} nodes, error {error:.2g} of the largest position"))
+        text = f"{size} nodes, error {error:.2g} of the largest position"
+        text += f", answers {100 * table.inverse.answered:.4g} % of {table.inverse.checked} reachable positions"
+        rows.append(("table from motor to joint positions", text))
     for name, (gains,) in carried_gains(transfer, transfer.home.ratio).items():
         of = transfer.outputs.actuators if name.startswith("motor") else transfer.outputs.joints
         rate = ".s" if name.endswith("kd") else ""

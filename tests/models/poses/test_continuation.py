@@ -7,7 +7,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses import assembly
 from linkplan.models.poses.along import evaluated
-from linkplan.models.poses.assembly import advance, continue_to, follow, step_sizes, stride_along
+from linkplan.models.poses.assembly import advance, advance_all, continue_to, follow, step_sizes, stride_along
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.planner.problem.consistency import is_open
@@ -33,6 +33,20 @@ def test_led_poses_are_those_of_the_walk(name):
     poses, n = continue_to(mechanism, mechanism.home, path)
     assert n == len(path)
     np.testing.assert_allclose(poses, walked(mechanism, path), rtol=0, atol=ASSEMBLY)
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar", "andrews-squeezer", "parallel-gripper"])
+def test_poses_continued_side_by_side_are_those_continued_one_by_one(name):
+    mechanism = load_mechanism(name)
+    s = mechanism.home[mechanism.independent]
+    targets = s + np.random.default_rng(0).uniform(-1.5, 1.5, (40, mechanism.dof))
+    found = advance_all(mechanism, np.tile(mechanism.home, (40, 1)), targets)
+    one_by_one = [advance(mechanism, mechanism.home, target) for target in targets]
+    arrived = np.array([there for _, there in one_by_one])
+    assert 0 < arrived.sum() < 40 or name in ("andrews-squeezer", "parallel-gripper")
+    np.testing.assert_array_equal(np.isfinite(found).all(axis=1), arrived)
+    wanted = np.array([pose for pose, _ in one_by_one])[arrived]
+    np.testing.assert_allclose(found[arrived], wanted, rtol=0, atol=10 * ASSEMBLY)
 
 
 def test_positions_far_apart_are_led_to_in_steps():

@@ -8,7 +8,8 @@ import pytest
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.transfer.grid import adaptive_grid, interpolated
-from linkplan.models.transfer.output_map import output_map
+from linkplan.models.transfer.output_map import motor_map, output_map
+from linkplan.models.transfer.poses import KnownPoses
 from linkplan.models.transfer.table import TransferTable, transfer_table
 from tests.support import parallel_ankle, slider_crank
 
@@ -37,6 +38,12 @@ def test_a_grid_is_fine_where_the_function_bends_and_keeps_its_tolerance():
     assert 0.5 * off < grid.errors["f"] < 1.5e-3
 
 
+def test_a_grid_that_may_not_grow_is_refined_where_it_misses_by_most():
+    grid = adaptive_grid(bump, [(-1, 1), (0, 1)], 1e-6, ["f"], 200)
+    assert 190 <= len(grid.axes[0]) * len(grid.axes[1]) <= 200
+    assert np.diff(grid.axes[0]).max() > np.diff(grid.axes[0]).min()
+
+
 def test_a_grid_that_may_not_grow_states_the_error_that_it_is_left_with():
     grid = adaptive_grid(bump, [(-1, 1), (0, 1)], 1e-6, ["f"], 300)
     assert np.prod([len(axis) for axis in grid.axes]) <= 300
@@ -55,12 +62,36 @@ def test_the_stated_error_is_that_of_the_closed_form_between_the_nodes():
 
 def test_the_way_back_leads_from_motor_positions_to_joint_positions():
     inverse = ankle_table().inverse
-    points = np.random.default_rng(6).uniform([-0.6, -0.3], [0.4, 0.3], (200, 2))
+    points = np.random.default_rng(6).uniform([-0.7, -0.35], [0.5, 0.35], (400, 2))  # the whole range, its edges too
     motors = np.array([[parallel_ankle.motor_angle(side, *s) for side in range(2)] for s in points])
     back = inverse.at("joint_position", motors)
-    known = np.isfinite(back).all(axis=1)
-    assert known.mean() > 0.8  # cells at the map's edge have a corner beyond it
-    assert np.abs(back - points)[known].max() < 2 * inverse.errors["joint_position"] * inverse.scale["joint_position"]
+    assert np.all(np.isfinite(back))
+    assert np.abs(back - points).max() < 2 * inverse.errors["joint_position"] * inverse.scale["joint_position"]
+    assert (inverse.answered, inverse.checked) == (1.0, 2000)
+    assert inverse.errors["joint_position"] < 5e-3
+
+
+def test_nodes_of_the_way_back_say_whether_they_are_reachable():
+    inverse = ankle_table().inverse
+    status, position = inverse.values["status"].ravel(), inverse.values["joint_position"].reshape(-1, 2)
+    inside = np.all((position > [-0.7 - 1e-6, -0.35 - 1e-6]) & (position < [0.5 + 1e-6, 0.35 + 1e-6]), axis=1)
+    assert set(status) == {0.0, 1.0, 3.0}
+    np.testing.assert_array_equal(np.isnan(position).any(axis=1), status == 1.0)
+    assert np.all(inside[status == 0.0])
+    for s, motor in zip(position[status == 0.0][::50], inverse.points[status == 0.0][::50], strict=True):
+        np.testing.assert_allclose([parallel_ankle.motor_angle(side, *s) for side in range(2)], motor, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_the_way_back_near_dead_centres_answers_nearly_all_and_says_how_many():
+    table = transfer_table(output_map(load_mechanism("five-bar", independent=["P", "E1"]), ["P", "E1"]), 2e-2)
+    axes = table.grid.axes
+    points = np.random.default_rng(7).uniform([a[0] for a in axes], [a[-1] for a in axes], (1000, 2))
+    poses, status = KnownPoses(table.outputs).at(points)
+    motors, _ = motor_map(table.outputs, poses[status == 0])
+    answered = np.isfinite(table.inverse.at("joint_position", motors)).all(axis=1).mean()
+    assert table.inverse.answered > 0.97
+    assert answered == pytest.approx(table.inverse.answered, abs=0.02)
 
 
 def test_the_map_of_a_slider_ends_at_the_crank_s_dead_centres():

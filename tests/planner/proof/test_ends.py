@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import _largest_of_unit, end_findings
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, TURN, body_problem
+from tests.support.plans import optimal
 
 # Over two intervals of half a second: t^2 (3 - 2 t) of the quarter turn, as Bernstein coefficients on each.
 HALVES = np.array([[0.0, 0.0, 0.25, 0.5], [0.5, 0.75, 1.0, 1.0]]).T
@@ -142,3 +144,33 @@ def test_sizes_are_the_largest_of_all_joints_with_the_unit():
     reach = body_problem(model, ends + ends[15:].replace("start", "goal") + "duration_s = 1.0\n")
     assert _largest_of_unit(reach, np.array([0.2, 7.0, 0.3])).tolist() == [0.3, 7.0, 0.3]
     assert _largest_of_unit(problem(), np.array([0.2])).tolist() == [0.2]
+
+
+def other_assembly(mechanism, q: np.ndarray) -> np.ndarray:
+    """Return a closed pose at the same independent positions on another assembly branch than q, by scipy."""
+    dependent, random = list(mechanism.dependent), np.random.default_rng(0)
+
+    def gap(z: np.ndarray) -> np.ndarray:
+        return np.array(mechanism.dynamics.independent_closure(pose_with(z))).ravel()
+
+    def pose_with(z: np.ndarray) -> np.ndarray:
+        pose = np.array(q)
+        pose[dependent] = z
+        return pose
+
+    for _ in range(100):
+        found = scipy.optimize.root(gap, random.uniform(-np.pi, np.pi, len(dependent)))
+        turned = np.abs(np.exp(1j * found.x) - np.exp(1j * q[dependent])).max()
+        if found.success and np.abs(gap(found.x)).max() < 1e-10 and turned > 0.1:
+            return pose_with(found.x)
+    raise AssertionError("there is one assembly only")
+
+
+@pytest.mark.parametrize("name", ["knee-sine", "knee-sine-shank", "knee-reach"])
+def test_a_motion_on_another_branch_than_the_problem_s_is_refuted_whatever_its_kind(name):
+    plan = optimal(name)
+    assert (plan.problem.motion.start is None) == (name != "knee-reach")
+    other = replace(plan.trajectory, start_pose=other_assembly(plan.problem.mechanism, plan.trajectory.start_pose))
+    for motion, answer in ((plan.trajectory, "proved"), (other, "refuted")):
+        (found,) = (one for one in end_findings(plan.problem, motion) if "on the problem's branch" in one.name)
+        assert found.answer == answer

@@ -1,13 +1,16 @@
 """The command `prove`: exit codes, its lists in JSON, spoilt folders, and proofs that plans and reports keep."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.studies.cli.main import main
-from tests.support.plans import saved_plan
+from tests.support.plans import optimal, saved_plan
 
 
 @pytest.fixture
@@ -99,3 +102,71 @@ def test_a_plan_keeps_its_proof_and_its_report_shows_it(tmp_path, capsys):
 def test_a_problem_is_planned_and_proved(capsys):
     code, said = proved(capsys, "cart-pole-swing-up")
     assert (code, said["plan"]) == (0, "cart-pole-swing-up")
+
+
+def test_without_existence_the_limits_alone_are_proved(folder, capsys):
+    code, said = proved(capsys, str(folder), "--no-existence")
+    assert (code, said["verdict"]) == (0, "proved")
+    assert not [one for one in said["proved"] if "own motion" in one["name"]]
+    (own,) = [one for one in said["sampled"] if "own motion" in one["name"]]
+    assert "--no-existence" in own["reason"]
+
+
+def test_a_plan_that_a_proof_refutes_is_not_passed_anywhere(folder):
+    spoil(folder, "position", (2, 0, 0), 2e-9)
+    assert linkplan.read_plan(folder).passed
+    plan = linkplan.read_plan(folder).with_proof(existence=False)
+    assert (plan.proof.verdict, plan.status, plan.passed, plan.certificate.passed) == ("refuted", "failed", False, False)
+    assert (plan.duration_s, plan.objective) == (None, None)
+    with pytest.raises(linkplan.LinkplanError, match="the planned velocity is the slope") as refused:
+        plan.require()
+    assert refused.value.plan is plan
+    text = str(plan)
+    assert "proof: refuted" in text
+    assert "certificate: NOT passed" in text
+    assert "certificate: passed" not in text
+    record = plan.to_dict()
+    assert (record["status"], record["certificate"]["passed"]) == ("failed", False)
+
+
+def test_a_plan_command_whose_proof_refutes_ends_with_1_and_writes_nothing(monkeypatch, tmp_path, capsys):
+    plan = optimal("knee-reach")
+    position = np.array(plan.trajectory.position)
+    position[2, 0, 0] += 2e-9
+    spoilt_plan = replace(plan, trajectory=replace(plan.trajectory, position=position))
+    monkeypatch.setattr("linkplan.studies.cli.plan_commands.plan_motion", lambda *_: spoilt_plan)
+    for words in (["plan", "knee-reach"], ["plan", "knee-reach", "--prove"]):
+        assert main([*words, "-o", str(tmp_path / "out")]) == 1
+        said = capsys.readouterr()
+        assert "knee-reach: failed" in said.out
+        assert "nothing written: failed" in said.err
+        assert not (tmp_path / "out").exists()
+
+
+def bent(at):
+    return at.position_rad["C"]
+
+
+def test_a_limit_of_one_s_own_that_a_folder_does_not_hold_is_not_proved(tmp_path, capsys):
+    limit = linkplan.ExtraLimit(name="angle of C", expression=bent, lower=-30.0, unit="rad")
+    plan = linkplan.plan(linkplan.Problem.from_file("knee-reach").replace(extra_limits=[limit]))
+    folder = plan.save(tmp_path / "plan")
+    again = linkplan.read_plan(folder).save(tmp_path / "again")
+    for place in (folder, again):
+        code, said = proved(capsys, str(place), "--no-existence")
+        assert (code, said["verdict"]) == (0, "undecided")
+        (found,) = said["undecided"]
+        assert found["name"] == "extra limit 'angle of C'"
+        assert found["reason"].startswith("not proved: ")
+    read = linkplan.read_plan(folder, extra_limits=[limit]).prove(existence=False)
+    assert read.verdict == "proved"
+    assert "extra limit 'angle of C'" in [finding.name for finding in read.of("proved")]
+
+
+def test_a_limit_of_one_s_own_that_balls_do_not_enclose_is_not_proved():
+    limit = linkplan.ExtraLimit(name="odd", expression=lambda at: ca.erf(at.position_rad["C"]), upper=2.0)
+    plan = optimal("knee-reach")
+    proof = replace(plan, problem=replace(plan.problem, extra_limits=(limit,))).prove(existence=False)
+    assert proof.verdict == "undecided"
+    (found,) = proof.of("undecided")
+    assert (found.name, found.reason[:12]) == ("extra limit 'odd'", "not proved: ")

@@ -2,16 +2,24 @@
 
 import ctypes
 import functools
+import re
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from linkplan.controllers.reference import SampledReference
 from linkplan.models.errors import ProblemError
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import build_tracker, track, tracking_reference
-from linkplan.studies.export.c_law import LawTables, law_tables, write_law
+from linkplan.studies.export.c_law import write_law
+from linkplan.studies.export.law_tables import LawTables, law_tables
 from tests.support.compiled import library, needs_gcc
 from tests.support.plans import optimal
 
@@ -21,32 +29,32 @@ TRACKERS = ["pd", "pd+ff", "lqr", "gs-pd+ff"]
 
 
 @functools.cache
-def written(problem: str, tracker: str) -> tuple[LawTables, Path, dict]:
-    tables = law_tables(optimal(problem), tracker)
+def written(problem: str, tracker: str, *changed: str) -> tuple[LawTables, Path, dict]:
+    tables = law_tables(optimal(problem, *changed), tracker)
     folder = Path(tempfile.mkdtemp())
     return tables, folder, write_law(tables, folder, compiled=False)
 
 
-def efforts_in_c(tables: LawTables, folder: Path, k: np.ndarray, s: np.ndarray, v: np.ndarray, *, single: bool = False):
-    """Return the efforts (n, n_u) of the compiled law at instants k."""
+def efforts_in_c(tables: LawTables, folder: Path, t: np.ndarray, s: np.ndarray, v: np.ndarray, *, single: bool = False):
+    """Return the efforts (n, n_u) of the compiled law at times t [s], and its statuses (n,)."""
     function, real = (
         getattr(library(folder, tables.prefix, single=single), tables.prefix),
         ctypes.c_float if single else ctypes.c_double,
     )
     dtype = np.float32 if single else np.float64
-    found = np.empty((len(k), len(tables.limit)), dtype=dtype)
-    function.restype, function.argtypes = None, [real, *[ctypes.c_void_p] * 3]
-    for i in range(len(k)):
+    found, status = np.empty((len(t), tables.gains.shape[1]), dtype=dtype), []
+    function.argtypes = [real, *[ctypes.c_void_p] * 3]
+    for i in range(len(t)):
         state = [np.ascontiguousarray(x[i], dtype=dtype) for x in (s, v)]
-        function(k[i] * tables.period_s, *[x.ctypes.data for x in state], found[i].ctypes.data)
-    return found
+        status.append(function(t[i], *[x.ctypes.data for x in state], found[i].ctypes.data))
+    return found, np.array(status)
 
 
-def states_near(tables: LawTables, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def states_near(reference: SampledReference, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     random = np.random.default_rng(4)
-    k = random.integers(0, len(tables.position), n)
-    s = tables.position[k] + 0.02 * random.normal(size=tables.position[k].shape)
-    return k, s, tables.velocity[k] + 0.5 * random.normal(size=s.shape)
+    k = random.integers(0, reference.n, n)
+    s = reference.position_rad[k] + 0.02 * random.normal(size=reference.position_rad[k].shape)
+    return k, s, reference.velocity_rad_s[k] + 0.5 * random.normal(size=s.shape)
 
 
 @needs_gcc
@@ -55,13 +63,15 @@ def states_near(tables: LawTables, n: int) -> tuple[np.ndarray, np.ndarray, np.n
 def test_the_law_in_c_is_the_tracker_s(problem, tracker):
     tables, folder, _ = written(problem, tracker)
     plan = optimal(problem)
-    built = build_tracker(tracker, plan, tracking_reference(plan))
-    k, s, v = states_near(tables, 500)
+    reference = tracking_reference(plan)
+    built = build_tracker(tracker, plan, reference)
+    k, s, v = states_near(reference, 500)
+    t = k * reference.period_s
     wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
     size = np.abs(wanted).max()
     assert size > 1
-    assert np.abs(efforts_in_c(tables, folder, k, s, v) - wanted).max() < LAW_ROUNDING * size
-    assert np.abs(efforts_in_c(tables, folder, k, s, v, single=True) - wanted).max() < 1e-4 * size
+    assert np.abs(efforts_in_c(tables, folder, t, s, v)[0] - wanted).max() < LAW_ROUNDING * size
+    assert np.abs(efforts_in_c(tables, folder, t, s, v, single=True)[0] - wanted).max() < 1e-4 * size
 
 
 class InC:
@@ -71,11 +81,11 @@ class InC:
 
     def __init__(self, tables: LawTables, folder: Path) -> None:
         self.function, self.tables = getattr(library(folder, tables.prefix), tables.prefix), tables
-        self.function.restype, self.function.argtypes = None, [ctypes.c_double, *[ctypes.c_void_p] * 3]
+        self.function.argtypes = [ctypes.c_double, *[ctypes.c_void_p] * 3]
 
     def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         state = [np.ascontiguousarray(x, dtype=float) for x in (position, velocity)]
-        found = np.empty(len(self.tables.limit))
+        found = np.empty(self.tables.gains.shape[1])
         self.function(k * self.tables.period_s, *[x.ctypes.data for x in state], found.ctypes.data)
         return found
 
@@ -92,35 +102,159 @@ def test_a_loop_around_the_law_in_c_gives_the_log_of_the_tracker(tracker):
     assert np.abs(theirs.pose_rad - ours.pose_rad).max() < 1e-11
 
 
+def held_effort(plan: Plan, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the position at a time, and the effort that holds it in MuJoCo without speed and acceleration."""
+    mechanism, position = plan.problem.mechanism, plan.trajectory.position_at(np.array([time_s]))
+    q = follow(mechanism, position, plan.trajectory.start_pose)
+    return position[0], needed_effort(mechanism, q, np.zeros_like(position), np.zeros_like(position))[0][0]
+
+
 @needs_gcc
-def test_before_and_after_the_motion_the_first_and_last_instant_count():
-    tables, folder, _ = written("knee-reach", "pd")
-    n = len(tables.position)
-    k = np.array([-500.0, -0.4, 0.4, n - 1.4, n + 1000.0])
-    s, v = np.zeros((5, 1)), np.zeros((5, 1))
-    wanted = [tables.effort(i, np.zeros(1), np.zeros(1)) for i in (0, 0, 0, n - 1, n - 1)]
-    np.testing.assert_allclose(efforts_in_c(tables, folder, k, s, v), wanted, rtol=1e-12)
+@pytest.mark.parametrize("tracker", ["pd+ff", "lqr"])
+@pytest.mark.parametrize("changed", [[], ["tracking.period_s=0.0007"], ["tracking.duration_s=0.05"]])
+def test_before_the_motion_the_law_in_c_holds_the_start_and_after_it_the_goal(tracker, changed):
+    tables, folder, _ = written("knee-reach", tracker, *changed)
+    plan = optimal("knee-reach", *changed)
+    duration = plan.trajectory.duration_s
+    for single in (False, True):
+        for at, times in ((0.0, [-10.0, -1e-3, -1e-6 - 1e-3]), (duration, [duration + 1e-6, duration + 1e-3, 10.0, np.inf])):
+            position, effort = held_effort(plan, at)
+            assert 1 < abs(effort[0]) < 10
+            s = np.tile(position, (len(times), 1))
+            found, status = efforts_in_c(tables, folder, np.array(times), s, np.zeros_like(s), single=single)
+            assert not np.any(status)
+            assert np.abs(found - effort).max() < (1e-3 if single else 1e-9)
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.parametrize("tracker", ["pd+ff", "lqr"])
+def test_the_law_in_c_holds_the_knee_at_the_goal_in_mujoco(tracker):
+    tables, folder, _ = written("knee-reach", tracker)
+    run = track(optimal("knee-reach", "tracking.duration_s=2.0"), InC(tables, folder))
+    assert run.stable
+    rest = run.error_rad[int(1.0 / tables.period_s) :]
+    assert len(rest) > 5000
+    assert np.degrees(np.abs(rest).max()) < 0.05
+
+
+@needs_gcc
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_the_law_in_c_repeats_a_periodic_motion_from_the_rows_of_one_period(tracker):
+    tables, folder, record = written("knee-sine", tracker)
+    plan = optimal("knee-sine")
+    reference = tracking_reference(plan)
+    assert (reference.n, record["instants"], reference.cycle) == (20_000, 2501, 2500)
+    built = build_tracker(tracker, plan, reference)
+    k, s, v = states_near(reference, 300)
+    wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
+    later = k * reference.period_s + 40 * 0.25
+    for t in (k * reference.period_s, later, later - 80 * 0.25):
+        assert np.abs(efforts_in_c(tables, folder, t, s, v)[0] - wanted).max() < 1e-9 * np.abs(wanted).max()
+
+
+TURN = """
+[mechanism]
+model = "slider-crank"
+[motion]
+kind = "periodic"
+turns = { O = 1 }
+duration_s = 0.5
+[objective]
+minimize = { effort = 1 }
+[tracking]
+period_s = 1e-3
+kp = 1.0
+kd = 0.1
+"""
+
+
+@needs_gcc
+@pytest.mark.parametrize("period_s", [1e-3, 0.7e-3])
+def test_a_crank_that_turns_on_is_a_turn_further_in_each_period(period_s, tmp_path):
+    (tmp_path / "turn.toml").write_text(TURN)
+    plan = plan_motion(load_problem(tmp_path / "turn.toml", [f"tracking.period_s={period_s}", "tracking.duration_s=1.6"]))
+    tables = law_tables(plan, "pd+ff")
+    write_law(tables, tmp_path, compiled=False)
+    reference = tracking_reference(plan)
+    built, (k, s, v) = build_tracker("pd+ff", plan, reference), states_near(reference, 300)
+    wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
+    assert np.ptp(s) > 6 * np.pi
+    # a control period that does not divide the motion's puts the rows beside the control instants
+    near = 1e-9 if reference.cycle is not None else 1e-3
+    assert np.abs(efforts_in_c(tables, tmp_path, k * period_s, s, v)[0] - wanted).max() < near * np.abs(wanted).max()
+
+
+@needs_gcc
+def test_what_is_not_finite_is_told_and_leaves_the_feedforward():
+    tables, folder, _ = written("knee-reach", "pd+ff")
+    t, goal = np.array([0.05] * 4 + [np.nan]), tables.position[-1]
+    s, v = np.tile(tables.position[0], (5, 1)), np.zeros((5, 1))
+    s[0], s[1], v[2], v[3] = np.nan, np.inf, np.nan, -np.inf
+    found, status = efforts_in_c(tables, folder, t, s, v)
+    assert np.all(status == 1)
+    assert np.all(np.isfinite(found))
+    reference = tracking_reference(optimal("knee-reach"))
+    np.testing.assert_allclose(found[:4, 0], reference.effort[500, 0], rtol=1e-9)
+    found, status = efforts_in_c(tables, folder, np.array([1.0]), goal[None], np.zeros((1, 1)))
+    assert status[0] == 0
 
 
 @needs_gcc
 def test_efforts_are_limited_on_request_only():
     tables, folder, _ = written("knee-reach", "pd+ff")
     limited = getattr(library(folder, tables.prefix), f"{tables.prefix}_limited")
-    effort = np.array([1e6])
-    limited(ctypes.c_void_p(effort.ctypes.data))
-    assert effort[0] == tables.limit[0, 1]
-    far = efforts_in_c(tables, folder, np.array([3]), np.full((1, 1), -50.0), np.zeros((1, 1)))
-    assert far[0, 0] > tables.limit[0, 1]
+    for effort, status, cut in ((1e6, 0, 100.0), (-np.inf, 0, -100.0), (7.0, 0, 7.0), (np.nan, 1, 0.0)):
+        given = np.array([effort])
+        assert limited(ctypes.c_void_p(given.ctypes.data)) == status
+        assert given[0] == cut
+    far, _ = efforts_in_c(tables, folder, np.array([3e-4]), np.full((1, 1), -50.0), np.zeros((1, 1)))
+    assert far[0, 0] > tables.limits.effort[0, 1]
+
+
+@needs_gcc
+@pytest.mark.parametrize("tracker", ["pd+ff", "lqr"])
+@pytest.mark.parametrize("problem", ["knee-reach", "knee-sine"])
+def test_a_tolerance_leaves_out_rows_and_keeps_the_efforts_within_it(problem, tracker):
+    plan, tolerance = optimal(problem), 1e-3
+    tables, folder = law_tables(plan, tracker, tolerance), Path(tempfile.mkdtemp())
+    record = write_law(tables, folder, compiled=False)
+    reference = tracking_reference(plan)
+    assert record["instants"] < 0.2 * min(reference.n, 2500)
+    k = np.arange(0, reference.n, 3)
+    s, v = reference.position_rad[k], reference.velocity_rad_s[k]
+    found, _ = efforts_in_c(tables, folder, k * reference.period_s, s, v)
+    off = np.abs(found - reference.effort[k]).max() / np.abs(reference.effort).max()
+    assert 1e-6 < off <= 1.001 * tolerance
+
+
+def test_a_tolerance_is_a_share_below_one(capsys, tmp_path):
+    words = ["export", "knee-reach", "--to", "c", "--tolerance", "1.5", "-o", str(tmp_path / "law")]
+    assert main(words) == 2
+    assert "a share from 0 to below 1, got 1.5" in capsys.readouterr().err
+
+
+def test_the_header_has_the_limits_and_the_hashes_of_model_and_plan():
+    tables, folder, record = written("knee-reach", "pd+ff")
+    text = (folder / f"{tables.prefix}.h").read_text()
+    upper = tables.prefix.upper()
+    for macro, value in (("U0_MIN", -100.0), ("U0_MAX", 100.0), ("V0_MAX", 1e30), ("Q0_MIN", tables.limits.position[0, 0])):
+        (found,) = re.findall(rf"#define {upper}_{macro} \((.*)\)", text)
+        assert float(found) == value
+    other = law_tables(optimal("knee-reach", "motion.duration_s=0.17"), "pd+ff")
+    assert other.plan_hash != tables.plan_hash
+    for key, value in (("MODEL_HASH", record["model_hash"]), ("PLAN_HASH", tables.plan_hash)):
+        assert f'#define {upper}_{key} "{value}"' in text
 
 
 def test_constant_gains_are_one_row_and_others_one_for_each_instant():
-    assert [len(written("knee-reach", name)[0].gains) for name in ("pd+ff", "lqr")] == [1, 1600]
+    assert [len(written("knee-reach", name)[0].gains) for name in ("pd+ff", "lqr")] == [1, 1603]
 
 
 def test_the_record_counts_what_is_stored():
     tables, _, record = written("knee-reach", "lqr")
-    assert record["table_numbers"] == 1600 * (1 + 1 + 1 + 2)
-    assert record["instants"] == len(tables.position) == 1600
+    assert record["table_numbers"] == 1603 * (1 + 1 + 1 + 2) + 1601
+    assert record["instants"] == len(tables.time_s) == 1601
 
 
 def test_a_tracker_that_is_no_table_is_refused():

@@ -1,7 +1,9 @@
 """A mechanism in C against Python on ten thousand random states: double to rounding, float to the bound that is stated."""
 
+import ctypes
 import functools
 import json
+import re
 import shutil
 import subprocess
 import tempfile
@@ -13,7 +15,7 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.assembly import advance, follow
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.cli.main import main
 from linkplan.studies.export import c_files
@@ -77,20 +79,77 @@ def test_c_closes_the_loops_from_the_last_answer_and_says_how_well(name):
     mechanism = code.mechanism
     path = mechanism.home[mechanism.independent] + 0.3 * np.sin(np.linspace(0, 2 * np.pi, 200))[:, None]
     close = library(folder, code.prefix)[f"{code.prefix}_close"]
-    import ctypes
-
-    close.restype = ctypes.c_double
-    q, gaps, poses = np.array(mechanism.home), [], []
+    q, poses = np.array(mechanism.home), []
     for s in path:
-        s = np.array(s)
-        gaps.append(close(ctypes.c_void_p(s.ctypes.data), ctypes.c_void_p(q.ctypes.data)))
+        assert closed_in_c(close, s, q) == 0
         poses.append(q.copy())
     assert np.ptp(poses, axis=0).max() > 0.3
     assert np.abs(np.array(poses) - follow(mechanism, path)).max() < 1e-12
-    assert max(gaps) < 1e-14
-    far = mechanism.home[mechanism.independent] + 40.0  # out of reach of three steps, or of the knee
-    q = np.array(mechanism.home)
-    assert not close(ctypes.c_void_p(far.ctypes.data), ctypes.c_void_p(q.ctypes.data)) < 1e-6
+
+
+def closed_in_c(close, s: np.ndarray, q: np.ndarray) -> int:
+    """Return the status of C's `close` at positions s; it writes the pose into q."""
+    s = np.array(s, dtype=q.dtype)
+    return close(ctypes.c_void_p(s.ctypes.data), ctypes.c_void_p(q.ctypes.data))
+
+
+@needs_gcc
+@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar"])
+def test_one_call_of_c_closes_from_home_what_continuation_reaches_and_nothing_else(name, single):
+    code, folder, _ = exported(name)
+    mechanism, near = code.mechanism, 1e-3 if single else 1e-10
+    close = library(folder, code.prefix, single=single)[f"{code.prefix}_close"]
+    home = mechanism.home[mechanism.independent]
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.independent_joints])
+    low, high = np.where(np.isfinite(ranges), ranges, home[:, None] + np.array([-2.5, 2.5])).T
+    reached = []
+    for s in np.random.default_rng(5).uniform(low, high, (60, mechanism.dof)):
+        wanted, arrives = advance(mechanism, mechanism.home, s)
+        q = np.array(mechanism.home, dtype=np.float32 if single else float)
+        before, status = q.copy(), closed_in_c(close, s, q)
+        reached.append(arrives)
+        assert status == (0 if arrives else 2)
+        assert np.abs(q - (wanted if arrives else before)).max() < near
+    assert 0 < np.mean(reached) < 1
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar", "cart-pole"])
+def test_c_refuses_to_close_at_what_is_not_finite_and_leaves_the_pose_as_it_was(name):
+    code, folder, _ = exported(name)
+    mechanism = code.mechanism
+    close = library(folder, code.prefix)[f"{code.prefix}_close"]
+    for bad in (np.nan, np.inf, -np.inf):
+        for k in range(mechanism.dof):
+            s, q = mechanism.home[mechanism.independent].copy(), np.array(mechanism.home)
+            s[k] = bad
+            assert closed_in_c(close, s, q) == 1
+            assert np.array_equal(q, mechanism.home)
+        for k in range(mechanism.n_q):
+            q = np.array(mechanism.home)
+            q[k] = bad
+            assert closed_in_c(close, mechanism.home[mechanism.independent], q) == 1
+            assert np.isnan(q[k]) or q[k] == bad
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar"])
+def test_every_sine_and_cosine_of_a_function_is_computed_once(name):
+    for one in exported(name)[0].functions:
+        called_at = re.findall(r"(a\d+)=MATH\((sin|cos)\)\((a\d+)\)", one.definition("real"))
+        angles = {joint.name for joint in exported(name)[0].mechanism.joints if joint.kind == "hinge"}
+        assert len(called_at) <= 2 * len(angles), one.name
+
+
+def test_the_header_has_the_limits_and_the_model_s_hash():
+    code, _, record = exported("optimus-knee")
+    text = header_text(code, [])
+    joint, upper = code.mechanism.joints[0], code.prefix.upper()
+    for macro, value in (("Q0_MIN", joint.lower), ("Q0_MAX", joint.upper), ("U0_MIN", -100.0), ("U0_MAX", 100.0)):
+        (found,) = re.findall(rf"#define {upper}_{macro} \((.*)\)", text)
+        assert float(found) == np.clip(value, -1e30, 1e30)
+    assert f'#define {upper}_MODEL_HASH "{code.mechanism.fingerprint()}"' in text
+    assert record["model_hash"] == code.mechanism.fingerprint()
 
 
 @needs_gcc
@@ -98,7 +157,7 @@ def test_nothing_is_called_but_mathematical_functions():
     for name in ("optimus-knee", "five-bar"):
         code, folder, _ = exported(name)
         called_names = {line.split()[-1] for line in symbols(folder, code.prefix).splitlines()}
-        assert called_names <= {"sin", "cos", "sincos", "sqrt", "tanh", "fmax", "_GLOBAL_OFFSET_TABLE_"}
+        assert called_names <= {"sin", "cos", "sincos", "sqrt", "tanh", "_GLOBAL_OFFSET_TABLE_"}
 
 
 @needs_gcc
@@ -143,7 +202,17 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
     record = write_model(code, tmp_path)
     assert record["sizes"] == []
-    assert "too long" in text_of(cost_blocks(record, tmp_path))
+    assert "--sizes measures it" in text_of(cost_blocks(record, tmp_path))
+
+
+@needs_gcc
+def test_code_of_a_whole_robot_is_measured_when_asked(monkeypatch, tmp_path):
+    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
+    monkeypatch.setattr(c_files, "COMPILERS", {"gcc": ["-O2"]})
+    assert main(["export", "slider-crank", "--to", "c", "--sizes", "-o", str(tmp_path / "c")]) == 0
+    record = json.loads((tmp_path / "c" / "export.json").read_text())
+    assert [row["real"] for row in record["sizes"]] == ["double", "float"]
+    assert record["sizes_without"] == []
 
 
 @needs_gcc
@@ -153,16 +222,16 @@ def test_long_derivatives_may_be_left_out_and_are_then_not_measured(monkeypatch,
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", sum(sum(row["operations"].values()) for row in others))
     monkeypatch.setattr(c_files, "COMPILERS", {"gcc": ["-O2"]})
     record = write_model(code, tmp_path)
-    assert record["sizes_without"] == ["optimus_knee_inverse_dynamics_derivatives"]
+    assert record["sizes_without"] == ["linkplan_optimus_knee_inverse_dynamics_derivatives"]
     assert whole["sizes_without"] == []
     assert record["sizes"][0]["flash_bytes"] < 0.8 * whole["sizes"][0]["flash_bytes"]
-    assert "without optimus_knee_inverse_dynamics_derivatives" in text_of(cost_blocks(record, tmp_path))
+    assert "without linkplan_optimus_knee_inverse_dynamics_derivatives" in text_of(cost_blocks(record, tmp_path))
 
 
 def test_a_model_in_the_coordinates_of_its_output_joints(tmp_path, monkeypatch):
     monkeypatch.setattr(c_files, "COMPILERS", {})
     assert main(["export", "optimus-knee", "--to", "c", "--joints", "C", "-o", str(tmp_path / "c")]) == 0
-    header = (tmp_path / "c" / "optimus_knee.h").read_text()
+    header = (tmp_path / "c" / "linkplan_optimus_knee.h").read_text()
     assert "s[0] C [rad]" in header
     record = json.loads((tmp_path / "c" / "export.json").read_text())
     (row,) = [row for row in record["functions"] if row["function"].endswith("_transmission")]
@@ -198,20 +267,73 @@ def test_operations_are_counted_and_carried_out_in_single_precision():
 
 
 @pytest.mark.parametrize(
-    ("name", "found"), [("a-b c", "a_b_c"), ("3rd leg", "m_3rd_leg"), ("--", "mechanism"), ("ünï", "n")]
+    ("name", "found"), [("a-b c", "a_b_c"), ("3rd leg", "3rd_leg"), ("__a__b", "a_b"), ("ünï", "uni"), ("膝", "bbd7883e")]
 )
 def test_names_become_identifiers(name, found):
-    assert identifier(name) == found
+    assert identifier(name) == f"linkplan_{found}"
+
+
+# Targets of CMake's own, headers of C's, keywords, and names that are those of another model with an ending.
+TROUBLESOME = [
+    "test",
+    "all",
+    "install",
+    "clean",
+    "help",
+    "package",
+    "edit_cache",
+    "rebuild_cache",
+    "list_install_components",
+]
+TROUBLESOME += [
+    "depend",
+    "math",
+    "stdio",
+    "string",
+    "int",
+    "for",
+    "main",
+    "3rd leg",
+    "膝",
+    "a",
+    "a_test",
+    "a_float",
+    "a-law",
+]
+
+
+@needs_gcc
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
+@pytest.mark.slow
+def test_cmake_builds_models_of_any_name_side_by_side(tmp_path):
+    text = '<mujoco><worldbody><body><joint name="J" axis="0 1 0"/><geom size=".1"/></body></worldbody></mujoco>'
+    lines = ["cmake_minimum_required(VERSION 3.10)", "project(top C)", "enable_testing()"]
+    for k, name in enumerate(TROUBLESOME):
+        (tmp_path / f"{name}.xml").write_text(text)
+        (tmp_path / str(k)).mkdir()
+        write_model(model_code(load_mechanism(tmp_path / f"{name}.xml")), tmp_path / str(k), compiled=False)
+        lines.append(f"add_subdirectory({k})")
+    (tmp_path / "CMakeLists.txt").write_text("\n".join(lines))
+    for words in (["-S", str(tmp_path), "-B", str(tmp_path / "built")], ["--build", str(tmp_path / "built")]):
+        subprocess.run(["cmake", *words], check=True, capture_output=True)
+    said = subprocess.run(["ctest"], cwd=tmp_path / "built", check=True, capture_output=True, text=True).stdout
+    assert f"100% tests passed, 0 tests failed out of {2 * len(TROUBLESOME)}" in said
 
 
 def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
     folder = tmp_path / "code"
     assert main(["export", "slider-crank", "--to", "c", "-o", str(folder)]) == 0
     said = capsys.readouterr().out
-    assert "slider_crank_inverse_dynamics" in said
+    assert "linkplan_slider_crank_inverse_dynamics" in said
     names = {path.name for path in folder.iterdir()}
-    assert {"slider_crank.c", "slider_crank.h", "slider_crank_test.c", "CMakeLists.txt", "export.json"} <= names
-    header = (folder / "slider_crank.h").read_text()
+    assert {
+        "linkplan_slider_crank.c",
+        "linkplan_slider_crank.h",
+        "linkplan_slider_crank_test.c",
+        "CMakeLists.txt",
+        "export.json",
+    } <= names
+    header = (folder / "linkplan_slider_crank.h").read_text()
     assert "s[0] O [rad], effort [N.m]" in header
     assert "q[2] B [m]" in header
 
@@ -225,6 +347,10 @@ def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
         (["knee-reach", "--to", "c", "--every-s", "0.1"], "--every-s"),
         (["knee-reach", "--to", "c", "--joints", "C"], "the plan's own coordinates"),
         (["optimus-knee", "--to", "c", "--joints", "Q"], "'Q'"),
+        (["optimus-knee", "--to", "c", "--tolerance", "0.1"], "--tolerance is for the tables of a plan's law"),
+        (["knee-reach", "--to", "c", "--sizes"], "--sizes is for a model"),
+        (["knee-reach", "--to", "csv", "--sizes"], "--sizes is for code in C"),
+        (["knee-reach", "--to", "csv", "--tolerance", "0.1"], "--tolerance is for code in C"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):
