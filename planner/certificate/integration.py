@@ -28,6 +28,9 @@ from linkplan.planner.transcription.bernstein import bernstein_value
 # Boundary states, and sites at them, are constraints of the program and kept to rounding: the allowed error as a share of
 # the motion's span or largest speed, or of the mechanism's extent.
 BOUNDARY_SHARE = 1e-6
+# Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
+# share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.
+VELOCITY_SHARE = 0.02
 Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
 # Start and goal may exceed a limit by this share of its size, because inverse kinematics and rounding are inexact.
 POSE_SLACK = 2e-9
@@ -129,12 +132,12 @@ def integrate(
         mechanism: the model.
         trajectory: the plan.
         speed: its largest speed [rad/s or m/s].
-        allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
+        allowed: errors (n_s,) [rad or m] above which the motion is checked for instability, as it is for those of velocity.
         until: deadline of the integration.
         rtol: relative error tolerance of the integration without restarts.
     """
     whole = _integrated_once(mechanism, trajectory, speed, allowed, until, rtol)
-    if np.all(whole.position <= allowed):
+    if np.all(whole.position <= allowed) and whole.velocity <= VELOCITY_SHARE:
         return whole
     try:
         return _integrated_with_restarts(mechanism, trajectory, speed, allowed, until) or whole

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.poses.along import missed_rounding
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import surely_collides, unavoidable
 from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished, optimality
@@ -158,7 +159,8 @@ def without_solving(
     """
     certificate = certify(problem, motion)
     # Efforts that differ by at most this share of the largest effort are the same.
-    optimal = best is not None and certificate.dynamics_residual <= 1e-6 * np.abs(motion.effort).max()
+    same = max(1e-6 * float(np.abs(motion.effort).max()), missed_rounding(problem.limits.effort))
+    optimal = best is not None and certificate.dynamics_residual <= same
     return finished(problem, motion, certificate, objective, best if optimal else said, optimal=optimal)
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
-from linkplan.planner.certificate.further_checks import objective_value
+from linkplan.models.poses.along import missed_rounding, needed_effort
+from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.guess import even_poses
-from linkplan.planner.closed_chain.prescribed import motion_along
+from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, holding_at, motion_along
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
@@ -51,13 +51,35 @@ def along_smooth_path(search: Search) -> Plan | None:
     return plan if plan.passed else None
 
 
+def at_rest(search: Search) -> Plan | None:
+    """Return the rest as the plan of a reach that ends where it starts; None where no rest answers it.
+
+    It is "optimal" where it costs nothing. Elsewhere a motion may cost less: a swing may spare effort against a weight.
+    """
+    problem, motion = search.problem, search.problem.motion
+    duration = motion.duration_s or motion.min_duration_s
+    moves = motion.start_speed is not None and np.any(motion.start_speed)
+    if not motion.stays or moves or duration is None:
+        return None
+    holding = holding_at(problem, motion.start)
+    if not holding.holds:
+        return None
+    rest = holding.lasting(problem.mechanism, duration)
+    objective, _ = objective_value(problem, rest)
+    free = set(problem.objective.weights) <= SQUARES_AT_REST and objective <= negligible_objective(problem, rest)
+    said = f"rest of {duration:.6g} s: constant efforts hold the start"
+    plan = without_solving(
+        problem, rest, objective, f"{said}; that no motion costs less was not shown", best=said if free else None
+    )
+    return plan if plan.passed else None
+
+
 def _is_carried(problem: Problem, search: Search) -> bool:
     """Tell if the actuators carry the smooth path within their limits at its samples."""
     times, poses = even_poses(problem, search.smooth)
     v, a = search.smooth.velocity(times), search.smooth.acceleration(times)
     effort, missing = needed_effort(problem.mechanism, poses, v, a)
-    low, high = problem.limits.effort.T
-    largest = np.abs(effort).max(initial=0.0)
-    return bool(
-        np.all((effort >= low) & (effort <= high)) and np.abs(missing).max(initial=0.0) <= HOLDING_TOLERANCE * largest
-    )
+    limit = problem.limits.effort
+    low, high = limit.T
+    within = np.all((effort >= low) & (effort <= high))
+    return bool(within and np.abs(missing).max(initial=0.0) <= missed_rounding(limit))

@@ -133,7 +133,15 @@ def test_a_rest_is_joined_to_a_motion_as_constants(first):
         start_pose=np.zeros(1),
         periodic=False,
     )
-    joined = waiting._joined(motion, 0.25, np.array([3.0]), first=first)
+    rest = Trajectory(
+        breaks_s=np.array([0.0, 0.25]),
+        position=np.ones((2, 1, 1)),
+        velocity=np.zeros((2, 1, 1)),
+        effort=np.full((2, 1, 1), 3.0),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    joined = waiting.joined(motion, rest, first=first)
     assert joined.breaks_s.tolist() == ([0.0, 0.25, 0.5, 1.25] if first else [0.0, 0.25, 1.0, 1.25])
     rest, moves = (0.1, 0.25 + np.array([0.1, 0.9])) if first else (1.1, np.array([0.1, 0.9]))
     at = np.array([rest])
@@ -149,10 +157,10 @@ def test_a_weight_is_held_on_either_side_up_to_the_limit_there(sign, limit, held
     motion = f'kind = "reach"\nstart_deg = {{ J = {sign * 30.0} }}\ngoal_deg = {{ J = {sign * 60.0} }}\nduration_s = 4.0\n'
     limits = f"limits.effort.m=[-9, {limit}]" if sign > 0 else f"limits.effort.m=[-{limit}, 9]"
     problem = body_problem(PENDULUM.format(limit=9), motion, limits)
-    effort = waiting._held(problem, "start")
-    assert (effort is not None) is held
+    holding = waiting._held(problem, "start")
+    assert (holding is not None) is held
     if held:
-        assert effort == pytest.approx([sign * 9.81 * 0.25])
+        assert holding.effort == pytest.approx([sign * 9.81 * 0.25])
     assert waiting._held(problem, "goal") is None
     moving = replace(problem, motion=replace(problem.motion, start_speed=np.array([-0.1])))
     assert waiting._held(moving, "start") is None
