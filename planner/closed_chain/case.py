@@ -303,7 +303,7 @@ def plan_hold(problem: Problem) -> Plan:
     if not holding.holds:
         sentence, details = unheld(problem, holding)
         return Plan(problem=problem, status="infeasible", message=f"infeasible: {sentence}", details=details)
-    rest = holding.lasting(problem.mechanism, motion.duration_s)
+    rest = holding.lasting(motion.duration_s)
     certificate = certify(problem, rest)
     objective, _ = objective_value(problem, rest)
     said = f"rest of {rest.duration_s:.6g} s: constant efforts hold the start"

@@ -4,11 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.closed_chain.guess import Guess, first_guess, poses_along
-from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import is_whole
@@ -192,8 +190,6 @@ def reference_demand(problem: Problem, start_pose: np.ndarray) -> Demand | None:
 # Terms of an objective that at rest are squares of efforts, or the same for all: of efforts that hold the same, the least
 # are best.
 SQUARES_AT_REST = {"effort", "copper_loss", "effort_rate", "work", "time"}
-# The exponent by which an error may grow in an interval of a rest: half of that at which a certificate restarts.
-_GROWTH_EXPONENT = 4.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -218,18 +214,12 @@ class Holding:
         """Whether the efforts hold the pose."""
         return bool(np.abs(self.missed).max(initial=0.0) <= self.slack)
 
-    def lasting(self, mechanism: Mechanism, duration_s: float) -> Trajectory:
-        """Return the rest of a duration [s]. Its intervals are so short that no error grows far in one of them."""
-        by_s, by_v, _ = (
-            np.array(x) for x in mechanism.dynamics.linearisation(self.pose, np.zeros_like(self.s), self.effort)
-        )
-        n_s = len(self.s)
-        rates = np.linalg.eigvals(np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [by_s, by_v]])).real
-        n = max(1, int(min(MAX_INTERVALS, np.ceil(duration_s * rates.max() / _GROWTH_EXPONENT))))
-        constants = zip((self.s, np.zeros(n_s), self.effort), (3, 2, 2), strict=True)
-        position, velocity, effort = (np.broadcast_to(x, (k, n, len(x))) for x, k in constants)
+    def lasting(self, duration_s: float) -> Trajectory:
+        """Return the rest of a duration [s]."""
+        constants = zip((self.s, np.zeros_like(self.s), self.effort), (3, 2, 2), strict=True)
+        position, velocity, effort = (np.broadcast_to(x, (k, 1, len(x))) for x, k in constants)
         return Trajectory(
-            breaks_s=np.linspace(0.0, duration_s, n + 1),
+            breaks_s=np.array([0.0, duration_s]),
             position=position,
             velocity=velocity,
             effort=effort,

@@ -64,7 +64,7 @@ def at_rest(search: Search) -> Plan | None:
     holding = holding_at(problem, motion.start)
     if not holding.holds:
         return None
-    rest = holding.lasting(problem.mechanism, duration)
+    rest = holding.lasting(duration)
     objective, _ = objective_value(problem, rest)
     free = set(problem.objective.weights) <= SQUARES_AT_REST and objective <= negligible_objective(problem, rest)
     said = f"rest of {duration:.6g} s: constant efforts hold the start"

@@ -20,7 +20,7 @@ from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
-from linkplan.planner.phase_plane.leg_field import knows_pins, knows_speeds
+from linkplan.planner.phase_plane.leg_field import knows_lines, knows_pins, knows_speeds
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -123,20 +123,21 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
 
 
 def may_be_along_limits(search: Search) -> bool:
-    """True if a least time of one degree of freedom may lie along limits on power, pin force or speed."""
+    """True if a least time of one degree of freedom may lie along limits on power, line, pin force or speed."""
     problem, motion = search.problem, search.problem.motion
+    limited = bool(np.any(np.isfinite(problem.limits.power))) or knows_lines(problem)
     return (
         search.only_time_counts
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and (bool(np.any(np.isfinite(problem.limits.power))) or knows_pins(problem) or knows_speeds(problem))
+        and (limited or knows_pins(problem) or knows_speeds(problem))
         and phase_plane_applies(problem)
     )
 
 
 def along_limits(search: Search, _: Budget) -> Plan | None:
-    """Return the plan of legs along limits on power, pin force and speed, without a solver; None if it does not pass."""
+    """Return the plan of legs along all these limits, without a solver; None if its certificate does not pass."""
     progress("the phase plane along its limits, integrated")
     problem, motion = search.problem, legs_motion(search.problem, search.start_pose)
     if motion is None or not (problem.motion.min_duration_s or 0.0) <= motion.duration_s <= longest(problem):

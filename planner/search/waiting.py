@@ -67,7 +67,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     for end, motion in itertools.product(("start", "goal"), search.known.shorter_than(asked)):
         holding, wait = _held(problem, end), asked - motion.duration_s
         if holding is not None and wait > MIN_INTERVAL_SHARE * asked:
-            whole = joined(motion, holding.lasting(problem.mechanism, wait), first=end == "start")
+            whole = joined(motion, holding.lasting(wait), first=end == "start")
             said = (
                 f"motion of {asked:.6g} s: a motion of {motion.duration_s:.6g} s and a rest of {wait:.4g} s"
                 f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
