@@ -18,7 +18,7 @@ from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.refinement.state import REPORTED_CHANGE
-from linkplan.planner.search import attempts, continuations, starts, waiting
+from linkplan.planner.search import attempts, continuations, resting, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
@@ -89,6 +89,12 @@ RUNGS: tuple[Rung, ...] = (
         budget=HURRIED,
     ),
     *_FIRST,
+    Rung(
+        name="the cheapest legs of the phase plane, and a rest",
+        tried=lambda search: not search.solved and search.quickest is not None and not starts.no_time(search),
+        climb=resting.from_legs,
+        budget=HURRIED,
+    ),
     Rung(
         name="at a distance from singular poses",
         tried=starts.may_near_singular,

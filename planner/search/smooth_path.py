@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import missed_rounding, needed_effort
+from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.guess import even_poses
 from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, holding_at, motion_along
@@ -79,7 +79,8 @@ def _is_carried(problem: Problem, search: Search) -> bool:
     times, poses = even_poses(problem, search.smooth)
     v, a = search.smooth.velocity(times), search.smooth.acceleration(times)
     effort, missing = needed_effort(problem.mechanism, poses, v, a)
-    limit = problem.limits.effort
-    low, high = limit.T
-    within = np.all((effort >= low) & (effort <= high))
-    return bool(within and np.abs(missing).max(initial=0.0) <= missed_rounding(limit))
+    low, high = problem.limits.effort.T
+    largest = np.abs(effort).max(initial=0.0)
+    return bool(
+        np.all((effort >= low) & (effort <= high)) and np.abs(missing).max(initial=0.0) <= HOLDING_TOLERANCE * largest
+    )

@@ -10,16 +10,14 @@ import numpy as np
 
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.guess import motion_of, stretched
-from linkplan.planner.closed_chain.prescribed import Holding, holding_at
 from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import certified, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.resting import held, joined
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import shortest_motion
-from linkplan.planner.trajectory import Trajectory
 
 # Terms of an objective that a rest adds to by its effort and its length alone.
 _STILL_TERMS = {"time", "effort", "copper_loss"}
@@ -30,7 +28,7 @@ def may_wait(search: Search) -> bool:
     motion = search.problem.motion
     if motion.kind != "reach" or motion.duration_s is None or motion.stays or motion.waypoints:
         return False
-    return any(_held(search.problem, end) is not None for end in ("start", "goal"))
+    return any(held(search.problem, end) is not None for end in ("start", "goal"))
 
 
 def far_beyond(search: Search) -> bool:
@@ -65,7 +63,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
             search.known.add(longer.require_motion("wait after"))
     wholes = []
     for end, motion in itertools.product(("start", "goal"), search.known.shorter_than(asked)):
-        holding, wait = _held(problem, end), asked - motion.duration_s
+        holding, wait = held(problem, end), asked - motion.duration_s
         if holding is not None and wait > MIN_INTERVAL_SHARE * asked:
             whole = joined(motion, holding.lasting(wait), first=end == "start")
             said = (
@@ -95,28 +93,3 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     found = solve_from(problem, start, mesh, durations, what, warm=True)
     plan = None if found is None else certified(problem, found, warm=True, kinks=False)
     return plan if plan is not None and plan.passed else None
-
-
-def joined(motion: Trajectory, rest: Trajectory, *, first: bool) -> Trajectory:
-    """Return a trajectory with a rest, of constants, before or after it, exactly where it begins or ends."""
-    at = {"position": motion.position[0, 0] if first else motion.position[-1, -1]}
-    parts = {}
-    for name in ("position", "velocity", "effort"):
-        given, resting = getattr(motion, name), getattr(rest, name)
-        constant = np.broadcast_to(at.get(name, resting[0, 0]), (len(given), *resting.shape[1:]))
-        parts[name] = np.concatenate([constant, given] if first else [given, constant], axis=1)
-    before, after, joint = (rest, motion, rest.duration_s) if first else (motion, rest, motion.duration_s)
-    breaks = [before.breaks_s[:-1], joint + after.breaks_s]
-    return replace(motion, breaks_s=np.concatenate(breaks), **parts)
-
-
-def _held(problem: Problem, end: str) -> Holding | None:
-    """Return what holds start or goal, at rest there; None where no efforts within their limits do."""
-    motion = problem.motion
-    if end == "goal" and motion.goal_is_free:
-        return None  # where it ends is not known
-    speed = getattr(motion, f"{end}_speed")
-    if speed is not None and np.any(speed != 0):
-        return None
-    holding = holding_at(problem, getattr(motion, end))
-    return holding if holding.holds else None
