@@ -11,7 +11,9 @@ import numpy as np
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
+from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
+from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import even_poses
 from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, holding_at, motion_along
 from linkplan.planner.plan import Plan
@@ -68,9 +70,8 @@ def at_rest(search: Search) -> Plan | None:
     objective, _ = objective_value(problem, rest)
     free = set(problem.objective.weights) <= SQUARES_AT_REST and objective <= negligible_objective(problem, rest)
     said = f"rest of {duration:.6g} s: constant efforts hold the start"
-    plan = without_solving(
-        problem, rest, objective, f"{said}; that no motion costs less was not shown", best=said if free else None
-    )
+    said = said if free else f"{said}; that no motion costs less was not shown"
+    plan = finished(problem, rest, certify(problem, rest), objective, said, optimal=free)
     return plan if plan.passed else None
 
 
