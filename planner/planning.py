@@ -11,15 +11,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
-from linkplan.planner.closed_chain.case import LOCALLY, plan_prescribed
+from linkplan.planner.closed_chain.case import LOCALLY, plan_hold, plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
-from linkplan.planner.search import attempts, continuations, starts, waiting
+from linkplan.planner.refinement.state import REPORTED_CHANGE
+from linkplan.planner.search import attempts, continuations, resting, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
-from linkplan.planner.search.smooth_path import along_smooth_path
+from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
@@ -88,6 +89,12 @@ RUNGS: tuple[Rung, ...] = (
         budget=HURRIED,
     ),
     *_FIRST,
+    Rung(
+        name="the cheapest legs of the phase plane, and a rest",
+        tried=lambda search: not search.solved and search.quickest is not None and not starts.no_time(search),
+        climb=resting.from_legs,
+        budget=HURRIED,
+    ),
     Rung(
         name="at a distance from singular poses",
         tried=starts.may_near_singular,
@@ -170,7 +177,8 @@ def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagno
         return plan_prescribed(problem, start_pose)
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
     excluded = reasons.contradicted(search) or reasons.too_short(search)
-    plan = excluded or _climbed_or_smooth(search, rungs)
+    held = problem.motion.kind == "hold"
+    plan = excluded or (plan_hold(problem) if held else _climbed_or_smooth(search, rungs))
     if plan is not None and plan.status == "failed" and reasons.less_than_least_time in diagnoses:
         with contextlib.suppress(OutOfTimeError):
             return reasons.less_than_least_time(search) or plan
@@ -178,10 +186,15 @@ def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagno
 
 
 def _climbed_or_smooth(search: Search, rungs: Sequence[Rung]) -> Plan | None:
-    """Return the plan of the rungs; if it does not pass, the smooth path itself if that does; or None."""
-    plan = _climbed(search, rungs)
-    if plan is not None and plan.passed:
+    """Return the plan of the rungs, unless a rest costs less; if it does not pass, the smooth path if that does; or None."""
+    rest = at_rest(search)
+    if rest is not None and rest.status == "optimal":
+        return rest
+    plan, most = _climbed(search, rungs), float("inf") if rest is None else (1 + REPORTED_CHANGE) * rest.objective
+    if plan is not None and plan.passed and plan.objective <= most:
         return plan
+    if rest is not None:
+        return rest
     with contextlib.suppress(OutOfTimeError):
         plan = along_smooth_path(search) or plan
     return plan

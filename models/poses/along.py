@@ -100,6 +100,11 @@ def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
     return np.einsum("kus,ks->ku", inverse, tau)
 
 
+def missed_rounding(limit: np.ndarray) -> float:
+    """Return the effort that may be missed by rounding [N.m or N], of actuators with limits (n_u, 2)."""
+    return HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
+
+
 def effort_within(tau: np.ndarray, maps: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the efforts (n, n_u) of least norm within limits (n_u, 2) that give tau (n, n_s), in least squares.
 
@@ -112,7 +117,12 @@ def effort_within(tau: np.ndarray, maps: np.ndarray, limit: np.ndarray) -> np.nd
         small = 1e-6 * float(np.linalg.norm(maps[k])) * np.eye(len(limit))  # of efforts that give the same, the least
         rows, wanted = np.vstack([maps[k], small]), np.append(tau[k], np.zeros(len(limit)))
         within = (low, np.nextafter(high, np.inf))
-        effort[k] = scipy.optimize.lsq_linear(rows, wanted, within, method="bvls", max_iter=100 * len(limit)).x
+        found = scipy.optimize.lsq_linear(rows, wanted, within, method="bvls", max_iter=100 * len(limit))
+        free = found.active_mask == 0  # these give exactly, not but for the small rows, what those at their limits do not
+        held = np.where(free, 0.0, np.clip(found.x, low, high))
+        held[free] = least_effort((tau[k] - maps[k] @ held)[None], maps[k][None, :, free])[0]
+        both = (np.clip(x, low, high) for x in (held, found.x))
+        effort[k] = min(both, key=lambda x: float(np.linalg.norm(tau[k] - maps[k] @ x)))
     return effort
 
 

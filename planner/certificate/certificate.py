@@ -11,13 +11,14 @@ from typing import ClassVar
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, joint_rates, least_effort, sampled, whole_turns
+from linkplan.models.poses.along import demanded, joint_rates, least_effort, missed_rounding, sampled, whole_turns
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import (
     BOUNDARY_SHARE,
+    VELOCITY_SHARE,
     ends_off_m,
     exact_bounds,
     integrate,
@@ -38,7 +39,7 @@ from linkplan.planner.trajectory import Trajectory
 CLOSURE_M = 1e-9
 # Largest difference between the planned and the integrated state of slides [m]; `INTEGRATION_DEG` for hinges.
 INTEGRATION_M = 1e-5
-# Smallest span [rad or m] that errors are related to, for motions that stand still.
+# Smallest span [rad or m] that errors are related to.
 _MIN_SPAN = 1e-9
 # Largest error of the planned effort between nodes, as a share of the largest effort: beyond it, the effort is not the
 # motion's.
@@ -46,9 +47,6 @@ DYNAMICS_SHARE = 0.02
 # By how much the motion's effort by inverse dynamics may exceed its limit, as a share of the limit. Proofs refuse more, and
 # the planner refines meshes until it holds.
 INVERSE_DYNAMICS_SHARE = 2e-6
-# Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
-# share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.
-VELOCITY_SHARE = 0.02
 # Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
 RANGE_SLACK = 1e-9
 
@@ -146,7 +144,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     )
     ratio = float(singularity_ratios(problem, q).min())
     others = margins(samples)
-    speed = max(float(np.abs(v).max()), _MIN_SPAN / trajectory.duration_s)
+    # The speed of a motion that stands still is one at which it hardly leaves its place in its time.
+    speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = end_state_error(problem, trajectory, speed)
     if problem.motion.turns is not None:
@@ -162,7 +161,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     power = u * samples.actuator_speeds
     inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
-    allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), 1e-12, 1e-6 * float(inertial))
+    allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), missed_rounding(limits.effort), 1e-6 * float(inertial))
     allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limits.effort), 1e-12)
     over_ends = np.stack([limits.effort[:, 0] - needed, needed - limits.effort[:, 1]], axis=2)
     beyond = (np.maximum(over_ends, 0.0) / allowances).max(axis=(1, 2))
@@ -316,9 +315,9 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
     ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])
     speeds = np.stack([trajectory.velocity[0, 0], trajectory.velocity[-1, -1]])
     span = max(float(np.ptp(trajectory.position)), _MIN_SPAN)
-    if motion.kind == "reach":
+    if motion.ends_at_goal:
         rest = np.zeros(trajectory.n_s)
-        assert motion.start is not None  # a reach has both
+        assert motion.start is not None  # a reach and a hold have both
         assert motion.goal is not None
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
@@ -329,7 +328,7 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
         asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.tile(problem.free_spins, (2, 1))
     else:
         return 0.0
-    still = free & (motion.kind == "reach")  # a spin's final speed is free in a reach and periodic in a periodic motion
+    still = free & motion.ends_at_goal  # a spin's final speed is free in a reach and periodic in a periodic motion
     apart = [
         relative_violation(ends, exact_bounds(asked, free), span),
         relative_violation(speeds, exact_bounds(wanted, still), speed),

@@ -37,8 +37,8 @@ def disagreements(problem: Problem, trajectory: Trajectory, objective: float | N
     """
     motion, duration = problem.motion, trajectory.duration_s
     found = []
-    if trajectory.periodic and motion.kind == "reach":
-        found.append("a reach does not repeat, and the motion is marked as periodic")
+    if trajectory.periodic and motion.ends_at_goal:
+        found.append(f"a {motion.kind} does not repeat, and the motion is marked as periodic")
     if not trajectory.periodic and motion.kind == "periodic":
         found.append("a periodic motion repeats, and the motion is not marked as periodic")
     longest = problem.motion.max_duration_s or np.inf

@@ -8,7 +8,7 @@ a motion of the model, not that open-loop control could follow it. The number of
 """
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -23,11 +23,14 @@ from linkplan.planner.problem.instant import position_units
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.bernstein import bernstein_value
+from linkplan.planner.transcription.bernstein import bernstein_part, bernstein_value
 
 # Boundary states, and sites at them, are constraints of the program and kept to rounding: the allowed error as a share of
 # the motion's span or largest speed, or of the mechanism's extent.
 BOUNDARY_SHARE = 1e-6
+# Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
+# share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.
+VELOCITY_SHARE = 0.02
 Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
 # Start and goal may exceed a limit by this share of its size, because inverse kinematics and rounding are inexact.
 POSE_SLACK = 2e-9
@@ -129,12 +132,12 @@ def integrate(
         mechanism: the model.
         trajectory: the plan.
         speed: its largest speed [rad/s or m/s].
-        allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
+        allowed: errors (n_s,) [rad or m] above which the motion is checked for instability, as it is for those of velocity.
         until: deadline of the integration.
         rtol: relative error tolerance of the integration without restarts.
     """
     whole = _integrated_once(mechanism, trajectory, speed, allowed, until, rtol)
-    if np.all(whole.position <= allowed):
+    if np.all(whole.position <= allowed) and whole.velocity <= VELOCITY_SHARE:
         return whole
     try:
         return _integrated_with_restarts(mechanism, trajectory, speed, allowed, until) or whole
@@ -171,16 +174,18 @@ def _integrated_with_restarts(
     mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline
 ) -> Integrated | None:
     """Return the errors propagated from interval to interval with restarts; None if no restart was needed."""
-    n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
-    function, inputs = _rate(mechanism, *trajectory.effort[:, 0].shape), _inputs(trajectory)
-    widths = np.diff(trajectory.breaks_s)
+    n_s, n_q = mechanism.dof, mechanism.n_q
     span = position_units(mechanism, trajectory.position)
     unit = np.concatenate([span, np.full(n_s, speed)])
-    begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
-    ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
     if _linear_growth(mechanism, trajectory, poses, unit) < 0.1 * RESTART_GROWTH:  # 2 n_s integrations are spared
         return None
+    trajectory, first = _in_pieces(mechanism, trajectory, poses)
+    n, widths = len(trajectory.breaks_s) - 1, np.diff(trajectory.breaks_s)
+    function, inputs = _rate(mechanism, *trajectory.effort[:, 0].shape), _inputs(trajectory)
+    begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
+    ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
+    poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
     last, step = np.array([1.0]), 1e-6  # the finite differences' step, in shares of the motion's spans and speeds
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
@@ -207,9 +212,36 @@ def _integrated_with_restarts(
         return None
     position = errors[:, :n_s].max(axis=0) * span
     share = position / np.maximum(defects.sum(axis=0) * span, np.finfo(float).tiny)
-    growth = (defects * span * share / allowed).max(axis=1)
+    growth = np.maximum.reduceat((defects * span * share / allowed).max(axis=1), first)
     velocity = float(errors[:, n_s:].max(initial=0.0))
     return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
+
+
+def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) -> tuple[Trajectory, np.ndarray]:
+    """Return a trajectory on intervals over which no error grows to a restart, and the first (n_intervals,) of each before.
+
+    The growth is that at intervals' first poses (n, n_q).
+    """
+    given, counts = (poses, trajectory.velocity[0], trajectory.effort[0], np.diff(trajectory.breaks_s)), []
+    for q, v, u, width in zip(*given, strict=True):
+        fastest = np.linalg.eigvals(_slope(mechanism, q, v, u)).real.max()
+        counts.append(max(1, int(np.ceil(2.0 * width * fastest / np.log(RESTART_GROWTH)))))
+    parts = [(k, i / n, (i + 1) / n) for k, n in enumerate(counts) for i in range(n)]
+    breaks, first = trajectory.breaks_s, np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
+    cut = {
+        name: np.stack([bernstein_part(len(whole) - 1, begin, end) @ whole[:, k] for k, begin, end in parts], axis=1)
+        for name in ("position", "velocity", "effort")
+        if len(whole := getattr(trajectory, name))
+    }
+    at = np.append([breaks[k] + begin * (breaks[k + 1] - breaks[k]) for k, begin, _ in parts], breaks[-1])
+    return replace(trajectory, breaks_s=at, **cut), first
+
+
+def _slope(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the derivative (2 n_s, 2 n_s) of the rates of s and v by s and v."""
+    by_s, by_v, _ = mechanism.dynamics.linearisation(q, v, u)
+    n_s = mechanism.dof
+    return np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [np.array(by_s), np.array(by_v)]])
 
 
 def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray, unit: np.ndarray) -> float:
@@ -217,15 +249,13 @@ def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarr
 
     Growth beyond that of a restart is not followed.
     """
-    n_s, eye, largest = mechanism.dof, np.eye(2 * mechanism.dof), 1.0
+    eye, largest = np.eye(2 * mechanism.dof), 1.0
     carried = eye
     given = poses, trajectory.velocity[0], trajectory.effort[0], np.diff(trajectory.breaks_s)
     for q, v, u, width in zip(*given, strict=True):
-        by_s, by_v, _ = mechanism.dynamics.linearisation(q, v, u)
-        slope = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [np.array(by_s), np.array(by_v)]])
         # The exponential by n steps of the trapezoidal rule, which no stiff friction makes unstable.
         n = 64
-        half = width / (2 * n) * slope * unit / unit[:, None]
+        half = width / (2 * n) * _slope(mechanism, q, v, u) * unit / unit[:, None]
         carried = np.linalg.matrix_power(np.linalg.solve(eye - half, eye + half), n) @ carried
         largest = max(largest, float(np.abs(carried).max()))
         if largest > RESTART_GROWTH:  # over minutes the product overflows

@@ -12,10 +12,17 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
-from linkplan.planner.certificate.further_checks import with_contacts
+from linkplan.planner.certificate.further_checks import objective_value, with_contacts
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, motion_of
-from linkplan.planner.closed_chain.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
+from linkplan.planner.closed_chain.prescribed import (
+    highest_frequency,
+    holding_at,
+    prescribe,
+    reference_demand,
+    rounded_down,
+    unheld,
+)
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan, tracking_errors
@@ -287,3 +294,25 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
     trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
     return finished(problem, trajectory, certificate, 0.0, "the reference keeps every limit and is followed exactly")
+
+
+def plan_hold(problem: Problem) -> Plan:
+    """Return the plan of a pose that is held from the start to the end by constant efforts."""
+    progress("holding the start")
+    motion = problem.motion
+    assert motion.start is not None  # of a hold
+    assert motion.duration_s is not None
+    holding = holding_at(problem, motion.start)
+    if not holding.holds:
+        sentence, details = unheld(problem, holding)
+        return Plan(problem=problem, status="infeasible", message=f"infeasible: {sentence}", details=details)
+    rest = holding.lasting(motion.duration_s)
+    certificate = certify(problem, rest)
+    objective, _ = objective_value(problem, rest)
+    said = f"rest of {rest.duration_s:.6g} s: constant efforts hold the start"
+    plan = finished(problem, rest, certificate, objective, said, optimal=holding.best)
+    over = [margin.sentence() for margin in certificate.margins if not margin.kept]
+    if over and set(certificate.failures) <= set(over) and holding.unique:
+        sentence = f"infeasible: only these efforts hold the start, and {'; '.join(over)}"
+        return replace(plan, status="infeasible", message=sentence, trajectory=None, certificate=None)
+    return plan

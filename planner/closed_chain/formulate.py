@@ -246,7 +246,7 @@ def phase_boundaries_of(problem: Problem, scales: Scales) -> tuple[PhaseBoundary
     for waypoint in motion.waypoints:
         time = (0.0, np.inf) if waypoint.time_s is None else (waypoint.time_s, waypoint.time_s)
         via.append(boundary(waypoint.position, waypoint.speed, time))
-    if motion.kind == "reach":
+    if motion.ends_at_goal:
         rest = np.zeros(n_s)
         start = boundary(motion.start, rest if motion.start_speed is None else motion.start_speed, (0.0, 0.0))
         position, speed = (None if motion.goal_is_free else motion.goal), motion.goal_speed

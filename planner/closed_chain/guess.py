@@ -63,7 +63,7 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
     A free duration is the shortest that the effort limits allow on this path.
     """
     motion = problem.motion
-    if motion.kind != "reach" and problem.reference is not None and not motion.waypoints:
+    if not motion.ends_at_goal and problem.reference is not None and not motion.waypoints:
         reference = problem.reference
         return Guess(
             position=lambda t: reference.derivative(t, 0),
@@ -131,7 +131,7 @@ def _boundary_positions(problem: Problem) -> np.ndarray:
     first = motion.start
     if first is None:
         first = motion.waypoints[0].guessed if problem.reference is None else problem.reference.derivative(np.zeros(1))[0]
-    last = first + motion.advance if motion.goal is None or motion.kind != "reach" else motion.goal
+    last = first + motion.advance if motion.goal is None or not motion.ends_at_goal else motion.goal
     states = np.vstack([first, *(w.guessed for w in motion.waypoints), last])
     for column in states.T:
         known = ~np.isnan(column)
@@ -246,7 +246,7 @@ def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> Piec
         v = np.zeros_like(s)
     if motion.turns is not None and not rests:  # constant speed
         v[:, motion.turns != 0] = (motion.advance / duration)[motion.turns != 0]
-    if motion.kind == "reach":
+    if motion.ends_at_goal:
         v[[0, -1]] = [np.zeros(s.shape[1]) if w is None else w for w in (motion.start_speed, motion.goal_speed)]
     return PiecewisePolynomial.through(times, s, v)
 

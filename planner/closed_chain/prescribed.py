@@ -1,12 +1,13 @@
-"""Prescribed motions: a reference or a smooth path followed exactly, with the effort that it needs."""
+"""Prescribed motions: a reference or a smooth path followed exactly, or a pose held, with the effort that it needs."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import joint_rates, needed_effort
-from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
+from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.closed_chain.guess import Guess, first_guess, poses_along
+from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import is_whole
 from linkplan.planner.trajectory import Trajectory
@@ -184,3 +185,91 @@ def reference_demand(problem: Problem, start_pose: np.ndarray) -> Demand | None:
         unit=joint.unit if what == "range" else f"{joint.unit}/s",
         time_s=float(best.x),
     )
+
+
+# Terms of an objective that at rest are squares of efforts, or the same for all: of efforts that hold the same, the least
+# are best.
+SQUARES_AT_REST = {"effort", "copper_loss", "effort_rate", "work", "time"}
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Holding:
+    """The constant efforts that hold a pose at rest within their limits, or what is missing for it.
+
+    `effort` (n_u,) are the best within the limits and `needed` (n_u,) the least without them [N.m or N]; `missed` (n_s,) is
+    what weight and springs ask for and `effort` does not give. `best`: no others that hold the pose cost less.
+    """
+
+    s: np.ndarray  # (n_s,) [rad or m]
+    pose: np.ndarray  # (n_q,) closed
+    effort: np.ndarray
+    needed: np.ndarray
+    missed: np.ndarray
+    slack: float  # the largest `missed` that is rounding
+    unique: bool  # whether no other efforts hold the pose
+    best: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether the efforts hold the pose."""
+        return bool(np.abs(self.missed).max(initial=0.0) <= self.slack)
+
+    def lasting(self, duration_s: float) -> Trajectory:
+        """Return the rest of a duration [s]."""
+        constants = zip((self.s, np.zeros_like(self.s), self.effort), (3, 2, 2), strict=True)
+        position, velocity, effort = (np.broadcast_to(x, (k, 1, len(x))) for x, k in constants)
+        return Trajectory(
+            breaks_s=np.array([0.0, duration_s]),
+            position=position,
+            velocity=velocity,
+            effort=effort,
+            start_pose=self.pose,
+            periodic=False,
+        )
+
+
+def holding_at(problem: Problem, s: np.ndarray) -> Holding:
+    """Return what holds a pose s (n_s,) [rad or m] at rest.
+
+    Raises:
+        AssemblyError: if the loops do not close there.
+    """
+    mechanism, limit, objective = problem.mechanism, problem.limits.effort, problem.objective
+    pose, still = close_at(mechanism, s), np.zeros((1, mechanism.dof))
+    tau, maps = demanded(mechanism, pose[None], still, still)
+    # In units in which every effort costs the same per square.
+    price = objective.weight("effort") + objective.weight("copper_loss") * motor_losses(problem.motors)
+    unit = 1.0 / np.sqrt(np.where(price > 0, price, price.max(initial=0.0) or 1.0))
+    effort = unit * effort_within(tau, maps * unit, limit / unit[:, None])[0]
+    effort = np.clip(effort, *limit.T)  # rounding of the units
+    unique = bool(np.linalg.matrix_rank(maps[0]) == mechanism.n_u)
+    return Holding(
+        s=s,
+        pose=pose,
+        effort=effort,
+        needed=least_effort(tau, maps)[0],
+        missed=tau[0] - maps[0] @ effort,
+        slack=missed_rounding(limit),
+        unique=unique,
+        best=unique or set(objective.weights) <= SQUARES_AT_REST,
+    )
+
+
+def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
+    """Return a sentence on why no efforts within their limits hold a pose, and its numbers."""
+    mechanism, needed = problem.mechanism, holding.needed
+    nearest = np.clip(needed, *problem.limits.effort.T)
+    j = int(np.argmax(np.abs(needed - nearest)))
+    off = float(abs(needed[j] - nearest[j]))
+    if off > holding.slack:
+        actuator = mechanism.actuators[j]
+        sentence = (
+            f"holding the start needs {actuator.name} on {actuator.target} to give {_figure(needed[j])} {actuator.unit},"
+            f" {_figure(off)} {actuator.unit} beyond its limit of {_figure(nearest[j])}"
+        )
+        return sentence, {"needed": float(needed[j]), "limit": float(nearest[j])}
+    row = int(np.argmax(np.abs(holding.missed)))
+    joint, missed = mechanism.independent_joints[row], float(holding.missed[row])
+    lacking = f"{_figure(missed)} {joint.si_units[1]} on joint {joint.name}"
+    sentence = f"the start is no equilibrium: no actuator gives the {lacking} that hold it"
+    return sentence, {"needed": missed, "limit": 0.0}

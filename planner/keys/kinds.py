@@ -224,7 +224,7 @@ Starts = Annotated[int, Meta(ge=1, le=1000)]
 
 Free = Literal["free"]
 Softness = Literal["stiff"]
-Kind = Literal["reach", "periodic", "track"]
+Kind = Literal["reach", "hold", "periodic", "track"]
 Contacts = Literal["refuse", "note"]
 Refine = Literal["both", "intervals", "degree"]
 Compile = Literal["auto", "always", "never"]

@@ -26,14 +26,17 @@ _SITE_HOME = "{ {site} = {site_home} }"
 _HINGE_ZERO = "{ {free_hinge} = 0.0 }"
 _SLIDE_ZERO = "{ {free_slide} = 0.0 }"
 # The default of start and goal.
-_OPEN = "free in a periodic motion; a reach needs it"
+_OPEN = "free in a periodic motion; a reach needs it, and a hold its start"
 
 
 class MotionSection(Section, frozen=True):
     """The motion: start, goal, waypoints and duration."""
 
     kind: Annotated[
-        kinds.Kind, key("from start to goal; back to its first state; or exactly the reference", example='"reach"')
+        kinds.Kind,
+        key(
+            "from start to goal; at rest at the start; back to its first state; or exactly the reference", example='"reach"'
+        ),
     ]
     start_deg: Annotated[kinds.Angles, key("hinges' angles at the start", "deg", _OPEN, _HINGE_HOME)] = {}
     start_m: Annotated[kinds.Numbers, key("slides' positions at the start", "m", _OPEN, _SLIDE_HOME)] = {}

@@ -107,7 +107,7 @@ def _keys(kind: Any) -> tuple[str, ...]:
 
 
 def words(kind: Any) -> str:
-    """Return a phrase that describes a type: "a positive number", "[low, high]", "one of reach, periodic, track"."""
+    """Return a phrase that describes a type: "a positive number", "[low, high]", "one of reach, hold, periodic, track"."""
     bare, about = without_metadata(kind)
     if "said" in about:
         return about["said"]

@@ -1,9 +1,10 @@
-"""The acceleration of one degree of freedom along its way within limits on effort, power, pin force and speed.
+"""The acceleration of one degree of freedom along its way within limits on effort, power, line, pin force and speed.
 
-Each limit bounds the effort at a place and a speed. A power P bounds it by P / w. A pin force is affine in the effort, and
-its rating R bounds it by the roots of |F(s, v, u)|^2 = R^2. Limits on the speeds of joints bound the speed along the way by
-the maximum velocity curve. Where one of these limits binds, r v is constant, so that v' = -r' v^2 / r; r is that joint's
-speed per unit of v.
+Each limit bounds the effort at a place and a speed. A power P bounds it by P / w. The torque-speed line of a motor bounds it
+by u = u_0 (1 - w / w_0), from its stall effort and its no-load speed. A pin force is affine in the effort, and its rating R
+bounds it by the roots of |F(s, v, u)|^2 = R^2. Limits on the speeds of joints bound the speed along the way by the maximum
+velocity curve. Where one of these limits binds, r v is constant, so that v' = -r' v^2 / r; r is that joint's speed per unit
+of v.
 """
 
 from collections.abc import Callable
@@ -18,9 +19,10 @@ from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
 # The limit that an actuator is held at: 1 and -1 are the upper and lower limit of its effort. The first number here is its
-# power, the second the force of the first closure; further closures and then the joints with a limited speed follow. A force
-# has a positive number where a larger effort reaches its limit, a negative one where a smaller effort does.
-AT_POWER, AT_FORCE = 2, 3
+# power, the second its motor's line, the third the force of the first closure; further closures and then the joints with a
+# limited speed follow. A force has a positive number where a larger effort reaches its limit, a negative one where a smaller
+# effort does.
+AT_POWER, AT_LINE, AT_FORCE = 2, 3, 4
 # The share by which rounding may exceed limits on efforts, powers and forces.
 _LIMIT_TOLERANCE = 1e-6
 # Poses along a part of the way.
@@ -91,16 +93,17 @@ class VelocityCurve:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LegField:
-    """All that effort, power, pin forces and speeds allow along a part of the way.
+    """All that effort, power, motors' lines, pin forces and speeds allow along a part of the way.
 
     M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
-    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1; `pins` is None if no pin force is limited, and
-    `velocity_curve` if no speed is.
+    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `line` (n_u, 2) of stall efforts and no-load speeds, `way` +1 or -1;
+    `pins` is None if no pin force is limited, and `velocity_curve` if no speed is.
     """
 
     curves: Callable[[Any], np.ndarray]
     effort: np.ndarray
     power: np.ndarray
+    line: np.ndarray
     way: float
     pins: PinForces | None = None
     velocity_curve: VelocityCurve | None = None
@@ -121,6 +124,11 @@ class LegField:
         spent = effort * maps * np.asarray(v)[..., None]
         held = np.where(spent > self.power[:, 1], AT_POWER, np.where(spent < self.power[:, 0], -AT_POWER, held))
         effort, a = self.along(s, v, held)
+        low, high = self.line_efforts(maps * np.asarray(v)[..., None])
+        lined = np.where(upper & (effort > high), AT_LINE, np.where(~upper & (effort < low), -AT_LINE, held))
+        if np.any(lined != held):
+            held = lined
+            effort, a = self.along(s, v, held)
         if self.pins is None:
             return held, effort, a
         least, most, _ = self.pins.efforts(s, v)
@@ -141,6 +149,10 @@ class LegField:
         upper = np.asarray(held) > 0
         power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
         effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
+        on_line = np.abs(held) == AT_LINE
+        if np.any(on_line):
+            low, high = self.line_efforts(rate)
+            effort = np.where(on_line, np.where(upper, high, low), effort)
         if self.pins is not None and np.any(np.abs(held) >= AT_FORCE):
             least, most, _ = self.pins.efforts(s, v)
             for k in range(least.shape[-1]):
@@ -148,16 +160,28 @@ class LegField:
                 effort = np.where(held == -AT_FORCE - k, least[..., k, None], effort)
         return effort, (free + (values[..., 4:] * effort).sum(axis=-1)) / values[..., 0]
 
+    def line_efforts(self, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and the largest efforts (..., n_u) of the motors' lines at speeds of the actuators (..., n_u)."""
+        stall, no_load = self.line.T
+        return -stall * (1.0 + rate / no_load), stall * (1.0 - rate / no_load)
+
+    @property
+    def strength(self) -> np.ndarray:
+        """The largest effort (n_u,) that an actuator gives anywhere."""
+        return np.minimum(np.abs(self.effort).max(axis=1), self.line[:, 0])
+
     def keeps(self, s: np.ndarray, v: np.ndarray, effort: np.ndarray) -> bool:
-        """True if efforts (n, n_u) keep all limits on efforts, powers and pin forces at places and speeds (n,)."""
+        """True if efforts (n, n_u) keep all limits on efforts, powers, lines and pin forces at places and speeds (n,)."""
         room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
-        low, high = self.effort.T
+        rate = self.curves(s)[:, 4:] * v[:, None]
+        least_of_line, most_of_line = self.line_efforts(rate)
+        low, high = np.maximum(self.effort[:, 0], least_of_line), np.minimum(self.effort[:, 1], most_of_line)
         if self.pins is not None:
             least, most, bears = self.pins.efforts(s, v)
             low, high = np.maximum(low, least.max(axis=-1)[:, None]), np.minimum(high, most.min(axis=-1)[:, None])
             if not np.all(bears):
                 return False
-        spent = effort * self.curves(s)[:, 4:] * v[:, None]
+        spent = effort * rate
         powers = (spent <= (1 + _LIMIT_TOLERANCE) * self.power[:, 1]) & (spent >= (1 + _LIMIT_TOLERANCE) * self.power[:, 0])
         return bool(np.all((effort >= low - room) & (effort <= high + room)) and np.all(powers))
 
@@ -173,6 +197,17 @@ def knows_pins(problem: Problem) -> bool:
 def knows_speeds(problem: Problem) -> bool:
     """True if there are limits on speeds that legs can keep: with one freedom and one actuator."""
     return (problem.mechanism.dof, problem.mechanism.n_u) == (1, 1) and bool(np.any(np.isfinite(problem.limits.speed)))
+
+
+def knows_lines(problem: Problem) -> bool:
+    """True if motors have torque-speed lines."""
+    return bool(np.isfinite(lines_of(problem)).any())
+
+
+def lines_of(problem: Problem) -> np.ndarray:
+    """Return the stall efforts and no-load speeds (n_u, 2) of the motors' lines, infinite without one."""
+    lines = [None if motor is None else motor.line for motor in problem.motors]
+    return np.array([(np.inf, np.inf) if line is None else line for line in lines])
 
 
 def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegField:
@@ -217,6 +252,7 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
         curves=scipy.interpolate.CubicSpline(place[along], values[along]),
         effort=problem.limits.effort,
         power=problem.limits.power,
+        line=lines_of(problem),
         way=way,
         pins=pins,
         velocity_curve=velocity_curve,

@@ -11,15 +11,16 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.phase_plane.leg_field import AT_FORCE
+from linkplan.planner.limits.actuators import MotorLimit
+from linkplan.planner.phase_plane.leg_field import AT_LINE
 from linkplan.planner.phase_plane.power_legs import Leg, power_legs
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.schemes import scheme
 
-# The share of limits on effort and power that is left for the polynomials between their nodes, and the share by which they
-# may differ from the effort and from its acceleration.
+# The share of limits on effort, power and lines that is left for the polynomials between their nodes, and the share by which
+# they may differ from the effort and from its acceleration.
 _LIMIT_RESERVE, _POLYNOMIAL_TOLERANCE = 1e-8, 3e-9
 LEGS_SCHEME = "radau-7"
 # Shares of an interval at which it is checked.
@@ -32,14 +33,14 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
     No motion that goes on to its turning place is anywhere faster than the legs allow, so that this one is the quickest.
 
     Args:
-        problem: whose efforts are limited; of its other limits, all but those on power, pin force and speed are left out.
+        problem: whose efforts are limited; of its other limits, those on power, line, pin force and speed count.
         start_pose: closed (n_q,), at the start.
     """
     limits = problem.limits
     rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
     effort, power, speed = (_inside(of) for of in (limits.effort, limits.power, limits.speed))
     inside = replace(limits, effort=effort, power=power, speed=speed, closure_force=rated)
-    found = power_legs(replace(problem, limits=inside), start_pose)
+    found = power_legs(replace(MotorLimit.scaled(problem, 1.0 - _LIMIT_RESERVE), limits=inside), start_pose)
     if found is None:
         return None
     legs, boundaries = found
@@ -147,8 +148,8 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
         for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
     )
     asked, pushed = law(s, v)
-    # Along a pin force the effort may pass through nothing: there the whole limit is its measure.
-    size = np.abs(asked) if np.all(np.abs(held) < AT_FORCE) else np.abs(leg.field.effort).max(axis=1)
+    # Along a line or a pin force the effort may pass through nothing: there the whole limit is its measure.
+    size = np.abs(asked) if np.all(np.abs(held) < AT_LINE) else leg.field.strength
     values = leg.field.curves(s)
     strength = np.abs(values[:, 4:] * size).sum(axis=1) / values[:, 0]
     if np.any(np.abs(u - asked) > _POLYNOMIAL_TOLERANCE * size) or np.any(

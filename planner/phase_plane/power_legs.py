@@ -1,4 +1,4 @@
-"""Least-time motions of one degree of freedom along limits on power, pin force and speed, from legs in the phase plane.
+"""Least-time motions of one degree of freedom along limits on power, lines, pin force and speed: legs in the phase plane.
 
 One leg accelerates from the start with all the effort that the limits allow, another brakes into the goal, and their
 crossing is the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds add the maximum
@@ -94,10 +94,10 @@ class Leg:
 def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.ndarray] | None:
     """Return the legs of the quickest reach that never turns back but where it must, along its limits.
 
-    And when it passes start, waypoints and goal [s]; None without one, or if no power, force or speed is at its limit.
+    And when it passes start, waypoints and goal [s]; None without one, or if no power, line, force or speed is at its limit.
 
     Args:
-        problem: whose efforts are limited; of its other limits, all but those on power, pin force and speed are left out.
+        problem: whose efforts are limited; of its other limits, those on power, line, pin force and speed count.
         start_pose: closed (n_q,), at the start.
     """
     legs, boundaries = [], [0.0]
@@ -145,8 +145,9 @@ class _Way:
 
     @cached_property
     def beside(self) -> float:
-        """The distance within which places are not distinct."""
-        return 1e-7 * self.span
+        """The distance within which places are not distinct: far below that over which the motion gathers its speed."""
+        share = min(1.0, self.top_speed / self.fastest)
+        return max(1e-7 * self.span * share**2, 4 * np.finfo(float).eps * float(np.abs(self.places).max()))
 
     @cached_property
     def fastest(self) -> float:
@@ -154,6 +155,13 @@ class _Way:
         values, effort = self.field.curves(self.places), np.abs(self.field.effort).max(axis=1)
         force = np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ effort
         return float(np.sqrt(2 * self.span * (force / values[:, 0]).max()))
+
+    @cached_property
+    def top_speed(self) -> float:
+        """The largest speed that limits on speeds and the motors' lines admit anywhere; infinite without them."""
+        with np.errstate(divide="ignore"):
+            no_load = np.abs(self.field.line[:, 1] / self.field.curves(self.places)[:, 4:])
+        return float(np.minimum(self._fastest_at(self.places), no_load.min(axis=1)).max())
 
     def legs(self) -> list[Leg] | None:
         """Return the legs of the quickest motion from start to goal; None where they do not meet."""
@@ -181,7 +189,7 @@ class _Way:
 
         there.terminal = stalled.terminal = True
         stalled.direction = -1.0
-        until = 1e6 * self.span / self.fastest  # a million times what full effort takes
+        until = 1e9 * self.span / self.fastest  # a thousand million times what full effort takes
         found = scipy.integrate.solve_ivp(
             rates, (0.0, until if towards else -until), [begin, v], method="LSODA", events=(there, stalled),
             dense_output=True, rtol=_INTEGRATION_RTOL, atol=_INTEGRATION_ATOL * np.array([self.span, self.fastest]),

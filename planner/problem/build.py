@@ -4,7 +4,7 @@ Builders, files and saved plans all make tables. The sections of `planner.keys` 
 becomes the value of one field here. Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`;
 all else is SI.
 
-The builders `Problem.reach`, `periodic` and `track` first write their arguments into such tables.
+The builders `Problem.reach`, `hold`, `periodic` and `track` first write their arguments into such tables.
 """
 
 import copy
@@ -23,10 +23,10 @@ from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.files.tables import Tables, path_beside, set_key
+from linkplan.planner.files.tables import Tables, path_beside, set_key, toml_text
 from linkplan.planner.keys.reading import KEYS, read, refuse_unknown_keys
 from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile
-from linkplan.planner.problem.extra import ExtraCost
+from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of, robust_of
 from linkplan.planner.problem.motion import motion_of
@@ -270,3 +270,13 @@ def _updated(table: Mapping, said: Mapping[str, object]) -> dict:
     """Return a table with new values, without the keys whose new value is None."""
     found = {key: value for key, value in table.items() if key not in said}
     return found | {key: plain(value) for key, value in said.items() if value is not None}
+
+
+def file_text(tables: Tables, extras: Sequence[Extra]) -> str:
+    """Return a problem's tables as a file's text; a comment names extra limits and costs, which files cannot hold.
+
+    Raises:
+        ProblemError: for a value that TOML cannot express.
+    """
+    text = toml_text(tables)
+    return f"# Without {extras_text(extras)}: a problem file holds no Python.\n{text}" if extras else text

@@ -1,9 +1,11 @@
 """Refusals of parts of a problem that contradict each other, or the mechanism; and the pose at the start of its motion."""
 
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from linkplan.models.audit import audit
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError, ProblemError
@@ -164,6 +166,24 @@ def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.
             )
 
 
+def check_honoured(mechanism: Mechanism, unhonoured: str) -> None:
+    """Refuse a model with forces that make plans wrong, unless they are to be noted, and one without an actuator."""
+    falsifying = _falsifying(mechanism)
+    if falsifying and unhonoured == "refuse":
+        raise ProblemError(
+            f"mechanism '{mechanism.name}' cannot be planned, its model has forces that the planner does not honour:"
+            f' {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
+        )
+    if mechanism.n_u == 0:
+        raise ProblemError(f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one")
+
+
+@functools.lru_cache(maxsize=16)
+def _falsifying(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return phrases on the model's forces that make plans wrong, memoised because a model is planned many times."""
+    return tuple(item.text for item in audit(mechanism.model) if item.falsifies)
+
+
 def check_motion(motion: Motion, objective: Objective, reference: Sine | None) -> None:
     """Refuse a motion whose kind does not fit its ends, its reference or its objective."""
     if motion.kind == "periodic":
@@ -172,6 +192,10 @@ def check_motion(motion: Motion, objective: Objective, reference: Sine | None) -
         raise ProblemError(
             "motion.kind 'reach' needs motion.start_deg and motion.goal_deg, or motion.start_at and motion.goal_at"
         )
+    if motion.kind == "hold" and (motion.start is None or motion.duration_s is None):
+        raise ProblemError("motion.kind 'hold' needs a start, motion.start_deg or motion.start_at, and a motion.duration_s")
+    if motion.kind == "hold" and reference is not None:
+        raise ProblemError("motion.kind 'hold' stays at its start: it takes no [reference]")
     if motion.kind == "track" and reference is None:
         raise ProblemError("motion.kind 'track' needs a [reference]")
     if motion.kind == "track" and list(objective.weights) != ["tracking"]:

@@ -55,7 +55,9 @@ class Waypoint:
 class Motion:
     """Boundary conditions over the independent joints, (n_s,) each, [rad or m] and per second.
 
-    Kind "reach" goes from start to goal, "periodic" returns to its first state, and "track" is the reference itself.
+    Kind "reach" goes from start to goal, "hold" stays at its start, which is its goal, "periodic" returns to its first
+    state, and "track" is the reference itself.
+
     `turns` (n_s,) are whole turns of hinges over a period of a periodic motion, s(T) = s(0) + 2 pi turns; None without
     turns. `duration_s` None is a free duration between `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
@@ -82,6 +84,9 @@ class Motion:
     goal_named: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.kind == "hold" and self.start is not None:
+            object.__setattr__(self, "goal", self.start)
+            object.__setattr__(self, "goal_named", tuple(range(len(self.start))))
         for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
             value = getattr(self, name)
             if value is not None:
@@ -100,6 +105,11 @@ class Motion:
         self._check_waypoints()
 
     @property
+    def ends_at_goal(self) -> bool:
+        """Whether the motion ends at its goal and not, as a periodic one, at its start."""
+        return self.kind in ("reach", "hold")
+
+    @property
     def goal_is_free(self) -> bool:
         """Whether the final pose is free except for the sites' places."""
         return bool(self.goal_rows)
@@ -111,8 +121,8 @@ class Motion:
 
     @property
     def stays(self) -> bool:
-        """Whether a reach without waypoints ends in its initial state."""
-        if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
+        """Whether a hold, or a reach without waypoints, ends in its initial state."""
+        if not self.ends_at_goal or self.start is None or self.goal is None or self.waypoints:
             return False
         begin, end = (np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed))
         return np.array_equal(self.start, self.goal) and np.array_equal(begin, end)
@@ -163,6 +173,7 @@ def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | No
         )
     start, start_at, _ = _end(section, "start", kind, mechanism, limits, mechanism.home)
     begin = mechanism.home if start is None else _closed(mechanism, start)
+    _check_hold(section)
     goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
     motion = Motion(
         kind=kind,
@@ -182,6 +193,18 @@ def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | No
     )
     _check_poses(section, mechanism, motion)
     return motion
+
+
+def _check_hold(section: MotionSection) -> None:
+    """Refuse keys of a hold that ask it to move, and one without a duration."""
+    if section.kind != "hold":
+        return
+    moving = ("goal_deg", "goal_m", "goal_at", "goal_speed_deg_s", "goal_speed_m_s", "start_speed_deg_s", "start_speed_m_s")
+    asked = next((key for key in (*moving, "waypoints") if getattr(section, key)), None)
+    if asked is not None:
+        raise ProblemError(f"motion.{asked} asks for a motion; motion.kind 'hold' stays at its start")
+    if not isinstance(section.duration_s, int | float):
+        raise ProblemError(f"motion.kind 'hold' needs a motion.duration_s in seconds, got {section.duration_s or 'none'!r}")
 
 
 def _goal_joints(section: MotionSection, mechanism: Mechanism) -> set[int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,12 +11,11 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.tables import Tables, apply_override, read_tables, toml_text
+from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose
-from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, extras_text, uses
+from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, uses
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion
@@ -33,8 +31,8 @@ ByName = Mapping[str, float]
 class Problem:
     """A planning problem, checked as a whole: it is consistent, and the mechanism reaches its poses.
 
-    Made by `Problem.reach`, `.periodic`, `.track` or `.from_file`; varied by `replace` and `with_settings`. All builders
-    take the same arguments, in the form of a problem file's tables:
+    Made by `Problem.reach`, `.hold`, `.periodic`, `.track` or `.from_file`; varied by `replace` and `with_settings`. All
+    builders take the same arguments, in the form of a problem file's tables:
 
     Args:
         mechanism: from `load_mechanism`, or an argument for it: a built-in name, a path, MJCF text.
@@ -134,6 +132,29 @@ class Problem:
         Without `duration_s` the duration is free. The default objective is the integral of squared efforts.
         """
         return cls._built("reach", locals())
+
+    @classmethod
+    def hold(
+        cls,
+        mechanism: Mechanism | str | Path,
+        *,
+        start_deg: ByName | None = None,
+        duration_s: float | None = None,
+        minimize: str | ByName | None = None,
+        limits: Mapping | None = None,
+        reserve: float | None = None,
+        start_m: ByName | None = None,
+        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
+        motors: Mapping[str, Mapping] | None = None,
+        solver: Mapping | None = None,
+        tracking: Mapping | None = None,
+        robust: Mapping | None = None,
+        extra_costs: Sequence[ExtraCost] | None = None,
+        extra_limits: Sequence[ExtraLimit] | None = None,
+        name: str | None = None,
+    ) -> Problem:
+        """Return the problem of holding a pose at rest by the least efforts; the arguments are those of `Problem`."""
+        return cls._built("hold", locals())
 
     @classmethod
     def periodic(
@@ -309,7 +330,7 @@ class Problem:
 
         Extra costs and limits are Python code and not in it; a comment in its first line names them.
         """
-        return file_text(self)
+        return build.file_text(self.source, self.extras)
 
     def replace(self, **changes: object) -> Problem:
         """Return the problem with new values of some of the builders' arguments; None removes an argument.
@@ -343,14 +364,7 @@ class Problem:
         object.__setattr__(self, "objective", objective_from(self.objective))
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
         object.__setattr__(self, "tracking", self.tracking.tracked())
-        falsifying = _falsifying(self.mechanism)
-        if falsifying and self.unhonoured == "refuse":
-            raise ProblemError(
-                f"mechanism '{self.mechanism.name}' cannot be planned, its model has forces that the planner does not"
-                f' honour: {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
-            )
-        if self.mechanism.n_u == 0:
-            raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
+        consistency.check_honoured(self.mechanism, self.unhonoured)
         object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
         for extra in self.extras:
             uses(extra, self.mechanism)  # refuses what does not fit the mechanism
@@ -382,19 +396,3 @@ def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> Problem:
     for override in overrides:
         apply_override(tables, override)
     return Problem.from_tables(name, tables, folder)
-
-
-def file_text(problem: Problem, tables: Tables | None = None) -> str:
-    """Return a problem, or other tables, as a file's text; a comment names extra limits and costs, which files cannot hold.
-
-    Raises:
-        ProblemError: for a value that TOML cannot express.
-    """
-    text = toml_text(problem.source if tables is None else tables)
-    return f"# Without {extras_text(problem.extras)}: a problem file holds no Python.\n{text}" if problem.extras else text
-
-
-@functools.lru_cache(maxsize=16)
-def _falsifying(mechanism: Mechanism) -> tuple[str, ...]:
-    """Return phrases on the model's forces that make plans wrong, memoised because a model is planned many times."""
-    return tuple(item.text for item in audit(mechanism.model) if item.falsifies)

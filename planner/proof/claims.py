@@ -12,6 +12,7 @@ from flint import arb
 
 from linkplan.models.actuation.actuators import Actuator, ranged_control
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.poses.along import missed_rounding
 from linkplan.planner.certificate.certificate import CLOSURE_M, DYNAMICS_SHARE, INVERSE_DYNAMICS_SHARE, RANGE_SLACK
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE
 from linkplan.planner.limits.actuators import clamped_allowance
@@ -141,7 +142,8 @@ def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
     largest = np.abs(np.array(mechanism.dynamics.effort_map(trajectory.start_pose))) @ np.abs(trajectory.effort).max((0, 1))
     inertia = np.abs(np.array(mechanism.dynamics.reduced_inertia(trajectory.start_pose)))
     acceleration = np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max(axis=0)
-    allowed = max(DYNAMICS_SHARE * float(largest.max(initial=0.0)), 1e-12, 1e-6 * float((inertia @ acceleration).max()))
+    rounding = missed_rounding(problem.limits.effort)
+    allowed = max(DYNAMICS_SHARE * float(largest.max(initial=0.0)), rounding, 1e-6 * float((inertia @ acceleration).max()))
     for i, joint in enumerate(mechanism.independent_joints):
         name, unit = f"effort on {joint.name} that the planned effort lacks", joint.si_units[1]
         lacking = of_kinetics(lambda kinetics, i=i: kinetics.residual[i])

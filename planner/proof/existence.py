@@ -28,7 +28,8 @@ import numpy as np
 from flint import arb, arb_poly, arb_series, ctx
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.certificate.certificate import INTEGRATION_M, VELOCITY_SHARE
+from linkplan.planner.certificate.certificate import INTEGRATION_M
+from linkplan.planner.certificate.integration import VELOCITY_SHARE
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.proof.branch import krawczyk, pose_of, series_of
 from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
@@ -130,9 +131,10 @@ class Neighbourhood:
         if self.failure:
             raise NoMotionError(self.failure)
         bounds, contraction = contracted(self._boxes, self._n_s)
-        tube = bounds / (1 - MAX_CONTRACTION)
-        # A wider tube is hopeless where Z, which grows with it at most in proportion, is expected above one.
-        wider = float((tube / self._tube.radii).mean(axis=0).max())
+        with np.errstate(over="ignore"):  # bounds of what grows without end
+            tube = bounds / (1 - MAX_CONTRACTION)
+            # A wider tube is hopeless where Z, which grows with it at most in proportion, is expected above one.
+            wider = float((tube / self._tube.radii).mean(axis=0).max())
         if self._tube.is_guess and (wider < 1 or wider * contraction < 1):
             self.next_tube = Tube(until_s=np.array([box.end_s for box in self._boxes]), radii=tube)
         if not contraction <= MAX_CONTRACTION:

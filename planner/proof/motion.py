@@ -13,9 +13,9 @@ from flint import arb, arb_poly, arb_series
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.certificate.certificate import VELOCITY_SHARE, end_state_error
+from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
-from linkplan.planner.certificate.integration import BOUNDARY_SHARE, ends_off_m
+from linkplan.planner.certificate.integration import BOUNDARY_SHARE, VELOCITY_SHARE, ends_off_m
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.problem.problem import Problem

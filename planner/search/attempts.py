@@ -42,7 +42,14 @@ _EXACT_TRACKING_SHARE = 1e-10
 
 
 def plan_from(
-    search: Search, budget: Budget, what: str, guess: Guess, *, worth: float = np.inf, mended: bool = True
+    search: Search,
+    budget: Budget,
+    what: str,
+    guess: Guess,
+    *,
+    worth: float = np.inf,
+    least: float = 0.0,
+    mended: bool = True,
 ) -> Plan | None:
     """Return the plan from a start, whether its certificate passes or not; None if no motion is found.
 
@@ -52,12 +59,13 @@ def plan_from(
         what: the words on the start.
         guess: the start.
         worth: only solutions with an objective below this are refined.
+        least: and of at least this: coarse meshes have false motions that cost far too little.
         mended: whether every repair is tried on a motion that does not pass; it is not before the phase plane's least time.
     """
     problem = search.within(budget)
     missed = None
     for found in _solved(problem, guess, f"start from {what}" if recorded() else "first solve", search):
-        if found.solution.objective >= worth:
+        if not least <= found.solution.objective < worth:
             continue
         found, unbounded = with_longer_durations(problem, found)
         if unbounded is not None:

@@ -11,9 +11,11 @@ import numpy as np
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
-from linkplan.planner.certificate.further_checks import objective_value
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
+from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import even_poses
-from linkplan.planner.closed_chain.prescribed import motion_along
+from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, holding_at, motion_along
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
@@ -49,6 +51,28 @@ def along_smooth_path(search: Search) -> Plan | None:
         plan = without_solving(problem, motion, objective, said)
     except AssemblyError:
         return None
+    return plan if plan.passed else None
+
+
+def at_rest(search: Search) -> Plan | None:
+    """Return the rest as the plan of a reach that ends where it starts; None where no rest answers it.
+
+    It is "optimal" where it costs nothing. Elsewhere a motion may cost less: a swing may spare effort against a weight.
+    """
+    problem, motion = search.problem, search.problem.motion
+    duration = motion.duration_s or motion.min_duration_s
+    moves = motion.start_speed is not None and np.any(motion.start_speed)
+    if not motion.stays or moves or duration is None:
+        return None
+    holding = holding_at(problem, motion.start)
+    if not holding.holds:
+        return None
+    rest = holding.lasting(duration)
+    objective, _ = objective_value(problem, rest)
+    free = set(problem.objective.weights) <= SQUARES_AT_REST and objective <= negligible_objective(problem, rest)
+    said = f"rest of {duration:.6g} s: constant efforts hold the start"
+    said = said if free else f"{said}; that no motion costs less was not shown"
+    plan = finished(problem, rest, certify(problem, rest), objective, said, optimal=free)
     return plan if plan.passed else None
 
 

@@ -20,7 +20,7 @@ from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
-from linkplan.planner.phase_plane.leg_field import knows_pins, knows_speeds
+from linkplan.planner.phase_plane.leg_field import knows_lines, knows_pins, knows_speeds
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -28,6 +28,7 @@ from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import certified, only_feasible, plan_from, without_solving
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Rung, Search, climb
 from linkplan.planner.search.presolve import only_way
+from linkplan.planner.search.resting import legs_plan
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
@@ -39,6 +40,8 @@ from linkplan.planner.search.solving import (
 
 # The words on the least-time plan from the phase plane's motion, among the known motions.
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
+# A solution that costs less than this share of the cheapest legs is no motion between the nodes of its mesh.
+_FALSE_BELOW = 0.9
 # Perturbed guesses among the first starts of a multistart.
 _FIRST_PERTURBED_GUESSES = 3
 
@@ -105,7 +108,10 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """
     if search.solved:
         return _better_plan(search, budget)
-    return _first_of(search, budget, _of_the_phase_plane(search, budget))
+    assert search.quickest is not None  # where the phase plane applies
+    legs = legs_plan(search) if search.quickest.swings <= 1 else None
+    least = _FALSE_BELOW * legs.objective if legs is not None and legs.passed else 0.0
+    return _first_of(search, budget, _of_the_phase_plane(search, budget), least=least)
 
 
 def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
@@ -123,20 +129,21 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
 
 
 def may_be_along_limits(search: Search) -> bool:
-    """True if a least time of one degree of freedom may lie along limits on power, pin force or speed."""
+    """True if a least time of one degree of freedom may lie along limits on power, line, pin force or speed."""
     problem, motion = search.problem, search.problem.motion
+    limited = bool(np.any(np.isfinite(problem.limits.power))) or knows_lines(problem)
     return (
         search.only_time_counts
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and (bool(np.any(np.isfinite(problem.limits.power))) or knows_pins(problem) or knows_speeds(problem))
+        and (limited or knows_pins(problem) or knows_speeds(problem))
         and phase_plane_applies(problem)
     )
 
 
 def along_limits(search: Search, _: Budget) -> Plan | None:
-    """Return the plan of legs along limits on power, pin force and speed, without a solver; None if it does not pass."""
+    """Return the plan of legs along all these limits, without a solver; None if its certificate does not pass."""
     progress("the phase plane along its limits, integrated")
     problem, motion = search.problem, legs_motion(search.problem, search.start_pose)
     if motion is None or not (problem.motion.min_duration_s or 0.0) <= motion.duration_s <= longest(problem):
@@ -165,7 +172,9 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
     return _first_of(search, budget, (("a swing", swing) for swing in swings))
 
 
-def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, mended: bool = True) -> Plan | None:
+def _first_of(
+    search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, mended: bool = True, least: float = 0.0
+) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
     for what, guess in search.deadline.take(starts):
@@ -173,7 +182,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
             search.plans.append(missed)
             if not search.starts_are_worth_it:
                 return None
-        missed = plan_from(search, budget, what, guess, mended=mended)
+        missed = plan_from(search, budget, what, guess, mended=mended, least=least)
         if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed

@@ -8,19 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
-from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.guess import motion_of, stretched
 from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import certified, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.resting import held, joined
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import shortest_motion
-from linkplan.planner.trajectory import Trajectory
 
 # Terms of an objective that a rest adds to by its effort and its length alone.
 _STILL_TERMS = {"time", "effort", "copper_loss"}
@@ -31,7 +28,7 @@ def may_wait(search: Search) -> bool:
     motion = search.problem.motion
     if motion.kind != "reach" or motion.duration_s is None or motion.stays or motion.waypoints:
         return False
-    return any(_held(search.problem, end) is not None for end in ("start", "goal"))
+    return any(held(search.problem, end) is not None for end in ("start", "goal"))
 
 
 def far_beyond(search: Search) -> bool:
@@ -66,9 +63,9 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
             search.known.add(longer.require_motion("wait after"))
     wholes = []
     for end, motion in itertools.product(("start", "goal"), search.known.shorter_than(asked)):
-        effort, wait = _held(problem, end), asked - motion.duration_s
-        if effort is not None and wait > MIN_INTERVAL_SHARE * asked:
-            whole = _joined(motion, wait, effort, first=end == "start")
+        holding, wait = held(problem, end), asked - motion.duration_s
+        if holding is not None and wait > MIN_INTERVAL_SHARE * asked:
+            whole = joined(motion, holding.lasting(wait), first=end == "start")
             said = (
                 f"motion of {asked:.6g} s: a motion of {motion.duration_s:.6g} s and a rest of {wait:.4g} s"
                 f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
@@ -96,32 +93,3 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     found = solve_from(problem, start, mesh, durations, what, warm=True)
     plan = None if found is None else certified(problem, found, warm=True, kinks=False)
     return plan if plan is not None and plan.passed else None
-
-
-def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool) -> Trajectory:
-    """Return a trajectory with a rest before or after it, in which an effort (n_u,) holds it: constants, exactly."""
-    at = motion.position[0, 0] if first else motion.position[-1, -1]
-    rests = (at, np.zeros(motion.n_s), effort)
-    parts = {}
-    for name, value in zip(("position", "velocity", "effort"), rests, strict=True):
-        given = getattr(motion, name)
-        rest = np.broadcast_to(value, (len(given), 1, given.shape[2]))
-        parts[name] = np.concatenate([rest, given] if first else [given, rest], axis=1)
-    breaks = [[0.0], wait + motion.breaks_s] if first else [motion.breaks_s, [motion.duration_s + wait]]
-    return replace(motion, breaks_s=np.concatenate(breaks), **parts)
-
-
-def _held(problem: Problem, end: str) -> np.ndarray | None:
-    """Return the effort (n_u,) that holds start or goal, at rest there; None where none within the limits does."""
-    motion, mechanism, limit = problem.motion, problem.mechanism, problem.limits.effort
-    if end == "goal" and motion.goal_is_free:
-        return None  # where it ends is not known
-    speed = getattr(motion, f"{end}_speed")
-    if speed is not None and np.any(speed != 0):
-        return None
-    still = np.zeros((1, mechanism.dof))
-    effort, missed = needed_effort(mechanism, close_at(mechanism, getattr(motion, end))[None], still, still)
-    slack = HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
-    if np.abs(missed).max() > slack or np.any(effort[0] < limit[:, 0] - slack) or np.any(effort[0] > limit[:, 1] + slack):
-        return None
-    return effort[0]

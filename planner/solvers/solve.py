@@ -20,6 +20,8 @@ from linkplan.planner.transcription.program import Program
 # Feasibility and optimality of the scaled program; the certificate checks the motion itself.
 SOLVER_TOLERANCE = 1e-10
 MAX_ITERATIONS = 500
+# The most iterations of a solve that is tried again.
+_ITERATIONS_AGAIN = 100
 # IPOPT's statuses.
 SUCCEEDED = "Solve_Succeeded"
 OUT_OF_TIME = "Maximum_CpuTime_Exceeded"
@@ -82,6 +84,7 @@ def build_solver(
     *,
     warm: bool = False,
     close: bool = False,
+    adaptive: bool = False,
 ) -> Solver:
     """Return IPOPT for a program; a warm solver begins close to its starting point.
 
@@ -90,6 +93,7 @@ def build_solver(
         settings: limits on iterations and time.
         warm: the starting point is close to a solution.
         close: the starting point is a solution on another mesh. With `warm` too, it is accurate to almost the last digit.
+        adaptive: the barrier follows the iterates, and does not only fall.
 
     Raises:
         ProblemError: when the solver cannot be set up for the program.
@@ -97,12 +101,14 @@ def build_solver(
     settings = settings or SolverSettings()
     iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
     try:
-        return _ipopt(program, iterations, settings, warm=warm, close=close)
+        return _ipopt(program, iterations, settings, warm=warm, close=close, adaptive=adaptive)
     except RuntimeError as error:
         raise ProblemError(f"IPOPT cannot be set up: {one_line(error)}") from error
 
 
-def _ipopt(program: Program, iterations: int, settings: SolverSettings, *, warm: bool, close: bool) -> Solver:
+def _ipopt(
+    program: Program, iterations: int, settings: SolverSettings, *, warm: bool, close: bool, adaptive: bool
+) -> Solver:
     functions, left_s = program.functions, settings.deadline.within(settings.max_time_s).left_s
     acceptable = 1e-8
     options = {
@@ -129,6 +135,8 @@ def _ipopt(program: Program, iterations: int, settings: SolverSettings, *, warm:
         "show_eval_warnings": False,
         "calc_lam_p": False,
     }
+    if adaptive:
+        options["ipopt.mu_strategy"] = "adaptive"
     if program.mesh.n_intervals >= 200:
         # MUMPS' matching of rows to columns takes time quadratic in the intervals: at 2,000, three quarters of a solve.
         # Smaller programs keep it for its better pivots.
@@ -225,6 +233,9 @@ def solve(
     """Return the solver's result, started as in `build_solver`; a problem without a solution raises nothing.
 
     A long solve with interpreted functions is restarted with compiled ones, which take the same iterations in less time.
+
+    Next to a solution the filter may refuse all but tiny steps, and rounding decides whether it does. A solve that runs out
+    of iterations is therefore tried again with a barrier that follows the iterates.
     """
     settings = settings or SolverSettings()
     first = _patience(transcribed, settings)
@@ -233,7 +244,12 @@ def solve(
         if solution.status != OUT_OF_ITERATIONS:
             return solution
         transcribed = with_compiled_code(transcribed, settings.deadline)
-    return _solved(transcribed, settings, warm=warm, close=close)
+    solution = _solved(transcribed, settings, warm=warm, close=close)
+    if solution.status != OUT_OF_ITERATIONS:
+        return solution
+    fewer = replace(settings, max_iterations=min(_ITERATIONS_AGAIN, settings.max_iterations or _ITERATIONS_AGAIN))
+    again = _solved(transcribed, fewer, warm=warm, close=close, adaptive=True)
+    return again if again.converged else solution
 
 
 def _patience(transcribed: Transcribed, settings: SolverSettings) -> int | None:
@@ -245,9 +261,11 @@ def _patience(transcribed: Transcribed, settings: SolverSettings) -> int | None:
     return few if few < (MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations) else None
 
 
-def _solved(transcribed: Transcribed, settings: SolverSettings, *, warm: bool, close: bool) -> Solution:
+def _solved(
+    transcribed: Transcribed, settings: SolverSettings, *, warm: bool, close: bool, adaptive: bool = False
+) -> Solution:
     begin = time.perf_counter()
-    solver = build_solver(transcribed.program, settings, warm=warm, close=close)
+    solver = build_solver(transcribed.program, settings, warm=warm, close=close, adaptive=adaptive)
     return run_solver(solver, transcribed, build_s=time.perf_counter() - begin)
 
 

@@ -99,6 +99,12 @@ def bernstein_integral(degree: int) -> np.ndarray:
     return np.tril(np.ones((degree + 2, degree + 1)), -1) / (degree + 1)
 
 
+def bernstein_part(degree: int, begin: float, end: float) -> np.ndarray:
+    """Return the matrix from Bernstein coefficients to those on a part of [0, 1], by blossoms."""
+    late, early = ([bernstein_matrix(k, np.array([at]))[0] for k in range(degree + 1)] for at in (end, begin))
+    return np.array([np.convolve(late[k], early[degree - k]) for k in range(degree + 1)])
+
+
 def bernstein_elevation(degree: int, higher: int) -> np.ndarray:
     """Return the matrix (higher + 1, degree + 1) that raises the degree of Bernstein coefficients."""
     i, k = np.meshgrid(np.arange(degree + 1), np.arange(higher + 1))

@@ -208,7 +208,7 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
     mechanism, motion = problem.mechanism, problem.motion
     guess = first_guess(problem, problem.start_pose())
     time = np.linspace(0.0, guess.duration_s, GUESS_SAMPLES)
-    follows = motion.kind != "reach" and problem.reference is not None and not motion.waypoints
+    follows = not motion.ends_at_goal and problem.reference is not None and not motion.waypoints
     title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"
     poses = poses_along(mechanism, guess, time)
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)

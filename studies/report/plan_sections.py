@@ -8,7 +8,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.planner.problem.problem import file_text
+from linkplan.planner.problem.build import file_text
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, Text
 from linkplan.studies.output.draw_plan import force_plots, motion_of, time_plots
 from linkplan.studies.output.lines import TIME, Line, plots
@@ -140,7 +140,7 @@ def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
 
 def _problem(plan: Plan) -> list[Block]:
     try:
-        text = file_text(plan.problem, _without_none(plain_record(plan.problem.source)))
+        text = file_text(_without_none(plain_record(plan.problem.source)), plan.problem.extras)
     except ProblemError as error:
         return [Text(text=f"The problem has no form as a file: {error}", tone="note")]
     return [Code(title="The problem as a file", text=text)]

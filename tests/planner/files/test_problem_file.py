@@ -192,7 +192,7 @@ FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
     "not UTF-8": (write(b"description = '\xff\xfe'"), ["not UTF-8"]),
     "bytes": (write(bytes(range(256))), ["problem.toml"]),
     "an empty file": (write(b""), ["mechanism.model"]),
-    "no kind": (write(b"[mechanism]\nmodel = 'optimus-knee'"), ["motion.kind is missing", "reach, periodic, track"]),
+    "no kind": (write(b"[mechanism]\nmodel = 'optimus-knee'"), ["motion.kind is missing", "reach, hold, periodic, track"]),
     "a table that is a number": (write(b"motion = 3"), ["'motion' is a table", "got 3"]),
     "a description that is a number": (write(b"description = 3"), ["description"]),
     "an unknown table": (write(b"[motoin]\nkind = 'reach'"), ["'motoin'", "did you mean 'motion'"]),

@@ -272,7 +272,7 @@ def test_every_key_has_a_title_and_a_description(file):
 def test_units_words_and_defaults_are_said():
     parts = json_schema()["$defs"]
     assert parts["MotionSection"]["properties"]["start_deg"]["x-unit"] == "deg"
-    assert set(parts["MotionSection"]["properties"]["kind"]["enum"]) == {"reach", "periodic", "track"}
+    assert set(parts["MotionSection"]["properties"]["kind"]["enum"]) == {"reach", "hold", "periodic", "track"}
     assert parts["MeshSection"]["properties"]["intervals"]["default"] == 40
     assert "default" not in parts["MotionSection"]["properties"]["start_deg"]
 

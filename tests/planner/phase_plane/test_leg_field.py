@@ -43,7 +43,8 @@ def field(power: float, way: float = 1.0) -> LegField:
     """Return the field of 2 a = 1 - 0.5 v^2 - 0.25 v + 3 u, with u from -4 to 5."""
     curves = np.array([2.0, 1.0, -0.5, -0.25, 3.0])
     limit = np.array([[-4.0, 5.0]])
-    return LegField(curves=lambda _: curves, effort=limit, power=np.array([[-power, power]]), way=way)
+    none = np.full((1, 2), np.inf)
+    return LegField(curves=lambda _: curves, effort=limit, power=np.array([[-power, power]]), line=none, way=way)
 
 
 @pytest.mark.parametrize(("way", "towards", "effort"), [(1, True, 5), (1, False, -4), (-1, True, -4), (-1, False, 5)])

@@ -11,7 +11,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.planning import REPAIRS, plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.search import waiting
+from linkplan.planner.search import resting, waiting
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import PENDULUM, body_problem
@@ -133,7 +133,15 @@ def test_a_rest_is_joined_to_a_motion_as_constants(first):
         start_pose=np.zeros(1),
         periodic=False,
     )
-    joined = waiting._joined(motion, 0.25, np.array([3.0]), first=first)
+    rest = Trajectory(
+        breaks_s=np.array([0.0, 0.25]),
+        position=np.ones((2, 1, 1)),
+        velocity=np.zeros((2, 1, 1)),
+        effort=np.full((2, 1, 1), 3.0),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    joined = resting.joined(motion, rest, first=first)
     assert joined.breaks_s.tolist() == ([0.0, 0.25, 0.5, 1.25] if first else [0.0, 0.25, 1.0, 1.25])
     rest, moves = (0.1, 0.25 + np.array([0.1, 0.9])) if first else (1.1, np.array([0.1, 0.9]))
     at = np.array([rest])
@@ -149,13 +157,13 @@ def test_a_weight_is_held_on_either_side_up_to_the_limit_there(sign, limit, held
     motion = f'kind = "reach"\nstart_deg = {{ J = {sign * 30.0} }}\ngoal_deg = {{ J = {sign * 60.0} }}\nduration_s = 4.0\n'
     limits = f"limits.effort.m=[-9, {limit}]" if sign > 0 else f"limits.effort.m=[-{limit}, 9]"
     problem = body_problem(PENDULUM.format(limit=9), motion, limits)
-    effort = waiting._held(problem, "start")
-    assert (effort is not None) is held
+    holding = resting.held(problem, "start")
+    assert (holding is not None) is held
     if held:
-        assert effort == pytest.approx([sign * 9.81 * 0.25])
-    assert waiting._held(problem, "goal") is None
+        assert holding.effort == pytest.approx([sign * 9.81 * 0.25])
+    assert resting.held(problem, "goal") is None
     moving = replace(problem, motion=replace(problem.motion, start_speed=np.array([-0.1])))
-    assert waiting._held(moving, "start") is None
+    assert resting.held(moving, "start") is None
 
 
 @pytest.mark.parametrize(("angle", "held"), [(0.0, True), (30.0, False)])
@@ -167,7 +175,7 @@ def test_a_pose_in_which_an_undriven_rod_would_fall_is_not_held(angle, held):
     motion = (
         f'kind = "reach"\nstart_deg = {{ J = 0.0, K = {angle} }}\ngoal_deg = {{ J = 60.0, K = 10.0 }}\nduration_s = 4.0\n'
     )
-    assert (waiting._held(body_problem(both, motion), "start") is not None) is held
+    assert (resting.held(body_problem(both, motion), "start") is not None) is held
 
 
 @pytest.mark.parametrize(("longer_s", "whole"), [(1.0, True), (1 - 0.9e-9, True), (1 - 1.1e-9, False), (0.9, False)])
@@ -181,6 +189,6 @@ def test_a_longer_motion_that_takes_the_time_asked_for_needs_no_rest(monkeypatch
     quick = SimpleNamespace(trajectory=search.known.motions[0], solved=True)
     monkeypatch.setattr(waiting, "shortest_motion", lambda _: quick)
     monkeypatch.setattr(waiting, "_a_little_longer", lambda *_: longer)
-    monkeypatch.setattr(waiting, "_held", lambda *_: None)
+    monkeypatch.setattr(waiting, "held", lambda *_: None)
     assert waiting.from_waiting(search, PATIENT) is (longer if whole else None)
     assert (lasting in search.known.motions) is not whole

@@ -8,6 +8,7 @@ from linkplan.planner.transcription.bernstein import (
     PiecewisePolynomial,
     bernstein_elevation,
     bernstein_matrix,
+    bernstein_part,
     bernstein_product,
 )
 
@@ -46,3 +47,11 @@ def test_a_products_coefficients_are_those_of_the_product():
     both = np.array(bernstein_product(first, second))
     expected = (bernstein_matrix(2, t) @ first) * (bernstein_matrix(3, t) @ second)
     np.testing.assert_allclose(bernstein_matrix(5, t) @ both, expected, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 4, 8])
+def test_coefficients_on_a_part_are_those_of_the_same_polynomial(degree):
+    coefficients = np.cos(np.arange(degree + 1.0))
+    inside = np.linspace(0.0, 1.0, 7)
+    part = bernstein_matrix(degree, inside) @ bernstein_part(degree, 0.3, 0.8) @ coefficients
+    np.testing.assert_allclose(part, bernstein_matrix(degree, 0.3 + 0.5 * inside) @ coefficients, atol=1e-14)

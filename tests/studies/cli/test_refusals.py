@@ -30,7 +30,7 @@ REFUSALS = [
     (["plan", "knee-reach", "--set", "motion.goal_deg.O=95"], ["beyond reach", "-90"]),
     (["plan", "knee-reach", "--set", "motion.goal_deg.K=10"], ["'K'", "joints are O, A, C"]),
     (["plan", "knee-reach", "--set", "motion.start_deg={ O = -49.07, A = 0.0 }"], ["does not close", "106.817"]),
-    (["plan", "knee-reach", "--set", "motion.kind=jump"], ["reach, periodic, track"]),
+    (["plan", "knee-reach", "--set", "motion.kind=jump"], ["reach, hold, periodic, track"]),
     (["plan", "knee-reach", "--set", "objective.minimize=beauty"], ["effort, time, tracking"]),
     (["plan", "knee-reach", "--set", "objective.minimize=time"], ["free"]),
     (["plan", "knee-reach", "--set", "mesh.scheme=radau-12"], ["radau-1 to radau-9"]),

@@ -1,0 +1,195 @@
+"""Motions of least squared effort within a given time, for one freedom and one actuator: legs over the way, not over time.
+
+Over the way s from rest to rest, the effort of a cell follows from the speeds v at its ends,
+u = (d(M v^2 / 2) - dW) / (r ds) with the reduced inertia M, the work W of weight, springs and friction, and the actuator's
+speed r per unit of v. The cells are dense where joints or the inertia change most, however short a time they take: a linkage
+flies past a dead centre within a thousandth of the motion, and a program over time steps over it. Time is the sum of
+2 ds / (v + v'), and what is left of the given time costs what a rest costs. A motion goes straight to its goal, or turns
+back once, beyond its start or beyond its goal. Turning places are tried, and the best is tried again more finely.
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from linkplan.planner.closed_chain.guess import Guess, guess_along
+from linkplan.planner.phase_plane.bang_bang_motions import parts_of, phase_plane_applies
+from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
+from linkplan.planner.problem.problem import Problem
+
+# Cells of the grid, cells of a leg while turning places are tried, and how many are tried on either side of the way.
+_GRID_CELLS, _FEW_CELLS, _TURNING_PLACES = 1600, 200, 6
+# Shares of the effort limits that are left for the polynomials between cell ends, in turn.
+_EFFORT_RESERVES = (0.01, 0.03, 0.1)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Legs:
+    """A motion over its own cells: when (n,) [s] it is where (n,) and how fast (n,), and its cost with the rest's."""
+
+    time: np.ndarray
+    s: np.ndarray
+    v: np.ndarray
+    cost: float
+
+    def breaks(self) -> np.ndarray:
+        """Return the ends [s] of not too many intervals, with as many cells in each."""
+        return self.time[self._ends()]
+
+    def guess(self, start_pose: np.ndarray) -> Guess:
+        """Return the motion as a guess: cubics between its breaks."""
+        import scipy
+
+        ends = self._ends()
+        path = scipy.interpolate.CubicHermiteSpline(self.time[ends], self.s[ends, None], self.v[ends, None])
+        return guess_along(path, float(self.time[-1]), start_pose, swings=int(np.count_nonzero(self.v == 0)) - 1)
+
+    def _ends(self) -> np.ndarray:
+        step = max(1, int(np.ceil((len(self.time) - 1) / 800)))  # so many intervals at the most
+        return np.unique(np.concatenate([np.arange(0, len(self.time), step), np.flatnonzero(self.v == 0)]))
+
+
+def legs_apply(problem: Problem) -> bool:
+    """True if legs are known: of squared efforts, of one actuator of one freedom, from rest to rest in a fixed duration."""
+    motion = problem.motion
+    if (problem.mechanism.dof, problem.mechanism.n_u) != (1, 1) or not phase_plane_applies(problem):
+        return False
+    speeds = [v for v in (motion.start_speed, motion.goal_speed) if v is not None]
+    if motion.duration_s is None or motion.waypoints or np.any(speeds):
+        return False
+    return set(problem.objective.weights) <= {"effort", "copper_loss"}
+
+
+def cheapest_legs(problem: Problem, start_pose: np.ndarray, rest: float | None) -> Iterator[Legs]:
+    """Yield the legs of least squared effort that take the duration asked, with a rest or exactly, by ever larger reserves.
+
+    Args:
+        problem: for which `legs_apply`.
+        start_pose: closed, at the start.
+        rest: the squared effort [N2 m2 or N2] of a rest at start or goal; None where neither is held.
+    """
+    (part,), asked = parts_of(problem.motion), problem.motion.duration_s
+    grid = grid_of(problem, part.places, start_pose, _GRID_CELLS)
+    if grid is None or asked is None:
+        return
+    way = _Way(plane=plane_of(problem, *grid, problem.limits.effort), asked=asked, rest=rest)
+    ends = [way.plane.at(place) for place in part.places]
+    tried = {turn: found for turn in way.turns(ends) if (found := way.legs(ends, turn, _FEW_CELLS)) is not None}
+    if not tried:
+        return
+    best = min(tried, key=lambda turn: tried[turn].cost)
+    if best is not None:
+        near = way.turns(ends, best)
+        tried |= {turn: found for turn in near if (found := way.legs(ends, turn, _FEW_CELLS)) is not None}
+        best = min(tried, key=lambda turn: tried[turn].cost)
+    for reserve in _EFFORT_RESERVES:
+        legs = way.legs(ends, best, _GRID_CELLS, reserve)
+        if legs is not None:
+            yield legs
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Way:
+    """The plane over which legs go, the duration asked [s], and the squared effort of a rest or None."""
+
+    plane: Plane
+    asked: float
+    rest: float | None
+
+    def turns(self, ends: list[int], near: int | None = None) -> Iterator[int | None]:
+        """Yield cell ends at which a motion may turn back, None for the straight way; or those next to one of them."""
+        low, high = sorted(ends)
+        sides = [np.linspace(low, 0, _TURNING_PLACES + 1), np.linspace(high, len(self.plane.s) - 1, _TURNING_PLACES + 1)]
+        if near is None:
+            yield None
+            yield from (int(at) for side in sides for at in side[1:].round() if at not in (low, high))
+            return
+        side = sides[0] if near < low else sides[1]
+        step = abs(side[1] - side[0])
+        close = np.unique((near + step * np.array([-0.67, -0.33, 0.33, 0.67])).round().astype(int))
+        yield from (int(at) for at in close if 0 <= at < len(self.plane.s) and not low <= at <= high)
+
+    def legs(self, ends: list[int], turn: int | None, cells: int, reserve: float = 0.0) -> Legs | None:
+        """Return the best legs by way of a turning place, of so many cells at the most; None where no efforts carry them."""
+        start, goal = ends
+        stops = [start, goal] if turn is None else [start, turn, goal]
+        time, cost, efforts, unknowns, begin, parts = ca.SX(0), ca.SX(0), [], [], [], []
+        for first, last in itertools.pairwise(stops):
+            way = 1 if last > first else -1
+            step = max(1, abs(last - first) // cells)
+            at = np.append(np.arange(first, last, way * step), last)
+            inner = ca.SX.sym("v", len(at) - 2)
+            speed, ds = ca.vertcat(0, inner, 0), np.abs(np.diff(self.plane.s[at]))
+            taken = 2 * ds / (speed[1:] + speed[:-1])
+            effort = self._efforts(at, way, speed, ds)
+            time, cost = time + ca.sum1(taken), cost + ca.dot(effort**2, taken)
+            share = np.abs(self.plane.s[at] - self.plane.s[first])[1:-1] / ds.sum()
+            efforts, unknowns = [*efforts, effort], [*unknowns, inner]
+            begin.append(4 * ds.sum() * np.sqrt(share * (1 - share)))
+            parts.append((at, way, ds))
+        rest = self.rest or 0.0
+        bounds, first = self._bounds(reserve), np.concatenate(begin)
+        solved = _solved(ca.vertcat(*unknowns), cost - rest * time, time, ca.vertcat(*efforts), first, bounds)
+        return None if solved is None else _joined(self.plane, parts, solved[0], solved[1] + rest * self.asked)
+
+    def _bounds(self, reserve: float) -> tuple[float, float, np.ndarray]:
+        limit = (1 - reserve) * np.sort([self.plane.effort[way][0, 0] for way in (-1, 1)])
+        return (0.0 if self.rest is not None else self.asked), self.asked, limit
+
+    def _efforts(self, at: np.ndarray, way: int, speed: ca.SX, ds: np.ndarray) -> ca.SX:
+        """Return the efforts of cells between cell ends (n,) from the speeds (n,) there."""
+        plane = self.plane
+        full = {side: effort[::2, 0][at] for side, effort in plane.effort.items()}
+        acts = (plane.force[1][at] - plane.force[-1][at]) / (full[1] - full[-1])
+        middle = 0.5 * (acts[1:] + acts[:-1])
+        given = np.diff(plane.work[1][at]) - way * ds * 0.5 * ((acts * full[1])[1:] + (acts * full[1])[:-1])
+        drag, rub = (0.5 * (x[at][1:] + x[at][:-1]) * ds for x in (plane.drag, plane.rub))
+        energy = 0.5 * plane.inertia[at] * speed**2
+        gained = energy[1:] - energy[:-1] - given - drag * 0.5 * (speed[1:] + speed[:-1]) + rub
+        return gained / (way * middle * ds)
+
+
+def _solved(
+    v: ca.SX, cost: ca.SX, time: ca.SX, efforts: ca.SX, begin: np.ndarray, bounds: tuple[float, float, np.ndarray]
+) -> tuple[np.ndarray, float] | None:
+    """Return the speeds (n,) of least cost and the cost; None where none keep the bounds on time and efforts."""
+    least, most, limit = bounds
+    first = begin / most
+    scale = 1.0 / max(float(np.square(limit).max()) * most, np.finfo(float).tiny)
+    options = {"print_time": 0, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200}}
+    solver = ca.nlpsol("legs", "ipopt", {"x": v, "f": scale * cost, "g": ca.vertcat(time / most, efforts)}, options)
+    n = efforts.numel()
+    found = solver(
+        x0=first,
+        lbx=1e-9 * first.max(),
+        ubx=np.inf,
+        lbg=np.append(least / most, np.full(n, limit[0])),
+        ubg=np.append(1.0, np.full(n, limit[1])),
+    )
+    return (np.array(found["x"]).ravel(), float(found["f"]) / scale) if solver.stats()["success"] else None
+
+
+def _joined(plane: Plane, parts: list, speeds: np.ndarray, cost: float) -> Legs:
+    """Return legs one after another, from the speeds at the cell ends inside them.
+
+    Within a cell the energy goes on as smoothly as between cells, and the speed follows from the inertia there.
+    """
+    import scipy
+
+    time, s, v, used = [np.zeros(1)], [plane.s[parts[0][0][:1]]], [np.zeros(1)], 0
+    inertia = scipy.interpolate.CubicSpline(plane.s, np.log(plane.inertia))
+    for at, way, _ in parts:
+        speed = np.concatenate([[0.0], speeds[used : used + len(at) - 2], [0.0]])
+        used += len(at) - 2
+        along = way * plane.s[at]
+        energy = scipy.interpolate.PchipInterpolator(along, 0.5 * plane.inertia[at] * speed**2)
+        fine = np.interp(np.arange(8 * (len(at) - 1) + 1) / 8, np.arange(len(at)), along)
+        speed = np.sqrt(2 * np.maximum(energy(fine), 0.0) / np.exp(inertia(way * fine)))
+        speed[[0, -1]] = 0.0
+        time.append(time[-1][-1] + np.cumsum(2 * np.diff(fine) / (speed[1:] + speed[:-1])))
+        s.append(way * fine[1:])
+        v.append(way * speed[1:])
+    return Legs(time=np.concatenate(time), s=np.concatenate(s), v=np.concatenate(v), cost=cost)
