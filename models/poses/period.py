@@ -20,40 +20,37 @@ _EXAMINED_POSES = 3
 
 @functools.lru_cache(maxsize=16)
 def mattering(mechanism: Mechanism) -> np.ndarray:
-    """Return a mask (n_q,) of the joints whose position matters: slides, and hinges that the reduced dynamics depend on.
+    """Return a mask (n_q,) of the joints whose position matters: slides, and hinges that the reduced dynamics depend on."""
+    return np.array([not joint.turns or _matters(mechanism, j) for j, joint in enumerate(mechanism.joints)])
 
-    Inverse dynamics, transmission and rates are compared at poses around home while one joint after the other is turned or
-    pushed alone, without closing the loops.
+
+@functools.lru_cache(maxsize=256)
+def _matters(mechanism: Mechanism, j: int) -> bool:
+    """Return True if the reduced dynamics depend on the position of joint j.
+
+    Inverse dynamics, transmission and rates are compared at poses around home while the joint is turned alone, without
+    closing the loops.
     """
-    n_q, n_s = mechanism.n_q, mechanism.dof
     random = np.random.default_rng(0)
     unit = unit_steps(mechanism.joints, mechanism.extent_m)
-    poses = mechanism.home + 0.1 * unit * random.uniform(-1, 1, (_EXAMINED_POSES, n_q))
-    motion = random.uniform(0.5, 1.0, (2, _EXAMINED_POSES, n_s))
-    numbers = functools.partial(_influence(mechanism), *motion)
-    first = numbers(poses)
-    size = np.abs(first).max(axis=(0, 2), keepdims=True)
-    found = np.array([not joint.turns for joint in mechanism.joints])
-    for j in np.flatnonzero(~found):
-        moved = poses.copy()
-        moved[:, j] += 0.7 * unit[j]
-        change = np.abs(numbers(moved) - first)
-        found[j] = not np.all(change <= ROUNDING_SHARE * np.where(size > 0, size, 1.0))  # NaN matters
-    return found
+    poses = mechanism.home + 0.1 * unit * random.uniform(-1, 1, (_EXAMINED_POSES, mechanism.n_q))
+    moved = poses.copy()
+    moved[:, j] += 0.7 * unit[j]
+    motion = random.uniform(0.5, 1.0, (2, _EXAMINED_POSES, mechanism.dof))
+    before, after = (_influence(mechanism, *motion, at) for at in (poses, moved))
+    size = np.abs(before).max(axis=(0, 2), keepdims=True)
+    same = np.abs(after - before) <= ROUNDING_SHARE * np.where(size > 0, size, 1.0)
+    return not np.all(same)  # NaN matters
 
 
-def _influence(mechanism: Mechanism):
-    """Return the function (v, a, poses) -> (n, 3, m): inverse dynamics, transmission and rates, filled with zeros."""
+def _influence(mechanism: Mechanism, v: np.ndarray, a: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return inverse dynamics, transmission and rates (n, 3, m) at poses (n, n_q), filled up with zeros."""
     dynamics = mechanism.dynamics
-
-    def numbers(v: np.ndarray, a: np.ndarray, poses: np.ndarray) -> np.ndarray:
-        parts = [sampled(dynamics.inverse_dynamics, poses, v, a)]
-        parts += [sampled(function, poses) for function in (dynamics.effort_map, dynamics.velocity_map)]
-        flat = [part.reshape(len(poses), -1) for part in parts]
-        width = max(part.shape[1] for part in flat)
-        return np.stack([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in flat], axis=1)
-
-    return numbers
+    parts = [sampled(dynamics.inverse_dynamics, poses, v, a)]
+    parts += [sampled(function, poses) for function in (dynamics.effort_map, dynamics.velocity_map)]
+    flat = [part.reshape(len(poses), -1) for part in parts]
+    width = max(part.shape[1] for part in flat)
+    return np.stack([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in flat], axis=1)
 
 
 @functools.lru_cache(maxsize=16)
@@ -73,7 +70,7 @@ def _slowness(mechanism: Mechanism, coordinate: int, rates: np.ndarray) -> float
     unit, index = unit_steps(mechanism.joints, mechanism.extent_m), int(mechanism.independent[coordinate])
     share = rates * unit[index] / unit
     share[index] = 0.0
-    if not mechanism.joints[index].turns or not 0.0 < share.max(initial=0.0) < 1.0 or mattering(mechanism)[index]:
+    if not mechanism.joints[index].turns or not 0.0 < share.max(initial=0.0) < 1.0 or _matters(mechanism, index):
         return 1.0
     moving = share[mattering(mechanism)]
     return 1.0 / float(moving.max() if np.any(moving) else share.max())
