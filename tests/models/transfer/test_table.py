@@ -145,3 +145,11 @@ def test_off_the_map_there_are_no_numbers_and_a_reason():
     assert 0 < np.mean(status == 0) < 1
     assert np.isnan(table.grid.values["ratio"][status != 0]).all()
     assert np.isfinite(table.grid.values["ratio"][status == 0]).all()
+
+
+def test_a_single_joint_without_a_loop_has_a_table():
+    text = """<mujoco><worldbody><body><joint name="J" axis="0 1 0" range="-90 90"/><geom size=".1"/></body></worldbody>
+    <actuator><motor name="m" joint="J" gear="5"/></actuator></mujoco>"""
+    table = transfer_table(output_map(load_mechanism(text), ["J"]), 1e-3)
+    np.testing.assert_allclose(table.grid.values["ratio"], 5.0)
+    np.testing.assert_allclose(table.inverse.at("joint_position", np.array([[2.5], [-5.0]])), [[0.5], [-1.0]], atol=1e-9)
