@@ -46,9 +46,7 @@ def stride_along(
     """
     moved = np.any(positions != q[mechanism.independent], axis=0)
     if not np.any(moved & in_loops(mechanism)):
-        poses = np.tile(q, (len(positions), 1))
-        poses[:, mechanism.independent] = positions
-        return poses
+        return _moved(mechanism, np.tile(q, (len(positions), 1)), positions)
     state = _states(mechanism, q[None])[0]
     # CasADi takes longer to set up a function of more values than to make several calls.
     most = max(length for length in _STRETCH_LENGTHS if length == 1 or length * len(state) <= 40_000)
@@ -71,13 +69,20 @@ def stride_along(
 
 def strides(mechanism: Mechanism, starts: np.ndarray, positions: np.ndarray, step_size: np.ndarray) -> np.ndarray:
     """Return the poses (n, n_q) at positions (n, n_s), each one stride from its own start (n, n_q); NaN if irregular."""
-    if len(starts) == 0:
-        return np.empty(starts.shape)
+    if len(mechanism.dependent) == 0 or len(starts) == 0:
+        return _moved(mechanism, starts, positions)
     states, function = _states(mechanism, starts), mapped(_stretch(mechanism, 1), len(starts))
     with np.errstate(over="ignore", invalid="ignore"):
         after, phi, predicted = (x.T for x in evaluated(function, states.T, positions.T))
         regular = _are_regular(mechanism, states, after, phi, predicted, step_size)
     return np.where(regular[:, None], after[:, : mechanism.n_q], np.nan)
+
+
+def _moved(mechanism: Mechanism, starts: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return poses (n, n_q) with other independent positions (n, n_s), the dependent ones as they were."""
+    found = np.array(starts, dtype=float)
+    found[:, mechanism.independent] = positions
+    return found
 
 
 def _states(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -306,9 +311,9 @@ def advance_all(
     A pose is NaN where the loop opens on the way.
     """
     step_size, independent, n_q = step_sizes(mechanism), mechanism.independent, mechanism.n_q
+    if len(mechanism.dependent) == 0 or len(starts) == 0:
+        return _moved(mechanism, starts, targets)
     stretch, found = _stretch(mechanism, 1), np.full(starts.shape, np.nan)
-    if len(starts) == 0:
-        return found
     states, share, active = _states(mechanism, starts), np.ones(len(starts)), np.arange(len(starts))
     while len(active):
         deadline.require_time()

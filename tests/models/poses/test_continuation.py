@@ -49,6 +49,13 @@ def test_poses_continued_side_by_side_are_those_continued_one_by_one(name):
     np.testing.assert_allclose(found[arrived], wanted, rtol=0, atol=10 * ASSEMBLY)
 
 
+def test_a_tree_is_continued_side_by_side_without_strides():
+    text = '<mujoco><worldbody><body><joint name="J" axis="0 1 0"/><geom size=".1"/></body></worldbody></mujoco>'
+    mechanism = load_mechanism(text)
+    targets = np.array([[0.3], [-2.0]])
+    np.testing.assert_array_equal(advance_all(mechanism, np.zeros((2, 1)), targets), targets)
+
+
 def test_positions_far_apart_are_led_to_in_steps():
     mechanism = load_mechanism("optimus-knee")
     there = np.radians([[55.0], [-60.0]])

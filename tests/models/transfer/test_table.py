@@ -170,3 +170,11 @@ def test_a_range_that_rounding_fills_is_refused(high_rad):
     with pytest.raises(ModelError, match=r"range of C is at least 1e-06 of its reach of 5\.2\d* deg wide, got 0 to "):
         transfer_table(outputs, 1e-3, [(0.0, high_rad)])
     assert transfer_table(outputs, 1e-3, [(0.0, 4e-7)]).known.all()
+
+
+def test_a_single_joint_without_a_loop_has_a_table():
+    text = """<mujoco><worldbody><body><joint name="J" axis="0 1 0" range="-90 90"/><geom size=".1"/></body></worldbody>
+    <actuator><motor name="m" joint="J" gear="5"/></actuator></mujoco>"""
+    table = transfer_table(output_map(load_mechanism(text), ["J"]), 1e-3)
+    np.testing.assert_allclose(table.grid.values["ratio"], 5.0)
+    np.testing.assert_allclose(table.inverse.at("joint_position", np.array([[2.5], [-5.0]])), [[0.5], [-1.0]], atol=1e-9)
