@@ -116,17 +116,46 @@ class ReducedDynamics:
     inverse_dynamics: ca.Function  # q, v, a -> the required Gamma^T B u (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
     sliding: ca.Function  # q, v, a, u -> the residual without dry friction, which is constant while joints slide
-    acceleration: ca.Function  # q, v, u -> a (n_s,)
-    flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
     force_map: ca.Function  # q -> the matrix (n_rows, rank) from multipliers of the independent rows to closure forces
     closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N] of least norm; zero on redundant closures
     energy: ca.Function  # q, v -> kinetic, potential [J]
     site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, without parameters
 
     @property
+    def acceleration(self) -> ca.Function:
+        """q, v, u -> a (n_s,); built at the first use, since its expressions grow with the cube of n_s."""
+        return _forward(self)[0]
+
+    @property
+    def flow(self) -> ca.Function:
+        """q, v, u -> q' (n_q,), v' (n_s,); built at the first use."""
+        return _forward(self)[1]
+
+    @property
     def linearisation(self) -> ca.Function:
         """q, v, u -> da/ds, da/dv, da/du along the closed chain; built at the first use."""
         return _linearisation(self)
+
+
+@functools.lru_cache(maxsize=64)
+def _forward(dynamics: ReducedDynamics) -> tuple[ca.Function, ca.Function]:
+    """Return `acceleration` and `flow`: M_r a = Gamma^T B u - b_r, q' = Gamma v."""
+    of = dynamics.residual
+    q, v, _, u, *further = (ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in()))
+    bias = dynamics.inverse_dynamics(q, v, ca.SX.zeros(v.numel()), *further)
+    a = solve_positive(dynamics.reduced_inertia(q, *further), dynamics.effort_map(q, *further) @ u - bias)
+    rates, a = (ca.densify(one) for one in ca.cse([dynamics.velocity_map(q, *further) @ v, a]))
+    inputs, names = [q, v, u, *further], ["i0", "i1", "i2"] + [_PARAMETERS] * len(further)
+    return (
+        ca.Function("acceleration", inputs, [a], names, ["o0"]),
+        ca.Function("flow", inputs, [rates, a], names, ["o0", "o1"]),
+    )
+
+
+def acceleration_at(dynamics: ReducedDynamics, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the accelerations (n_s,) at one pose, solved in numbers."""
+    bias = dynamics.inverse_dynamics(q, v, np.zeros(len(v))).full().ravel()
+    return np.linalg.solve(dynamics.reduced_inertia(q).full(), dynamics.effort_map(q).full() @ u - bias)
 
 
 @functools.lru_cache(maxsize=64)
@@ -154,7 +183,7 @@ def linearised(dynamics: ReducedDynamics, q: np.ndarray, v: np.ndarray, u: np.nd
 
     Constants replace symbols before the differentiation, and the linear system is solved numerically.
     """
-    a = ca.DM(dynamics.acceleration(q, v, u))
+    a = ca.DM(acceleration_at(dynamics, q, v, u))
     x, w = ca.SX.sym("q", len(q)), ca.SX.sym("v", len(v))
     by_q = ca.Function("by_q", [x], [ca.jacobian(dynamics.residual(x, ca.DM(v), a, ca.DM(u)), x)])(q)
     by_v = ca.Function("by_v", [w], [ca.jacobian(dynamics.residual(ca.DM(q), w, a, ca.DM(u)), w)])(v)
@@ -200,8 +229,6 @@ def reduce_tree(
     inverse = gamma_map.T @ needed
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
-    reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma, *further)
-    acceleration = solve_positive(inertia, effort_map @ u - reduced_bias)
     force_map = _force_map(tree, closures, loops, projected)
     multipliers = factorise(loops.J_z.T)((needed - B @ u)[loops.dependent])
     force = force_map @ multipliers if loops.rows else ca.SX.zeros(loops.phi.numel())
@@ -239,8 +266,6 @@ def reduce_tree(
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),
         sliding=function("sliding", [q, v, a, u], sliding - effort_map @ u),
-        acceleration=function("acceleration", [q, v, u], acceleration),
-        flow=function("flow", [q, v, u], rates, acceleration),
         force_map=function("force_map", [q], force_map),
         closure_force=function("closure_force", [q, v, a, u], force),
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),

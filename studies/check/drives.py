@@ -11,7 +11,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
-from linkplan.models.reduction.reduced import linearised
+from linkplan.models.reduction.reduced import acceleration_at, linearised
 from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
@@ -129,7 +129,7 @@ def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:
     dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
     limit, arms = mechanism.effort_limit, np.array(dynamics.effort_map(home))
     mobility = np.linalg.solve(np.array(dynamics.reduced_inertia(home)), arms)
-    falling = np.array(dynamics.acceleration(home, still, np.zeros(mechanism.n_u))).ravel()
+    falling = acceleration_at(dynamics, home, still, np.zeros(mechanism.n_u))
     driven = np.abs(arms).max(axis=1, initial=0.0) > ROUNDING_SHARE * np.abs(arms).max(initial=0.0)
     hold = np.clip(np.linalg.pinv(mobility[driven]) @ -falling[driven], limit[:, 0], limit[:, 1])
     gained = falling + mobility @ hold

@@ -27,6 +27,7 @@ from linkplan.models.kinematics import (
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
+from linkplan.models.reduction.reduced import acceleration_at
 
 # A gap of more than this share of the model's extent gets a note: 0.05 mm for a model of half a metre.
 NOTED_GAP_SHARE = 1e-4
@@ -149,7 +150,7 @@ def _loads(mechanism: Mechanism) -> list[tuple[str | None, np.ndarray]]:
             if np.isfinite(end) and end != 0:
                 effort = np.zeros(mechanism.n_u)
                 effort[j] = end
-                gained = dynamics.acceleration(home, still, effort)
+                gained = acceleration_at(dynamics, home, still, effort)
                 loads.append((actuator.name, np.array(dynamics.closure_force(home, still, gained, effort)).ravel()))
     return loads
 
