@@ -23,8 +23,15 @@ check: $(STAMP)
 	$(BIN)/basedpyright
 	$(BIN)/python -m pytest tests/test_house.py
 
+# `make bench` runs all parts, `make bench rounding` the part named; the names that follow are no targets of their own.
+ifeq (bench,$(firstword $(MAKECMDGOALS)))
+PARTS := $(wordlist 2,$(words $(MAKECMDGOALS)),$(MAKECMDGOALS))
+.PHONY: $(PARTS)
+$(PARTS): bench ;
+endif
+
 bench: $(STAMP)
-	$(BIN)/python -m tests.bench
+	$(BIN)/python -m tests.bench $(PARTS)
 
 # Every page of docs/, its notebooks executed; a warning, a link that leads nowhere among them, is an error.
 docs: $(STAMP)

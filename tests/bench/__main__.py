@@ -1,7 +1,8 @@
 """`make bench`: what plans cost and how exact they are, beside other people's programs; eight minutes in all.
 
 Only ratios within one run mean anything on a shared machine; the medians beside them say what they are ratios of. Parts can
-be named: `python -m tests.bench peer shares`. Tables are printed, figures and CSV go to bench-results/, progress to stderr.
+be named: `python -m tests.bench peer shares`, `make bench peer shares`; `rounding` runs only where it is named. Tables are
+printed, figures and CSV go to bench-results/, progress to stderr.
 """
 
 import sys
@@ -18,6 +19,7 @@ from tests.bench.packages import between_nodes
 from tests.bench.peer import bench_peer, bench_plans
 from tests.bench.precision import bench_precision
 from tests.bench.proofs import bench_proofs
+from tests.bench.rounding import bench_rounding
 from tests.bench.scaling import bench_scaling
 from tests.bench.shares import bench_shares
 from tests.bench.sizes import bench_sizes
@@ -40,17 +42,20 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),
 }
+# Parts that run only where they are named.
+FURTHER: Mapping[str, Callable[[], str]] = {"rounding": bench_rounding}
 
 
 def main(names: list[str]) -> int:
     """Run the parts named, or all, and return the exit code."""
-    unknown = [name for name in names if name not in PARTS]
+    every = {**PARTS, **FURTHER}
+    unknown = [name for name in names if name not in every]
     if unknown:
-        print(f"unknown part '{unknown[0]}'; parts are {', '.join(PARTS)}", file=sys.stderr)
+        print(f"unknown part '{unknown[0]}'; parts are {', '.join(every)}", file=sys.stderr)
         return 2
     RESULTS.mkdir(exist_ok=True)
     for name in names or PARTS:
-        text = PARTS[name]()
+        text = every[name]()
         (RESULTS / f"{name}.txt").write_text(text + "\n", encoding="utf-8")
         print(text, end="\n\n", flush=True)
     return 0

@@ -3,7 +3,8 @@
 `python -m tests.bench.record FILE --against BEFORE` prints what differs from an earlier record. The record has the built-in
 problems, random four-bars, sliders and linkages, the ODE set, and tables of the frequency response and of an experiment.
 Each answer has its status, objective, duration and processor time. Answers are appended as they come, so that a run can be
-continued; `--processes 2` takes about an hour on two cores. `--groups` and `--every N` choose a part.
+continued; `--processes 2` takes about an hour on two cores. `--groups` and `--every N` choose a part. `--changed 1e-12`
+changes every number of the problems' tables by that share of it.
 """
 
 import argparse
@@ -11,6 +12,7 @@ import itertools
 import json
 import math
 import multiprocessing
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -28,41 +30,58 @@ ALLOWED_TIME = 1.1
 STATUSES = ("optimal", "feasible", "infeasible", "failed", "refused", "error")
 
 
-def builtin_answer(name: str) -> dict:
+def builtin_answer(name: str, change: float = 0.0) -> dict:
     """Return the answer to a built-in problem."""
-    from linkplan.planner.planning import plan_motion
-    from linkplan.planner.problem.problem import load_problem
+    from linkplan.planner.files.tables import read_tables
 
-    return answer_of(plan_motion(load_problem(name)))
+    return tables_answer(read_tables(name)[1], change)
 
 
-def fourbar_answer(number: str) -> dict:
+def fourbar_answer(number: str, change: float = 0.0) -> dict:
     """Return the answer to a random four-bar problem."""
     from tests.support.fourbar_problems import random_case
 
-    return tables_answer(random_case(SEED, int(number)).tables)
+    return tables_answer(random_case(SEED, int(number)).tables, change)
 
 
-def slider_answer(number: str) -> dict:
+def slider_answer(number: str, change: float = 0.0) -> dict:
     """Return the answer to a random slider-crank problem."""
     from tests.support.sliders import drawn
 
-    return tables_answer(drawn(SEED, int(number)).tables)
+    return tables_answer(drawn(SEED, int(number)).tables, change)
 
 
-def linkage_answer(number: str) -> dict:
+def linkage_answer(number: str, change: float = 0.0) -> dict:
     """Return the answer to a random linkage problem."""
     from tests.support.linkage_problems import drawn
 
-    return tables_answer(drawn(SEED, int(number)).tables)
+    return tables_answer(drawn(SEED, int(number)).tables, change)
 
 
-def tables_answer(tables: dict) -> dict:
-    """Return the answer to the problem of some tables."""
+def tables_answer(tables: dict, change: float = 0.0) -> dict:
+    """Return the answer to the problem of some tables, with every number changed by a share of it."""
     from linkplan.planner.planning import plan_motion
     from linkplan.planner.problem.problem import Problem
 
-    return answer_of(plan_motion(Problem.from_tables("recorded", tables)))
+    return answer_of(plan_motion(Problem.from_tables("recorded", changed(tables, change))))
+
+
+def changed(value: object, share: float) -> object:
+    """Return tables whose decimal numbers are larger or smaller by a share of them, also those of a model's text.
+
+    The sign depends on the number alone, so that equal numbers remain equal.
+    """
+    if not share:
+        return value
+    if isinstance(value, dict):
+        return {key: changed(item, share) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [changed(item, share) for item in value]
+    if isinstance(value, float):
+        return value * (1 + share * (1 if math.frexp(value)[0] * 64 % 2 < 1 else -1))
+    if isinstance(value, str) and value.lstrip().startswith("<"):
+        return re.sub(r"(?<![\w.])-?\d+\.\d+(?:[eE][-+]?\d+)?", lambda found: repr(changed(float(found[0]), share)), value)
+    return value
 
 
 def answer_of(plan) -> dict:
@@ -73,8 +92,8 @@ def answer_of(plan) -> dict:
     return answer | {"steps": steps}
 
 
-def ode_answer(name: str) -> dict:
-    """Return the answer to a problem of the ODE set."""
+def ode_answer(name: str, _: float = 0.0) -> dict:
+    """Return the answer to a problem of the ODE set, whose numbers are not changed."""
     return answer_of(ode_set()[name]())
 
 
@@ -110,8 +129,8 @@ def ode_set() -> dict[str, Callable]:
     }
 
 
-def table_answer(words: str) -> dict:
-    """Return every number of a command's JSON, by its place."""
+def table_answer(words: str, _: float = 0.0) -> dict:
+    """Return every number of a command's JSON, by its place; its problem's numbers are not changed."""
     import contextlib
     import io
 
@@ -149,7 +168,7 @@ TABLES = (
     "check andrews-squeezer",
 )
 
-GROUPS: dict[str, tuple[Callable[[str], dict], Callable[[], list[str]]]] = {
+GROUPS: dict[str, tuple[Callable[[str, float], dict], Callable[[], list[str]]]] = {
     "builtin": (
         builtin_answer,
         lambda: sorted(path.stem for path in (Path(__file__).parents[2] / "planner" / "problems").glob("*.toml")),
@@ -162,13 +181,13 @@ GROUPS: dict[str, tuple[Callable[[str], dict], Callable[[], list[str]]]] = {
 }
 
 
-def recorded(group: str, name: str) -> dict:
-    """Return one line of the record."""
+def recorded(group: str, name: str, change: float = 0.0) -> dict:
+    """Return one line of the record, of a problem whose numbers are changed by a share of them."""
     from linkplan.models.errors import LinkplanError
 
     begin = time.process_time()
     try:
-        answer = GROUPS[group][0](name)
+        answer = GROUPS[group][0](name, change)
     except LinkplanError as error:
         answer = {"status": "refused", "message": str(error)}
     except Exception as error:  # a fault is an answer to compare, too
@@ -230,13 +249,14 @@ def main(words: list[str]) -> int:
     parser.add_argument("--groups", nargs="+", choices=list(GROUPS), default=list(GROUPS))
     parser.add_argument("--every", type=int, default=1, help="record every Nth answer of each group")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--changed", type=float, default=0.0, help="the share by which every number is changed")
     asked = parser.parse_args(words)
     known = load_record(asked.file)
     wanted = [(group, name) for group in asked.groups for name in GROUPS[group][1]()[:: asked.every]]
     missing = [key for key in wanted if key not in known]
     context = multiprocessing.get_context("spawn")
     with asked.file.open("a", encoding="utf-8") as out, ProcessPoolExecutor(asked.processes, mp_context=context) as pool:
-        waiting = [pool.submit(recorded, *key) for key in missing]
+        waiting = [pool.submit(recorded, *key, asked.changed) for key in missing]
         for done, future in enumerate(as_completed(waiting), start=1):
             answer = future.result()
             known[answer["group"], answer["name"]] = answer

@@ -286,7 +286,7 @@ def test_users_without_a_home_have_a_temporary_cache(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert cache_folder().parent == tmp_path
     assert find_entry(trusted_folder(make=True), "k1") is None
-    monkeypatch.setattr(Path, "home", lambda: Path("/nonexistent"))
+    monkeypatch.setattr(Path, "home", lambda: tmp_path / "missing")
     assert cache_folder().parent == tmp_path
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
     assert cache_folder() == tmp_path / "caches" / "linkplan"
