@@ -44,7 +44,7 @@ ROOMS = {
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.
 MOST_ARROWS = 20
 # Names of numbers at the top of our files: each is one more thing to know.
-MOST_CONSTANTS = 406
+MOST_CONSTANTS = 411
 # The root of the public package: installed as `linkplan` itself, above everything.
 PUBLIC = ROOT / "studies" / "package"
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
@@ -235,7 +235,7 @@ def test_all_data_files_are_listed_in_the_project_file():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "most"), [("plan", 111), ("compare", 140)])
+@pytest.mark.parametrize(("command", "most"), [("plan", 114), ("compare", 140)])
 def test_a_reader_who_follows_a_command_meets_few_files(command, most):
     asked = [sys.executable, "-m", "tests.bench.entered", command, "knee-reach"]
     run = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True)
