@@ -147,9 +147,9 @@ class _Way:
         middle = 0.5 * (acts[1:] + acts[:-1])
         given = np.diff(plane.work[1][at]) - way * ds * 0.5 * ((acts * full[1])[1:] + (acts * full[1])[:-1])
         drag, rub = (0.5 * (x[at][1:] + x[at][:-1]) * ds for x in (plane.drag, plane.rub))
-        energy = 0.5 * plane.inertia[at] * speed**2
-        gained = energy[1:] - energy[:-1] - given - drag * 0.5 * (speed[1:] + speed[:-1]) + rub
-        return gained / (way * middle * ds)
+        energy = speed**2 * ca.DM(0.5 * plane.inertia[at])
+        gained = energy[1:] - energy[:-1] - (speed[1:] + speed[:-1]) * ca.DM(0.5 * drag) + ca.DM(rub - given)
+        return gained / ca.DM(way * middle * ds)
 
 
 def _solved(

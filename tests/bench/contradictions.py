@@ -129,8 +129,8 @@ def contradictions(answers: dict, least_s: float, hold: float | None) -> list[st
     return wrong
 
 
-def rotary_answer(seed: int, number: int) -> dict:
-    """Return the answer to a turn in least time, the known turns' durations, and what contradicts in them."""
+def turning_case(seed: int, number: int) -> tuple[FourBar, float, float, dict]:
+    """Return a four-bar whose crank turns, its effort limit, its damping, and the tables of its turn in least time."""
     rng = np.random.default_rng([seed, number, 8])
     fourbar = random_fourbar(rng, crank_turns=True)
     s = np.linspace(-np.pi, np.pi, 721)
@@ -139,7 +139,13 @@ def rotary_answer(seed: int, number: int) -> dict:
     damping = float(rng.uniform(0.01, 0.3) * limit / 10.0)
     model = fourbar.mjcf(0.0, limit=limit).replace('<joint name="O"', f'<joint name="O" damping="{damping}"')
     motion = {"kind": "periodic", "turns": {"O": 1}, "duration_s": "free"}
-    found = plan_of({"mechanism": {"model": model}, "motion": motion, "objective": {"minimize": "time"}})
+    return fourbar, limit, damping, {"mechanism": {"model": model}, "motion": motion, "objective": {"minimize": "time"}}
+
+
+def rotary_answer(seed: int, number: int) -> dict:
+    """Return the answer to a turn in least time, the known turns' durations, and what contradicts in them."""
+    fourbar, limit, damping, tables = turning_case(seed, number)
+    found = plan_of(tables)
     known = {"constant effort": turn_under_full_effort(fourbar, limit, damping)}
     known["constant speed"] = turn_at_constant_speed(fourbar, limit, damping)
     wrong = []

@@ -18,10 +18,12 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
-# The seed of every random problem, and how many there are of each family.
+# The seed of every random problem, and how many there are of each family; the seed of the cranks that turn fully.
 SEED = 1
 N_FOURBARS, N_SLIDERS, N_LINKAGES = 150, 60, 60
+TURNING_SEED, N_TURNING = 4078, 24
 # Objectives and durations of one problem that are no further apart than this are equal, relative.
 EQUAL = 1e-6
 # The mean processor time may grow to this share of what it was.
@@ -58,6 +60,13 @@ def linkage_answer(number: str, change: float = 0.0) -> dict:
     return tables_answer(drawn(SEED, int(number)).tables, change)
 
 
+def turning_answer(number: str, change: float = 0.0) -> dict:
+    """Return the answer to a random four-bar's full turn in least time."""
+    from tests.bench.contradictions import turning_case
+
+    return tables_answer(turning_case(TURNING_SEED, int(number))[3], change)
+
+
 def tables_answer(tables: dict, change: float = 0.0) -> dict:
     """Return the answer to the problem of some tables, with every number changed by a share of it."""
     from linkplan.planner.planning import plan_motion
@@ -66,7 +75,7 @@ def tables_answer(tables: dict, change: float = 0.0) -> dict:
     return answer_of(plan_motion(Problem.from_tables("recorded", changed(tables, change))))
 
 
-def changed(value: object, share: float) -> object:
+def changed(value: Any, share: float) -> Any:
     """Return tables whose decimal numbers are larger or smaller by a share of them, also those of a model's text.
 
     The sign depends on the number alone, so that equal numbers remain equal.
@@ -176,6 +185,7 @@ GROUPS: dict[str, tuple[Callable[[str, float], dict], Callable[[], list[str]]]] 
     "fourbar": (fourbar_answer, lambda: [str(k) for k in range(N_FOURBARS)]),
     "slider": (slider_answer, lambda: [str(k) for k in range(N_SLIDERS)]),
     "linkage": (linkage_answer, lambda: [str(k) for k in range(N_LINKAGES)]),
+    "turning": (turning_answer, lambda: [str(k) for k in range(N_TURNING)]),
     "ode": (ode_answer, lambda: list(ode_set())),
     "table": (table_answer, lambda: list(TABLES)),
 }

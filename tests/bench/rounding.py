@@ -16,7 +16,7 @@ from tests.bench.record import EQUAL, differences, load_record
 
 # Kernels of x86-64 processors, the widest first, and the groups of the record whose problems are tables.
 KERNELS = ("SkylakeX", "Haswell", "Sandybridge", "Prescott")
-GROUPS = ("builtin", "fourbar", "slider")
+GROUPS = ("builtin", "fourbar", "slider", "turning")
 CHANGE = 1e-12
 
 
