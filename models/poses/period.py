@@ -36,8 +36,8 @@ def _matters(mechanism: Mechanism, j: int) -> bool:
     poses = mechanism.home + 0.1 * unit * random.uniform(-1, 1, (_EXAMINED_POSES, mechanism.n_q))
     moved = poses.copy()
     moved[:, j] += 0.7 * unit[j]
-    motion = random.uniform(0.5, 1.0, (2, _EXAMINED_POSES, mechanism.dof))
-    before, after = (_influence(mechanism, *motion, at) for at in (poses, moved))
+    v, a = random.uniform(0.5, 1.0, (2, _EXAMINED_POSES, mechanism.dof))
+    before, after = (_influence(mechanism, v, a, at) for at in (poses, moved))
     size = np.abs(before).max(axis=(0, 2), keepdims=True)
     same = np.abs(after - before) <= ROUNDING_SHARE * np.where(size > 0, size, 1.0)
     return not np.all(same)  # NaN matters

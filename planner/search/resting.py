@@ -30,6 +30,7 @@ def legs_plan(search: Search) -> Plan | None:
 
 def _of_legs(search: Search) -> Plan | None:
     problem, asked = search.problem, search.problem.motion.duration_s
+    assert asked is not None, "legs of the phase plane answer a problem with a duration"
     progress("the cheapest legs of the phase plane")
     holdings = {end: found for end in ("start", "goal") if (found := held(problem, end)) is not None}
     costs = {end: float(np.sum(np.square(found.effort))) for end, found in holdings.items()}

@@ -62,7 +62,7 @@ def at_rest(search: Search) -> Plan | None:
     problem, motion = search.problem, search.problem.motion
     duration = motion.duration_s or motion.min_duration_s
     moves = motion.start_speed is not None and np.any(motion.start_speed)
-    if not motion.stays or moves or duration is None:
+    if motion.start is None or not motion.stays or moves or duration is None:
         return None
     assert motion.start is not None  # of a reach
     holding = holding_at(problem, motion.start)
