@@ -49,7 +49,6 @@ def refuse_oversized(content: bytes, what: str) -> None:
     if _ENTITY.search(read):
         raise ModelError(
             f"{what} declares an XML entity (<!ENTITY>), which MuJoCo does not replace: write its text in its place"
-            " (xmllint --noent FILE does it)"
         )
     for name, value in _COUNT.findall(content):
         # Numbers of 8 bytes each, and 20,000 bodies of a replicate, which take seconds and a gigabyte.
