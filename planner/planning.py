@@ -90,8 +90,8 @@ RUNGS: tuple[Rung, ...] = (
     ),
     *_FIRST,
     Rung(
-        name="the cheapest legs of the phase plane, and a rest",
-        tried=lambda search: not search.solved and search.quickest is not None and not starts.no_time(search),
+        name="the cheapest legs of the phase plane, where meshes over time led to false motions",
+        tried=lambda search: bool(search.plans) and resting.legs_may_help(search),
         climb=resting.from_legs,
         budget=HURRIED,
     ),
@@ -108,6 +108,12 @@ RUNGS: tuple[Rung, ...] = (
         tried=lambda search: not search.solved and waiting.may_wait(search),
         climb=waiting.from_waiting,
         budget=PATIENT,
+    ),
+    Rung(
+        name="the cheapest legs of the phase plane",
+        tried=resting.legs_may_help,
+        climb=resting.from_legs,
+        budget=HURRIED,
     ),
 )
 

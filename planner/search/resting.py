@@ -14,7 +14,13 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import without_solving
 from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.solving import longest
 from linkplan.planner.trajectory import Trajectory
+
+
+def legs_may_help(search: Search) -> bool:
+    """True if no plan passes, and the phase plane knows a motion to the goal."""
+    return not search.solved and search.quickest is not None and search.quickest.duration_s <= longest(search.problem)
 
 
 def from_legs(search: Search, _: Budget) -> Plan | None:

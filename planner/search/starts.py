@@ -109,7 +109,7 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     if search.solved:
         return _better_plan(search, budget)
     assert search.quickest is not None  # where the phase plane applies
-    legs = legs_plan(search) if search.quickest.swings <= 1 else None
+    legs = legs_plan(search) if search.plans and search.quickest.swings <= 1 else None
     least = _FALSE_BELOW * legs.objective if legs is not None and legs.passed else 0.0
     return _first_of(search, budget, _of_the_phase_plane(search, budget), least=least)
 
