@@ -16,6 +16,7 @@ from linkplan.models.tree.joints import unit_steps
 
 # Poses at which a joint's influence is examined.
 _EXAMINED_POSES = 3
+_GOLDEN_RATIO = 0.5 * (1 + np.sqrt(5))
 
 
 @functools.lru_cache(maxsize=16)
@@ -31,12 +32,13 @@ def _matters(mechanism: Mechanism, j: int) -> bool:
     Inverse dynamics, transmission and rates are compared at poses around home while the joint is turned alone, without
     closing the loops.
     """
-    random = np.random.default_rng(0)
-    unit = unit_steps(mechanism.joints, mechanism.extent_m)
-    poses = mechanism.home + 0.1 * unit * random.uniform(-1, 1, (_EXAMINED_POSES, mechanism.n_q))
+    n_q, n_s, unit = mechanism.n_q, mechanism.dof, unit_steps(mechanism.joints, mechanism.extent_m)
+    # Numbers from 0 to 1 in no order; the motions are generic.
+    spread = np.modf(_GOLDEN_RATIO * np.arange(_EXAMINED_POSES * (n_q + 2 * n_s)))[0].reshape(_EXAMINED_POSES, -1)
+    poses = mechanism.home + 0.1 * unit * (2 * spread[:, :n_q] - 1)
     moved = poses.copy()
     moved[:, j] += 0.7 * unit[j]
-    v, a = random.uniform(0.5, 1.0, (2, _EXAMINED_POSES, mechanism.dof))
+    v, a = 0.5 + 0.5 * spread[:, n_q : n_q + n_s], 0.5 + 0.5 * spread[:, n_q + n_s :]
     before, after = (_influence(mechanism, v, a, at) for at in (poses, moved))
     size = np.abs(before).max(axis=(0, 2), keepdims=True)
     same = np.abs(after - before) <= ROUNDING_SHARE * np.where(size > 0, size, 1.0)

@@ -119,7 +119,7 @@ def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int
 def _existence(problem: Problem, trajectory: Trajectory, until: Deadline, order: int, *, existence: bool) -> list[Finding]:
     """Return the findings on a motion of the model near a trajectory whose loops are proved to close."""
     if not existence:
-        return [no_motion("`linkplan prove` looks for one, unless --no-existence is given")]
+        return [no_motion("`linkplan prove` looks for one")]
     found, tube = [no_motion("there is no time left")], first_tube(trajectory)
     while tube is not None and not until.passed and any(finding.answer != "proved" for finding in found):
         try:

@@ -142,7 +142,7 @@ def cost_blocks(record: dict, target: Path) -> list[Block]:
         found.append(Text(text=text))
     if not record["sizes"]:
         text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long:"
-        text += " --sizes measures it, in up to minutes"
+        text += " it is measured where sizes are asked for, in up to minutes"
         found.append(Text(text=text, tone="note"))
     rows = [[row["compiler"], row["real"], row["flash_bytes"], row["stack_bytes"]] for row in record["sizes"]]
     if rows:
