@@ -49,6 +49,16 @@ def ball_turns(model: mujoco.MjModel, coordinates: Coordinates, q: ca.SX) -> ca.
     return ca.vertcat(ca.SX(0, 1), *turns)
 
 
+def inertia_unit_of(effort_unit: str) -> str:
+    """Return the unit of an inertia moved by an effort in "N.m" or "N"."""
+    return "kg m2" if effort_unit == "N.m" else "kg"
+
+
+def gain_units_of(effort_unit: str) -> tuple[str, str]:
+    """Return the units of a stiffness and of a damping that give an effort in "N.m" or "N"."""
+    return ("N.m/rad", "N.m.s/rad") if effort_unit == "N.m" else ("N/m", "N.s/m")
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Joint:
     """A coordinate: a hinge [rad] or slide [m] with its range, infinite where the model sets none.
@@ -82,12 +92,12 @@ class Joint:
     @property
     def inertia_unit(self) -> str:
         """The unit of an inertia along the joint."""
-        return "kg m2" if self.kind == "hinge" else "kg"
+        return inertia_unit_of(self.si_units[1])
 
     @property
     def gain_units(self) -> tuple[str, str]:
         """The units of a stiffness and of a damping."""
-        return ("N.m/rad", "N.m.s/rad") if self.kind == "hinge" else ("N/m", "N.s/m")
+        return gain_units_of(self.si_units[1])
 
     def shown(self, position: float) -> float:
         """Return a position [rad or m] in the unit of files and messages."""
