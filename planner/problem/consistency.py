@@ -328,7 +328,10 @@ def check_objective(
             f" (a motor's ctrlrange, a servo's forcerange) for {', '.join(unlimited)}"
         )
     if list(objective.weights) == ["time"] and motion.stays:
-        raise ProblemError("motion.start_deg is motion.goal_deg: a motion of least time between them takes no time")
+        raise ProblemError(
+            "objective.minimize is 'time' and the motion ends where it starts, which takes no time: ask for another goal or"
+            " objective"
+        )
     for name, term in objective.terms.items():
         for need in term.needs:
             if lacking[need] is not None:
