@@ -6,7 +6,6 @@ never brings its nut back. Only joints whose position matters must return: a bal
 
 import functools
 
-import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
@@ -85,7 +84,9 @@ def turn_of(mechanism: Mechanism, coordinate: int) -> float:
     What drives slides alone never comes back; the travel is then that in which they move by about the mechanism's extent.
     """
     gamma, n_q = mechanism.dynamics.velocity_map, mechanism.n_q
-    varies = np.array(ca.DM(gamma.jac_sparsity(0, 0), 1.0)).any(axis=1).reshape((n_q, mechanism.dof), order="F")
+    varies = np.zeros(n_q * mechanism.dof, dtype=bool)
+    varies[gamma.jac_sparsity(0, 0).row()] = True
+    varies = varies.reshape((n_q, mechanism.dof), order="F")
     hinges = np.array([joint.turns for joint in mechanism.joints])
     geared = hinges & ~varies[:, coordinate] & mattering(mechanism)
     rates = np.where(geared, np.abs(np.array(gamma(mechanism.home))[:, coordinate]), 0.0)

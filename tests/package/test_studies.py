@@ -198,7 +198,7 @@ def test_gains_that_were_found_are_a_problems_tracking(problem):
     assert min(point["bandwidth_hz"] for point in points) >= 20.0
     assert min(point["phase_margin_deg"] for point in points) >= 60.0
     assert isinstance(result.plot(), Figure)
-    assert "at the joint: kp" in str(result)
+    assert "at the joint O: kp" in str(result)
 
 
 @pytest.mark.parametrize(

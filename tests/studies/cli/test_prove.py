@@ -109,7 +109,7 @@ def test_without_existence_the_limits_alone_are_proved(folder, capsys):
     assert (code, said["verdict"]) == (0, "proved")
     assert not [one for one in said["proved"] if "own motion" in one["name"]]
     (own,) = [one for one in said["sampled"] if "own motion" in one["name"]]
-    assert "--no-existence" in own["reason"]
+    assert "`linkplan prove` looks for one" in own["reason"]
 
 
 def test_a_plan_that_a_proof_refutes_is_not_passed_anywhere(folder):
