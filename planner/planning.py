@@ -192,7 +192,7 @@ def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagno
 
 
 def _climbed_or_smooth(search: Search, rungs: Sequence[Rung]) -> Plan | None:
-    """Return the plan of the rungs, unless a rest costs less; if it does not pass, the smooth path if that does; or None."""
+    """Return the plan that the rungs find or a rest that costs less; if none passes, the smooth path that does, or None."""
     rest = at_rest(search)
     if rest is not None and rest.status == "optimal":
         return rest

@@ -208,7 +208,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
 
 
 def _has_slid_far(mechanism: Mechanism, pose: np.ndarray) -> bool:
-    """Return True if a slide is as far from home as slides are followed."""
+    """Return True if a slide has moved by the largest distance that slides are followed."""
     slides = np.array([joint.kind == "slide" for joint in mechanism.joints])
     return bool(np.any(np.abs(pose - mechanism.home)[slides] >= (1 - 1e-9) * _SLIDE_EXTENTS * mechanism.extent_m))
 

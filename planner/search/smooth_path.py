@@ -64,7 +64,6 @@ def at_rest(search: Search) -> Plan | None:
     moves = motion.start_speed is not None and np.any(motion.start_speed)
     if motion.start is None or not motion.stays or moves or duration is None:
         return None
-    assert motion.start is not None  # of a reach
     holding = holding_at(problem, motion.start)
     if not holding.holds:
         return None

@@ -51,7 +51,7 @@ def test_a_texture_of_an_attached_model_is_found_beside_it(tmp_path):
 
 
 def test_textures_are_bounded_together_and_small_ones_stay(tmp_path):
-    """Of three with 30 million pixels there is room for two."""
+    """Two images of 30 million pixels fit into the limit, and a third one does not."""
     textures = "".join(f'<texture name="t{k}" type="2d" builtin="flat" width="6000" height="5000"/>' for k in range(3))
     text = MODEL.format('type="2d" builtin="flat" width="8" height="8"').replace("<asset>", f"<asset>{textures}")
     mechanism = linkplan.load_mechanism(written(tmp_path, text))
