@@ -30,7 +30,7 @@ from linkplan.planner.transcription.mesh import Mesh, divided, uniform
 
 # |det J_z| relative to home that iterates keep at first, and at last where the first one binds and less is asked for. Next
 # to a singular pose no mesh is fine enough, and a tenth of the last one saves a two-thousandth of the time.
-FIRST_MARGIN, _LAST_MARGIN = 0.05, 0.01
+FIRST_MARGIN, LAST_MARGIN = 0.05, 0.01
 # The transcription of finer meshes, and their intervals as a share of those asked for: with degree 5 they err by less.
 _FINER_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
 # At most so many meshes; the objective has settled once it changes by less than this share.
@@ -211,9 +211,9 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, gain: float) -> _Way | 
 def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase | None:
     """Return a case that comes nearer to singular poses, if the margin that nobody asked for binds; else None."""
     margin, asked = case.problem.limits.singular_margin, case.asked.limits.singular_margin
-    if margin <= max(asked, _LAST_MARGIN) or at.certificate.singularity_ratio > 1.01 * margin:
+    if margin <= max(asked, LAST_MARGIN) or at.certificate.singularity_ratio > 1.01 * margin:
         return None
-    limits = replace(case.problem.limits, singular_margin=max(asked, _LAST_MARGIN))
+    limits = replace(case.problem.limits, singular_margin=max(asked, LAST_MARGIN))
     return replace(case, problem=replace(case.problem, limits=limits))
 
 

@@ -22,7 +22,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import certified, only_feasible, without_solving
-from linkplan.planner.search.finer_meshes import at_a_distance
+from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
 
@@ -77,7 +77,17 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     better = min(first.objective for first in firsts)
     if best is not plans[0] and better < (1 - _ALIKE_SHARE) * best.objective:
         return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
-    return best if not np.any(tie_weights(problem, TIE_WEIGHT)) else replace(best, message=best.message + _TIES)
+    said = _TIES if np.any(tie_weights(problem, TIE_WEIGHT)) else ""
+    return replace(best, message=best.message + said + _margin_kept(problem, best))
+
+
+def _margin_kept(problem: Problem, plan: Plan) -> str:
+    """Return the words on a distance from singular poses that nobody asked for and that the motion meets, or none."""
+    ratio = plan.certificate.singularity_ratio if plan.certificate is not None else np.inf
+    met = [margin for margin in (FIRST_MARGIN, LAST_MARGIN) if 0.9 * margin <= ratio <= 1.02 * margin]
+    if not met or met[0] <= problem.limits.singular_margin:
+        return ""
+    return f"; it keeps {met[0]:g} of the home pose's distance from singular poses, nearer to them it may cost less"
 
 
 def _slower(problem: Problem, first: _First) -> Plan | None:

@@ -18,7 +18,7 @@ from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, jumps_of, of_several
 from linkplan.planner.search.ladder import PATIENT, Search
-from linkplan.planner.search.several_motors import _first_solutions, from_several_starts
+from linkplan.planner.search.several_motors import _first_solutions, _margin_kept, from_several_starts
 from tests.support.data import DATA
 
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
@@ -61,6 +61,7 @@ def test_little_effort_near_a_singular_pose_is_not_a_motion_and_a_rest():
     plan = plan_motion(leg(duration_s=0.279953, minimize="effort"))
     assert plan.status == "optimal"
     assert plan.objective <= LEAST_EFFORT * (1 + 1e-3)
+    assert "it keeps 0.01 of the home pose's distance from singular poses" in plan.message
     assert "ties" not in plan.message
 
 
@@ -75,6 +76,9 @@ def test_a_margin_that_is_asked_for_is_kept():
     problem = linkplan.Problem.reach(mechanism, **ENDS, duration_s=0.3, limits={"singular_margin": 0.3})
     kept = at_a_distance(case_of(problem), problem.start_pose()).problem.limits.singular_margin
     assert kept == 0.3
+    met = SimpleNamespace(certificate=SimpleNamespace(singularity_ratio=0.0101))
+    assert _margin_kept(leg(duration_s=0.3), met)
+    assert not _margin_kept(problem, met)
 
 
 def test_starts_end_once_the_best_objective_was_found_twice(in_least_time, monkeypatch):
