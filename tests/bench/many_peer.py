@@ -1,18 +1,17 @@
 """What a careful user writes by hand for robots of several motors: collocation in `casadi.Opti`, without a certificate.
 
-Radau collocation of degree 3 on 40 even intervals. Positions and speeds of the independent joints are states; accelerations,
-efforts and dependent joints are unknowns at the nodes, tied by inverse dynamics and closure. The dynamics are linkplan's own
-expressions, which a user of Pinocchio or CasADi would have too. If their elimination of dependent joints is long, rates,
-accelerations and multipliers of the tree are unknowns instead, as in linkplan.
+Radau collocation of degree 3 on 40 even intervals. Positions and speeds of the independent joints are states; accelerations
+and efforts are unknowns at the nodes, tied by inverse dynamics. The dynamics are linkplan's expressions. In a closed chain the
+other joints, their rates and accelerations, and the multipliers are unknowns too, so that nothing is divided by a determinant
+that vanishes at a singular pose; the determinant keeps its sign.
 
-Used well: the node is one SX function, mapped over the nodes; all unknowns are scaled by limits and the motion's span and
-duration; limits on single unknowns are bounds; the start is linkplan's smooth path with the efforts and the duration that it
-needs. Efforts keep their limits at the nodes only.
+Used well: a node is one SX function, mapped over the nodes; unknowns are scaled by limits, span and duration; limits on single
+unknowns are bounds; the start is linkplan's smooth path with the efforts and the duration that it needs, and IPOPT begins with
+a small barrier there. Limits hold at the nodes only.
 """
 
 import json
 import sys
-import time
 from dataclasses import dataclass
 
 import casadi as ca
@@ -21,46 +20,23 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.planner.closed_chain.guess import first_guess, poses_along
-from linkplan.planner.closed_chain.mechanics import in_order, is_lifted
+from linkplan.planner.closed_chain.mechanics import in_order
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.bench.opti_peer import IPOPT
 
 INTERVALS, DEGREE = 40, 3
-# Of the efforts in the objective of a least time, as a share of full efforts all the time: it decides what those motors do
-# that have time to spare, and costs a least time less than a thousandth.
+# Of the effort in the objective of a least time, as a share of full effort all the time: it settles what motors do that have
+# time to spare, and costs a ten-thousandth of the least time at most.
 _TIE = 1e-4
-
-
-def node_function(mechanism: Mechanism) -> ca.Function:
-    """Return s, v, a, u, z -> the equations of a node, in SI; z are the dependent joints and what is lifted."""
-    n_s, n_z, dynamics = mechanism.dof, len(mechanism.dependent), mechanism.dynamics
-    s, v, a, u = (ca.SX.sym(name, size) for name, size in (("s", n_s), ("v", n_s), ("a", n_s), ("u", mechanism.n_u)))
-    if not is_lifted(mechanism):
-        z = ca.SX.sym("z", n_z)
-        q = in_order(mechanism, s, z)
-        rows = ca.vertcat(dynamics.independent_closure(q), dynamics.residual(q, v, a, u))
-        return ca.Function("node", [s, v, a, u, z], [ca.densify(rows)])
-    z = ca.SX.sym("z", 4 * n_z)
-    joints, speeds, rates, multipliers = ca.vertsplit(z, n_z)
-    q, qd, qdd = (in_order(mechanism, *pair) for pair in ((s, joints), (v, speeds), (a, rates)))
-    phi, held = _closure(mechanism)(q, qd, qdd, multipliers)
-    left = dynamics.tree_effort(q, qd, qdd) - dynamics.effort_matrix(q) @ u - held
-    return ca.Function("node", [s, v, a, u, z], [ca.densify(ca.vertcat(phi, left))])
-
-
-def _closure(mechanism: Mechanism) -> ca.Function:
-    """Return q, q', q'', mu -> the closure with its two derivatives, and J^T mu."""
-    q, qd, qdd = (ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd"))
-    phi = mechanism.dynamics.independent_closure(q)
-    mu = ca.SX.sym("mu", phi.numel())
-    opening = ca.jtimes(phi, q, qd)
-    turning = ca.jtimes(phi, q, qdd) + ca.jtimes(opening, q, qd)
-    return ca.Function("closure", [q, qd, qdd, mu], [ca.vertcat(phi, opening, turning), ca.jtimes(phi, q, mu, True)])
+# Of the determinants of the closure's blocks, the least share of their values at the start.
+_REGULAR = 0.02
+# The quickest of barriers 1e-1, 1e-2 and 1e-3 on legs and arms, and the most iterations and processor time [s].
+_SOLVER = IPOPT | {"detect_simple_bounds": True, "ipopt.mu_init": 1e-2, "ipopt.max_iter": 500, "ipopt.max_cpu_time": 60.0}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ManyPeer:
-    """A built program with its duration [s], the objective in SI and the efforts at its nodes."""
+    """A built program with its duration [s], objective in SI, and the efforts (n_u, n_nodes) [N.m or N] at its nodes."""
 
     opti: ca.Opti
     duration: ca.MX
@@ -68,118 +44,121 @@ class ManyPeer:
     effort: ca.MX
 
 
-def build_many_peer(problem: Problem, options: dict | None = None) -> ManyPeer:
+def node_function(mechanism: Mechanism) -> ca.Function:
+    """Return s, v, a, u, z -> a node's equations in SI, and determinants; z (4 n_z,) are the dependent joints' unknowns."""
+    n_s, n_z, n_q, dynamics = mechanism.dof, len(mechanism.dependent), mechanism.n_q, mechanism.dynamics
+    s, v, a, u = (ca.SX.sym(name, size) for name, size in (("s", n_s), ("v", n_s), ("a", n_s), ("u", mechanism.n_u)))
+    z = ca.SX.sym("z", 4 * n_z)
+    of = [z[k * n_z : (k + 1) * n_z] for k in range(4)]
+    q, qd, qdd = (ca.SX.sym(name, n_q) for name in ("q", "qd", "qdd"))
+    phi = dynamics.independent_closure(q)
+    opening = ca.jtimes(phi, q, qd)
+    turning = ca.jtimes(phi, q, qdd) + ca.jtimes(opening, q, qd)
+    mu = ca.SX.sym("mu", n_z)
+    left = dynamics.tree_effort(q, qd, qdd) - dynamics.effort_matrix(q) @ u
+    left -= ca.jtimes(phi, q, mu, True) if n_z else 0
+    rows, dets = ca.vertcat(phi, opening, turning, left), dynamics.block_singularity(q)
+    at = ca.Function("at", [q, qd, qdd, u, mu], [ca.densify(rows), dets])
+    places = [in_order(mechanism, *pair) for pair in ((s, of[0]), (v, of[1]), (a, of[2]))]
+    return ca.Function("node", [s, v, a, u, z], at(*places, u, of[3]))
+
+
+def build_many_peer(problem: Problem) -> ManyPeer:
     """Return the program of a reach: least time, least effort, or a mixture of both."""
     mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
-    n_s, n_u, n_z = mechanism.dof, mechanism.n_u, len(mechanism.dependent)
     guess = first_guess(problem, problem.start_pose())
     points = np.array(ca.collocation_points(DEGREE, "radau"))
-    D, _, weights = ca.collocation_coeff(list(points))
-    breaks = np.linspace(0.0, 1.0, INTERVALS + 1)
-    shares = (breaks[:-1, None] + points / INTERVALS).ravel()
-    times = guess.duration_s * np.concatenate([[0.0], shares])
+    times = np.concatenate([[0.0], (np.arange(INTERVALS)[:, None] + points).ravel()]) * guess.duration_s / INTERVALS
     poses = poses_along(mechanism, guess, times)
-    s0, v0, a0 = (guess.position(times).T, guess.velocity(times).T, guess.acceleration(times).T)
-    u0 = needed_effort(mechanism, poses, v0.T, a0.T)[0].T
+    s, v, a = (of(times) for of in (guess.position, guess.velocity, guess.acceleration))
+    u, unit_s, full = needed_effort(mechanism, poses, v, a)[0], guess.duration_s, np.abs(limits.effort).max(axis=1)
+    span = np.maximum(np.ptp(s, axis=0), 0.05)
 
     opti = ca.Opti()
-    time_unit, effort_unit = guess.duration_s, np.abs(limits.effort).max(axis=1)
-    span = np.maximum(np.ptp(s0, axis=1), 0.05)
-    units = (span, span / time_unit, span / time_unit**2, effort_unit)
-    S, V, A, U = (opti.variable(len(unit), times.size - late) for unit, late in zip(units, (0, 0, 1, 1), strict=True))
-    s, v, a, u = (ca.diag(unit) @ X for unit, X in zip(units, (S, V, A, U), strict=True))
-    for X, unit, start in zip((S, V, A, U), units, (s0, v0, a0[:, 1:], u0[:, 1:]), strict=True):
-        opti.set_initial(X, start / unit[:, None])
-    free = motion.duration_s is None
-    stretch = opti.variable() if free else ca.MX(motion.duration_s / time_unit)
-    T = stretch * time_unit
+
+    def unknowns(start: np.ndarray, unit: np.ndarray, bounds: np.ndarray | None = None) -> tuple[ca.MX, ca.MX]:
+        """Return scaled unknowns and the same in SI, for starts (n_nodes, n), units (n,) and bounds (n, 2)."""
+        scaled = opti.variable(*start.T.shape)
+        opti.set_initial(scaled, start.T / unit[:, None])
+        for row in [] if bounds is None else np.flatnonzero(np.isfinite(bounds).any(axis=1)):
+            opti.subject_to(opti.bounded(bounds[row, 0] / unit[row], scaled[int(row), :], bounds[row, 1] / unit[row]))
+        return scaled, ca.diag(unit) @ scaled
+
+    free, joints = motion.duration_s is None, mechanism.independent
+    stretch = opti.variable() if free else 1.0
     if free:
         opti.subject_to(opti.bounded(0.05, stretch, 20.0))
         opti.set_initial(stretch, 1.0)
+    T = ca.MX(stretch * unit_s)
+    S, in_s = unknowns(s, span, limits.position[joints])
+    V, in_v = unknowns(v, span / unit_s, limits.speed[joints])
+    _, in_a = unknowns(a[1:], span / unit_s**2)
+    _, in_u = unknowns(u[1:], full, limits.effort)
+    _collocate(opti, S, in_v[:, 1:] * T / INTERVALS, span)
+    _collocate(opti, V, in_a * T / INTERVALS, span / unit_s)
+    for X, column, value in ((S, 0, motion.start / span), (S, -1, motion.goal / span), (V, 0, 0 * span), (V, -1, 0 * span)):
+        opti.subject_to(X[:, column] == value)
 
-    for X, slope, unit in ((S, v[:, 1:], span), (V, a, span / time_unit)):
-        ends = [X[:, k::DEGREE][:, :INTERVALS] for k in range(DEGREE + 1)]
-        rates = [sum(D[i, k] * ends[i] for i in range(DEGREE + 1)) for k in range(DEGREE)]
-        for k in range(DEGREE):
-            opti.subject_to(rates[k] == T / INTERVALS * (ca.diag(1 / unit) @ slope[:, k::DEGREE]))
-
-    node, dependent = node_function(mechanism), poses[1:, mechanism.dependent].T
+    node, n_z = node_function(mechanism), len(mechanism.dependent)
+    in_z, row_units = ca.MX(0, len(times) - 1), np.full(mechanism.n_q, full.max())
     if n_z:
-        lifted = is_lifted(mechanism)
-        z_units = np.ones(n_z)
-        if lifted:
-            lever = effort_unit.max() / mechanism.extent_m
-            z_units = np.concatenate([z_units, z_units / time_unit, z_units / time_unit**2, np.full(n_z, lever)])
-        Z = opti.variable(len(z_units), times.size - 1)
-        opti.set_initial(Z[:n_z, :], dependent)
-        if lifted:
-            opti.set_initial(Z[n_z:, :], _lifted_start(mechanism, node, poses, v0, a0, u0) / z_units[n_z:, None])
-        z = ca.diag(z_units) @ Z
+        one, nothing = np.ones(n_z), np.tile([-np.inf, np.inf], (3 * n_z, 1))
+        units = np.concatenate([one, one / unit_s, one / unit_s**2, one * full.max() / mechanism.extent_m])
+        start = _dependent_start(mechanism, node, poses[1:], v[1:], a[1:], u[1:])
+        _, in_z = unknowns(start, units, np.vstack([limits.position[mechanism.dependent], nothing]))
+        row_units = np.concatenate([one, one / unit_s, one / unit_s**2, row_units])
+    rows, dets = node.map(len(times) - 1)(in_s[:, 1:], in_v[:, 1:], in_a, in_u, in_z)
+    opti.subject_to(ca.diag(1 / row_units) @ rows == 0)
+    if n_z:
+        ratios = ca.diag(1 / mechanism.dynamics.block_singularity(poses[0])) @ dets
+        opti.subject_to(ca.vec(ratios) >= _REGULAR)
+
+    _, _, weights = ca.collocation_coeff(list(points))
+    squares = ca.sum1((ca.diag(1 / full) @ in_u) ** 2 * full**2).T
+    effort = T / INTERVALS * ca.dot(squares, ca.DM(np.tile(np.array(weights).ravel(), INTERVALS)))
+    weight = problem.objective.weights
+    objective = weight.get("time", 0.0) * T + weight.get("effort", 0.0) * effort
+    size = float(full @ full) * unit_s  # of the effort
+    if "time" in weight:
+        opti.minimize((objective + (0.0 if "effort" in weight else _TIE * unit_s / size * effort)) / unit_s)
     else:
-        Z = z = ca.MX(0, times.size - 1)
-    row_units = np.concatenate([np.ones(n_z), np.full(n_s, effort_unit.max())])
-    if n_z and is_lifted(mechanism):
-        row_units = np.concatenate(
-            [np.ones(n_z), np.full(n_z, 1 / time_unit), np.full(n_z, 1 / time_unit**2), np.full(mechanism.n_q, effort_unit.max())]
-        )
-    opti.subject_to(ca.diag(1 / row_units) @ node.map(times.size - 1)(s[:, 1:], v[:, 1:], a, u, z) == 0)
-
-    for X, bounds, unit in (
-        (S, limits.position[mechanism.independent], span),
-        (V, limits.speed[mechanism.independent], span / time_unit),
-        (U, limits.effort, effort_unit),
-        *(((Z[:n_z, :], limits.position[mechanism.dependent], np.ones(n_z)),) if n_z else ()),
-    ):
-        for row in np.flatnonzero(np.isfinite(bounds).any(axis=1)):
-            low, high = bounds[row] / unit[row]
-            opti.subject_to(opti.bounded(low, X[int(row), :], high))
-    for X, column, value in ((S, 0, motion.start), (S, -1, motion.goal), (V, 0, 0 * motion.start), (V, -1, 0 * motion.start)):
-        opti.subject_to(X[:, column] == value / (span if X is S else 1))
-
-    squares = ca.sum1((ca.diag(1 / effort_unit) @ u) ** 2 * ca.DM(effort_unit**2))
-    effort = T / INTERVALS * sum(float(weights[k]) * ca.sum2(squares[:, k::DEGREE]) for k in range(DEGREE))
-    wanted = problem.objective.weights
-    objective = wanted.get("time", 0.0) * T + wanted.get("effort", 0.0) * effort
-    full = float(np.sum(effort_unit**2))
-    if set(wanted) == {"time"}:
-        opti.minimize(stretch + _TIE * effort / full / time_unit)
-    elif set(wanted) == {"effort"}:
-        opti.minimize(effort / full / motion.duration_s)
-    else:
-        opti.minimize(objective / time_unit)
-    opti.solver("ipopt", IPOPT | {"detect_simple_bounds": True} | (options or {}))
-    return ManyPeer(opti, T, objective, u)
+        opti.minimize(effort / size)
+    opti.solver("ipopt", _SOLVER)
+    return ManyPeer(opti, T, objective, in_u)
 
 
-def _lifted_start(mechanism, node: ca.Function, poses, v, a, u) -> np.ndarray:
-    """Return rates, accelerations and multipliers (3 n_z, n_nodes - 1) that satisfy a node's linear equations best."""
-    n_z, dependent = len(mechanism.dependent), mechanism.dependent
-    found = []
-    for pose, speed, acceleration, effort in zip(poses[1:], v.T[1:], a.T[1:], u.T[1:], strict=True):
-        z = np.zeros(4 * n_z)
-        z[:n_z] = pose[dependent]
-        s = pose[mechanism.independent]
-        z[n_z : 2 * n_z] = (np.array(mechanism.dynamics.velocity_map(pose)) @ speed)[dependent]
-        here = np.array(node(s, speed, acceleration, effort, z)).ravel()
-        rest = np.arange(2 * n_z, 4 * n_z)
-        slopes = [np.array(node(s, speed, acceleration, effort, z + np.eye(4 * n_z)[k])).ravel() - here for k in rest]
-        z[rest] = -np.linalg.lstsq(np.array(slopes).T, here, rcond=None)[0]
-        found.append(z[n_z:])
-    return np.array(found).T
+def _collocate(opti: ca.Opti, states: ca.MX, steps: ca.MX, unit: np.ndarray) -> None:
+    """Impose that scaled states (n, n_nodes + 1) have the slopes `steps` (n, n_nodes), in SI a share of the interval."""
+    D, _, _ = ca.collocation_coeff(ca.collocation_points(DEGREE, "radau"))
+    at = [states[:, k::DEGREE][:, :INTERVALS] for k in range(DEGREE + 1)]
+    for k in range(DEGREE):
+        slope = sum(D[i, k] * at[i] for i in range(DEGREE + 1))
+        opti.subject_to(slope == ca.diag(1 / unit) @ steps[:, k::DEGREE])
+
+
+def _dependent_start(mechanism: Mechanism, node: ca.Function, poses, v, a, u) -> np.ndarray:
+    """Return dependent joints, rates, accelerations and multipliers (n, 4 n_z) that suit a motion's samples best."""
+    n_z, found = len(mechanism.dependent), []
+    linear = np.eye(4 * n_z)[2 * n_z :]
+    for pose, *others in zip(poses, v, a, u, strict=True):
+        rates = np.array(mechanism.dynamics.velocity_map(pose)) @ others[0]
+        z = np.concatenate([pose[mechanism.dependent], rates[mechanism.dependent], np.zeros(2 * n_z)])
+        at = [np.array(node(pose[mechanism.independent], *others, z + step)[0]).ravel() for step in (0 * z, *linear)]
+        z[2 * n_z :] = -np.linalg.lstsq((np.array(at[1:]) - at[0]).T, at[0], rcond=None)[0]
+        found.append(z)
+    return np.array(found)
 
 
 def main(path: str) -> int:
-    """Plan a problem file by the peer and print its answer as JSON; 1 if IPOPT finds none."""
-    begin = time.process_time()
+    """Plan a problem file by the peer and print its answer as JSON; the exit code is 1 if IPOPT finds none."""
     peer = build_many_peer(load_problem(path))
     try:
         solution = peer.opti.solve()
     except RuntimeError:
         print(json.dumps({"status": peer.opti.stats()["return_status"], "objective": None}))
         return 1
-    answer = {"status": "solved", "objective": float(solution.value(peer.objective))}
-    answer |= {"duration_s": float(solution.value(peer.duration)), "iterations": int(solution.stats()["iter_count"])}
-    print(json.dumps(answer | {"processor_s": time.process_time() - begin}))
+    iterations = int(solution.stats()["iter_count"])
+    print(json.dumps({"status": "solved", "objective": float(solution.value(peer.objective)), "iterations": iterations}))
     return 0
 
 
