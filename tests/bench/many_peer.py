@@ -1,12 +1,12 @@
 """What a careful user writes by hand for robots of several motors: collocation in `casadi.Opti`, without a certificate.
 
-Radau collocation of degree 3 on 40 even intervals. Positions and speeds of the independent joints are states; accelerations
-and efforts are unknowns at the nodes, tied by inverse dynamics. The dynamics are linkplan's expressions. In a closed chain the
-other joints, their rates and accelerations, and the multipliers are unknowns too, so that nothing is divided by a determinant
-that vanishes at a singular pose; the determinant keeps its sign.
+Radau collocation of degree 3 on 40 even intervals. Positions and speeds of the independent joints are states. Accelerations and
+efforts are unknowns at the nodes, tied by inverse dynamics, whose expressions are linkplan's. In a closed chain the positions,
+rates and accelerations of the other joints and the multipliers are unknowns too, as they would be by hand: nothing is divided
+by the determinant of the closure, which vanishes at a singular pose. A row for each determinant keeps its sign.
 
-Used well: a node is one SX function, mapped over the nodes; unknowns are scaled by limits, span and duration; limits on single
-unknowns are bounds; the start is linkplan's smooth path with the efforts and the duration that it needs, and IPOPT begins with
+Used well: a node is one SX function, mapped over the nodes. Unknowns are scaled by limits, span and duration. Limits on single
+unknowns are bounds. The start is linkplan's smooth path with the duration and the efforts that it needs, and IPOPT begins with
 a small barrier there. Limits hold at the nodes only.
 """
 
@@ -31,7 +31,7 @@ _TIE = 1e-4
 # Of the determinants of the closure's blocks, the least share of their values at the start.
 _REGULAR = 0.02
 # The quickest of barriers 1e-1, 1e-2 and 1e-3 on legs and arms, and the most iterations and processor time [s].
-_SOLVER = IPOPT | {"detect_simple_bounds": True, "ipopt.mu_init": 1e-2, "ipopt.max_iter": 500, "ipopt.max_cpu_time": 60.0}
+_SOLVER = IPOPT | {"detect_simple_bounds": True, "ipopt.mu_init": 1e-2, "ipopt.max_iter": 500, "ipopt.max_cpu_time": 120.0}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
