@@ -10,16 +10,13 @@ The peer (`tests.bench.many_peer`) loads, builds and solves once; what it finds 
 
 import argparse
 import contextlib
-import ctypes
 import json
-import os
-import resource
 import subprocess
 import sys
 import tempfile
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +26,6 @@ from linkplan.studies.output.text import table
 from tests.bench.many_robots import KINDS, write_robots
 from tests.bench.timing import own_cache, say
 
-# Of linux/prctl.h: orphans become children of this process, whose time is counted when they are waited for.
-_SET_CHILD_SUBREAPER = 36
 # The longest wall time [s] of a process: problem files ask for at most 60 s.
 _PATIENCE_S = 300.0
 _PASSED = ("optimal", "feasible")
@@ -62,63 +57,70 @@ class Compared:
         return self.objective / min(known) - 1 if known and self.objective and self.status in _PASSED else None
 
 
-def run_counted(command: Sequence[str]) -> tuple[float, str]:
-    """Run this Python on a command and return the processor time [s] of it and all its descendants, and its stdout.
+def run_counted(command: Sequence[str]) -> tuple[float, dict]:
+    """Run this Python on a command and return the processor time [s] of it and all its descendants, and its JSON.
 
-    On Linux what it leaves running is waited for and counted; elsewhere only what it has waited for itself.
+    Without JSON the status is "refused", with the end of stderr, or "killed" after too long.
     """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    try:
-        ran = subprocess.run([sys.executable, *command], capture_output=True, text=True, check=False, timeout=_PATIENCE_S)
-        said = ran.stdout
-    except subprocess.TimeoutExpired:
-        said = ""
-    with contextlib.suppress(ChildProcessError):
-        while True:
-            os.wait()
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, said
+    counted = [sys.executable, str(Path(__file__).with_name("counted.py")), str(_PATIENCE_S), sys.executable, *command]
+    ran = json.loads(subprocess.run(counted, capture_output=True, text=True, check=True).stdout)
+    if ran["code"] is None:
+        said = {"status": "killed", "message": f"no answer in {_PATIENCE_S:g} s of wall time"}
+    else:
+        refused = {"status": "refused", "message": ran["stderr"].strip()[-200:]}
+        said = json.loads(ran["stdout"]) if ran["stdout"] else refused
+    return ran["processor_s"], said
 
 
-def compared(problem: Path, *, peer: bool = True, best_known: float | None = None) -> Compared:
-    """Plan a problem file by `linkplan plan` and by the peer."""
-    spent, said = run_counted(["-m", "linkplan", "plan", str(problem), "--json"])
-    plan = json.loads(said) if said else {"status": "killed", "message": f"no answer in {_PATIENCE_S:g} s of wall time"}
+def compared(problem: Path, *, peer: Compared | None = None, no_peer: bool = False) -> Compared:
+    """Plan a problem file by `linkplan plan` and by the peer, unless the `peer`'s answer is known or not asked for."""
+    known = problem.parent / "best_known.json"
+    values = json.loads(known.read_text(encoding="utf-8"))["values"] if known.exists() else {}
     motion = tomllib.loads(problem.read_text(encoding="utf-8"))["motion"]
-    by_peer = {}
-    if peer:
-        seconds, said = run_counted(["-m", "tests.bench.many_peer", str(problem)])
-        answer = json.loads(said) if said else {"status": "killed", "objective": None}
-        by_peer = {f"peer_{key}": answer[key] for key in ("status", "objective")} | {"peer_processor_s": seconds}
-    return Compared(
+    spent, plan = run_counted(["-m", "linkplan", "plan", str(problem), "--json"])
+    found = Compared(
         problem=problem.stem,
         kind=problem.stem.rsplit("-", 1)[-1],
         motors=len(motion.get("start_deg", {})) + len(motion.get("start_m", {})),
         processor_s=spent,
-        status=plan.get("status", "refused"),
-        message=plan.get("message", ""),
+        status=plan["status"],
+        message=plan["message"],
         objective=plan.get("objective"),
-        best_known=best_known,
-        **by_peer,
+        best_known=values.get(problem.stem, {}).get("value"),
     )
+    if no_peer:
+        return found
+    if peer is not None:
+        seconds, status, objective = peer.peer_processor_s, peer.peer_status, peer.peer_objective
+    else:
+        seconds, answer = run_counted(["-m", "tests.bench.many_peer", str(problem)])
+        status, objective = answer["status"], answer.get("objective")
+    return replace(found, peer_processor_s=seconds, peer_status=status, peer_objective=objective)
 
 
 def compare_all(
-    problems: Iterable[Path], *, peer: bool = True, empty_cache: bool = False, into: Path | None = None
+    problems: Iterable[Path],
+    *,
+    peers: Mapping[str, Compared],
+    no_peer: bool = False,
+    empty_cache: bool = False,
+    into: Path | None = None,
 ) -> list[Compared]:
     """Compare problem files one after another; what is done is written `into` a JSON file after each."""
     found: list[Compared] = []
     for problem in problems:
         say(f"many: {problem.stem}")
-        known = problem.parent / "best_known.json"
-        values = json.loads(known.read_text(encoding="utf-8"))["values"] if known.exists() else {}
         with own_cache() if empty_cache else contextlib.nullcontext():
-            found.append(compared(problem, peer=peer, best_known=values.get(problem.stem, {}).get("value")))
+            found.append(compared(problem, peer=peers.get(problem.stem), no_peer=no_peer))
         if into is not None:
             into.write_text(json.dumps([asdict(one) for one in found], indent=1) + "\n", encoding="utf-8")
     return found
+
+
+def load_compared(path: Path | None) -> dict[str, Compared]:
+    """Return the answers of a JSON file by problem; none without a file."""
+    rows = json.loads(path.read_text(encoding="utf-8")) if path is not None else []
+    return {row["problem"]: Compared(**row) for row in rows}
 
 
 def text_of(found: Sequence[Compared]) -> str:
@@ -166,7 +168,7 @@ def _draw_times(ax, points: Sequence[tuple[int, float, bool]], label: str, colou
 def bench_many(folder: Path) -> str:
     """Plan the own robots beside the peer, write many.json and many.png into a folder, and return the table."""
     with tempfile.TemporaryDirectory() as place:
-        found = compare_all(write_robots(Path(place)), into=folder / "many.json")
+        found = compare_all(write_robots(Path(place)), peers={}, into=folder / "many.json")
     draw(found, folder / "many.png")
     return text_of(found)
 
@@ -179,17 +181,18 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="kinds of problems")
     parser.add_argument("--empty-cache", action="store_true", help="each plan begins with an empty cache of compiled code")
     parser.add_argument("--no-peer", action="store_true", help="without the program by hand")
+    parser.add_argument("--peer-of", type=Path, metavar="JSON", help="with the peer's answers of an earlier run")
     parser.add_argument("-o", "--output", type=Path, metavar="JSON", help="write, or with --draw read, the answers")
     parser.add_argument("--draw", type=Path, metavar="PNG", help="only draw the answers of -o")
     asked = parser.parse_args(arguments)
     if asked.draw:
-        answers = json.loads(asked.output.read_text(encoding="utf-8"))
-        draw([Compared(**answer) for answer in answers], asked.draw)
+        draw([*load_compared(asked.output).values()], asked.draw)
         return 0
     with tempfile.TemporaryDirectory() as place:
         problems = write_robots(Path(place), asked.kinds) if asked.folder is None else sorted(asked.folder.glob("*.toml"))
         chosen = [p for p in problems if p.stem.endswith(tuple(asked.kinds)) and any(word in p.stem for word in asked.only)]
-        found = compare_all(chosen, peer=not asked.no_peer, empty_cache=asked.empty_cache, into=asked.output)
+        how = {"peers": load_compared(asked.peer_of), "no_peer": asked.no_peer, "empty_cache": asked.empty_cache}
+        found = compare_all(chosen, **how, into=asked.output)
     print(text_of(found))
     return int(not found or any(one.status not in _PASSED for one in found))
 

@@ -1,13 +1,13 @@
 """What a careful user writes by hand for robots of several motors: collocation in `casadi.Opti`, without a certificate.
 
-Radau collocation of degree 3 on 40 even intervals. Positions and speeds of the independent joints are states. Accelerations and
-efforts are unknowns at the nodes, tied by inverse dynamics, whose expressions are linkplan's. In a closed chain the positions,
-rates and accelerations of the other joints and the multipliers are unknowns too, as they would be by hand: nothing is divided
-by the determinant of the closure, which vanishes at a singular pose. A row for each determinant keeps its sign.
+Radau collocation of degree 3 on 40 even intervals. Positions and speeds of the independent joints are states. Accelerations
+and efforts are unknowns at the nodes, tied by inverse dynamics, whose expressions are linkplan's. In a closed chain the
+positions, rates and accelerations of the other joints and the multipliers are unknowns too, as they would be by hand.
+Nothing is divided by the closure's determinants, which vanish at a singular pose, and a row for each keeps its sign.
 
-Used well: a node is one SX function, mapped over the nodes. Unknowns are scaled by limits, span and duration. Limits on single
-unknowns are bounds. The start is linkplan's smooth path with the duration and the efforts that it needs, and IPOPT begins with
-a small barrier there. Limits hold at the nodes only.
+Used well: a node is one SX function, mapped over the nodes. Unknowns are scaled by limits, span and duration. Limits on
+single unknowns are bounds. The start is linkplan's smooth path with the duration and the efforts that it needs, and IPOPT
+begins with a small barrier there. Limits hold at the nodes only.
 """
 
 import json

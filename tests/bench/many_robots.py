@@ -1,7 +1,7 @@
 """Small robots of two to sixteen motors with problems from rest to rest over about half of their joints' ranges.
 
-Motors of arms and chains hold the weight with about half of their limits at most, those of legs with less. `write_robots` fills
-a folder with NAME.xml and NAME-KIND.toml: `python -m tests.bench.many_robots FOLDER`.
+Motors of arms and chains hold the weight with about half of their limits at most, those of legs with less. `write_robots`
+fills a folder with NAME.xml and NAME-KIND.toml: `python -m tests.bench.many_robots FOLDER`.
 """
 
 import sys
@@ -108,9 +108,7 @@ def _robot(
     start, goal, limits = ({joint: row[k] for joint, row in motors.items()} for k in range(3))
     text = _mjcf(name, bodies, limits, pins)
     time_s = LEAST_TIMES_S[name]
-    return Robot(
-        name=name, text=text, start_deg=start, goal_deg=goal, limits=limits, payload=payload, least_time_s=time_s
-    )
+    return Robot(name=name, text=text, start_deg=start, goal_deg=goal, limits=limits, payload=payload, least_time_s=time_s)
 
 
 def five_bar() -> Robot:
