@@ -19,7 +19,9 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, continuations, resting, starts, waiting
+from linkplan.planner.search.finer_meshes import of_several
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
+from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
@@ -82,6 +84,12 @@ _LONGER = Rung(
 )
 
 RUNGS: tuple[Rung, ...] = (
+    Rung(
+        name="several motors: cheap first solves, the best refined",
+        tried=lambda search: of_several(search.problem) and search.problem.solver.starts == 1,
+        climb=from_several_starts,
+        budget=PATIENT,
+    ),
     Rung(
         name="the phase plane along its limits",
         tried=starts.may_be_along_limits,

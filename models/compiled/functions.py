@@ -71,9 +71,10 @@ CodeT = TypeVar("CodeT", bound="DataclassInstance")
 # -O1 compiles in half the time of -O2, and its straight-line code is as fast. Products and sums are not fused, so compiled
 # functions give exactly the interpreter's numbers, and a plan does not depend on the state of the cache.
 _FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
-# Larger sources (a leg of thirteen joints has seven million bytes) take minutes with optimisation and seconds with -O0.
-# Code with -O0 is three times as fast as the interpreter, optimised code ten times.
-_LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
+# Larger sources take seconds to minutes with optimisation and a fifth of that with -O0: an arm of seven motors 21 s and 5 s.
+# Code with -O0 is three times as fast as the interpreter, optimised code ten times; five sixths of a solve's time is that of
+# the linear systems.
+_LARGE_BYTES, _LARGE_FLAGS = 250_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
 # Time after which a hanging compiler is ended; these functions compile in seconds.
 _COMPILER_TIMEOUT_S = 120.0
 # Functions with more instructions do not compile within that time: writing three million takes 27 s.

@@ -52,6 +52,7 @@ class MechanismCase:
     kinks: bool = True  # whether to seek kinks of continuous efforts
     smoothing: float = SMOOTHING_WEIGHT  # see `formulate`
     enclosed: bool = False  # whether limits on power and pin force are imposed at every instant
+    ties: float = 0.0  # see `formulate`
     target: RefinementTarget = field(init=False)
 
     def __post_init__(self) -> None:
@@ -59,7 +60,7 @@ class MechanismCase:
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
-        kept = {"tightenings": self.tightenings, "smoothing": self.smoothing, "enclosed": self.enclosed}
+        kept = {"tightenings": self.tightenings, "smoothing": self.smoothing, "enclosed": self.enclosed, "ties": self.ties}
         return transcribe(self.problem, start, mesh, durations, **kept, **options)
 
     def motion(self, solution: Solution) -> Trajectory | None:

@@ -43,6 +43,7 @@ class Guess:
     # (n_switches,) switch times between its phase boundaries
     switch_times_s: np.ndarray | None = None
     bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between switch times and phase boundaries
+    share_of_effort: float = 0.95  # of the limits, at most: solvers that do not begin close to it need room
 
 
 def motion_of(trajectory: Trajectory) -> Guess:

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate
+from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate, tie_weights
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.mechanics import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
@@ -28,13 +28,16 @@ __all__ = ["Transcribed", "choose_scales", "own_objective", "renumbered", "traje
 class Origin:
     """The origin of a mechanism's program: the mechanism, its units, and a closed pose (n_q,) near the start.
 
-    `smoothing` is the weight of the squared effort rate that is added to the objective, in scaled units.
+    `smoothing` is the weight of the squared effort rate that is added to the objective, in scaled units. `ties` is that of
+    the squared efforts, see `tie_weights`, which gives `tie_weights` (n_u,) [SI].
     """
 
     mechanism: Mechanism
     scales: Scales
     start_pose: np.ndarray
     smoothing: float
+    ties: float
+    tie_weights: np.ndarray
 
 
 def choose_scales(problem: Problem, guess: Guess) -> Scales:
@@ -86,6 +89,7 @@ def transcribe(
     constrained_paths: np.ndarray | None = None,
     tightenings: tuple[Tightening, ...] = (),
     smoothing: float = SMOOTHING_WEIGHT,
+    ties: float = 0.0,
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
 
@@ -103,6 +107,7 @@ def transcribe(
             segments.
         tightenings: amounts by which limits are tightened, because a motion overran them between nodes.
         smoothing: see `formulate`.
+        ties: likewise.
     """
     scales = scales or choose_scales(problem, guess)
     formulation = formulate(
@@ -113,6 +118,7 @@ def transcribe(
         least_limit=least_limit,
         tightenings=tightenings,
         smoothing=smoothing,
+        ties=ties,
     )
     transcribed = collocate(
         formulation,
@@ -127,7 +133,14 @@ def transcribe(
         constrained_paths=constrained_paths,
     )
     weight = smoothing if problem.objective.is_smoothed and not least_limit else 0.0
-    origin = Origin(mechanism=problem.mechanism, scales=scales, start_pose=np.array(guess.start_pose), smoothing=weight)
+    origin = Origin(
+        mechanism=problem.mechanism,
+        scales=scales,
+        start_pose=np.array(guess.start_pose),
+        smoothing=weight,
+        ties=ties,
+        tie_weights=tie_weights(problem, 0.0 if least_limit else ties),
+    )
     return replace(transcribed, origin=origin)
 
 
@@ -143,7 +156,9 @@ def renumbered(
         tightenings: see `transcribe`.
     """
     again = renumbered_with(transcribed, _with_numbers_of(problem, transcribed, tightenings), x)
-    return replace(again, origin=replace(transcribed.origin, mechanism=problem.mechanism))
+    origin = transcribed.origin
+    weights = tie_weights(problem, origin.ties)
+    return replace(again, origin=replace(origin, mechanism=problem.mechanism, tie_weights=weights))
 
 
 def is_program_of(transcribed: Transcribed, problem: Problem) -> bool:
@@ -165,21 +180,30 @@ def _with_numbers_of(problem: Problem, transcribed: Transcribed, tightenings: tu
         enclosed=rows.encloses,
         tightenings=tightenings,
         smoothing=origin.smoothing,
+        ties=origin.ties,
     )
 
 
 def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory) -> float:
-    """Return a motion's objective in SI without the smoothing term of its program.
+    """Return a motion's objective in SI without the terms that its program adds: the smoothing, and what breaks ties.
 
-    The term is smoothing x unit x T x integral of (u' / U)^2 dt over all actuators, exact for the efforts' polynomials.
+    They are smoothing x unit x T x integral of (u' / U)^2 dt over all actuators, and the integral of ties x u^2 dt; both are
+    exact for the efforts' polynomials.
     """
     origin: Origin = transcribed.origin
-    if not origin.smoothing:
-        return objective
-    slope = PiecewisePolynomial(motion.effort / origin.scales.effort, motion.breaks_s).derivative().coefficients
-    squares = np.einsum("ikl,ij,jkl->k", slope, bernstein_gram(len(slope) - 1), slope)
-    integral = float(squares @ np.diff(motion.breaks_s))
-    return objective - origin.smoothing * transcribed.units.objective * origin.scales.time_s * integral
+    if origin.smoothing:
+        slope = PiecewisePolynomial(motion.effort / origin.scales.effort, motion.breaks_s).derivative().coefficients
+        weight = origin.smoothing * transcribed.units.objective * origin.scales.time_s
+        objective -= weight * float(_integrated_squares(slope, motion).sum())
+    if np.any(origin.tie_weights):
+        objective -= float(origin.tie_weights @ _integrated_squares(motion.effort, motion))
+    return objective
+
+
+def _integrated_squares(coefficients: np.ndarray, motion: Trajectory) -> np.ndarray:
+    """Return the integrals (n_u,) of the squares of polynomials with coefficients (degree + 1, n, n_u) along a motion."""
+    squares = np.einsum("ikl,ij,jkl->kl", coefficients, bernstein_gram(len(coefficients) - 1), coefficients)
+    return np.diff(motion.breaks_s) @ squares
 
 
 def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulation) -> Start:
@@ -207,7 +231,7 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
             algebraic = np.column_stack([algebraic, spent, *own])
         return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
 
-    return Start(states=states, nodes=nodes)
+    return Start(states=states, nodes=nodes, share_of_effort=guess.share_of_effort)
 
 
 def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Trajectory:

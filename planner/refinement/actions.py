@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.refinement.case import Iterate, attempt, certify_iterate
+from linkplan.planner.refinement.case import Case, Iterate, attempt, certify_iterate
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, interval_breaks, released
 from linkplan.planner.refinement.history import progress, record, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
@@ -16,7 +16,7 @@ from linkplan.planner.refinement.switch_search import mesh_with_switches, settle
 from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed
-from linkplan.planner.transcription.mesh import halved
+from linkplan.planner.transcription.mesh import Mesh, halved
 
 
 class Action(Protocol):
@@ -206,34 +206,39 @@ class Restore:
 
     def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the motion as its best one, if it passes and needs less beyond its effort limits."""
-        best, what = state.best, "the same motion on a finer mesh"
+        best = state.best
         coarse, counted = best.found, replace(state, restored=state.restored + 1, ended=True)
         if state.asked.problem.solver.deadline.passed:
             return counted
         case = state.case.with_scheme(coarse.solution.transcribed.scheme.name)
-        mesh = halved(coarse.mesh, self.marked)
-        durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, self.marked))
-        progress(f"{what}: {mesh.n_intervals} intervals")
-        before = coarse.solution.transcribed
-        try:
-            transcribed = case.transcribe(
-                case.start_from(coarse.motion),
-                mesh,
-                durations,
-                position_rows=state.position_rows,
-                bang_efforts=before.bang_efforts,
-                constrained_paths=before.constrained_paths,
-            )
-        except (AssemblyError, OutOfTimeError):
+        found = nearest_on(case, coarse, halved(coarse.mesh, self.marked), position_rows=state.position_rows)
+        if found is None:
             return counted
-        solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse))
-        record(step_of(what, transcribed, solution))
-        motion = case.motion(solution) if solution.converged else None
-        if motion is None:
-            return counted
-        at = certify_iterate(state.asked, Iterate(motion=motion, solution=solution, fixed=coarse.fixed))
+        at = certify_iterate(state.asked, found)
         better = at.passed and at.certificate.effort_overrun.max() < best.certificate.effort_overrun.max()
         return replace(counted, at=at, best=at, ended=False) if better else counted
+
+
+def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: bool) -> Iterate | None:
+    """Return the motion on a finer mesh that is nearest to that of a coarser one; None without one."""
+    what, before = "the same motion on a finer mesh", coarse.solution.transcribed
+    durations = np.bincount(coarse.mesh.segment, weights=np.diff(coarse.motion.breaks_s))
+    progress(f"{what}: {mesh.n_intervals} intervals")
+    try:
+        transcribed = case.transcribe(
+            case.start_from(coarse.motion),
+            mesh,
+            durations,
+            position_rows=position_rows,
+            bang_efforts=before.bang_efforts,
+            constrained_paths=before.constrained_paths,
+        )
+    except (AssemblyError, OutOfTimeError):
+        return None
+    solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse))
+    record(step_of(what, transcribed, solution))
+    motion = case.motion(solution) if solution.converged else None
+    return None if motion is None else Iterate(motion=motion, solution=solution, fixed=coarse.fixed)
 
 
 def _with_efforts(transcribed: Transcribed, coarse: Iterate) -> np.ndarray:

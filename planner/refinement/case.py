@@ -195,6 +195,7 @@ def attempt(
     *,
     warm: bool = False,
     close: bool = False,
+    adaptive: bool = False,
     position_rows: bool = False,
     bang_efforts: np.ndarray | None = None,
     fixed: FixedArcs | None = None,
@@ -209,6 +210,7 @@ def attempt(
         what: the words on this solve in history and progress.
         warm: as of `linkplan.planner.solvers.solve.build_solver`.
         close: likewise.
+        adaptive: likewise.
         position_rows: whether ranges are kept between the nodes by constraint rows.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         fixed: what refinement holds along arcs; in place of `bang_efforts`.
@@ -224,7 +226,7 @@ def attempt(
         )
     except (AssemblyError, OutOfTimeError):  # the loops of the start open between the instants at which it was sampled
         return None
-    solution = solve(transcribed, settings.solver, warm=warm, close=close)
+    solution = solve(transcribed, settings.solver, warm=warm, close=close, adaptive=adaptive)
     record(step_of(what, transcribed, solution))
     if not solution.converged:
         return None

@@ -136,12 +136,17 @@ def at_bounds(solution: Solution) -> bool:
     return bool(np.any((np.log(at / lower) < near) | (np.log(upper / at) < near)))
 
 
-def mesh_with_switches(boundaries_s: np.ndarray, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
-    """Return a mesh with switch times (n_switches,) [s] between phase boundaries [s], and its segments' durations [s]."""
+def mesh_with_switches(
+    boundaries_s: np.ndarray, switch_times_s: np.ndarray, n_intervals: int, *, least: int = 3
+) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with switch times (n_switches,) [s] between phase boundaries [s], and its segments' durations [s].
+
+    It has about `n_intervals`, and at least so many in each segment.
+    """
     ends = np.sort(np.concatenate([boundaries_s, switch_times_s]))
     phase = np.searchsorted(boundaries_s, ends[:-1], side="right") - 1
     durations = np.diff(ends)
-    return segmented(durations, n_intervals, phase=phase), durations
+    return segmented(durations, n_intervals, phase=phase, least=least), durations
 
 
 def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) -> str | None:

@@ -5,6 +5,7 @@ chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it
 to a thousandth of it, on finer meshes.
 """
 
+import functools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import REPORTED_CHANGE, Refined
+from linkplan.planner.search.finer_meshes import of_several, refine_several
 from linkplan.planner.search.ladder import Budget, Search, Steps, followed
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
@@ -129,7 +131,8 @@ def certified(
     if problem.objective.is_smoothed and problem.objective.has("tracking"):
         better, change = _unsmoothed(case, found, warm)
     else:
-        better, change = refine(case, found, warm=warm), None
+        by = refine_several if of_several(problem) else functools.partial(refine, warm=warm)
+        better, change = by(case, found), None
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         if problem.solver.judging_deadline.passed:

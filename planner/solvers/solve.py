@@ -137,10 +137,13 @@ def _ipopt(
     }
     if adaptive:
         options["ipopt.mu_strategy"] = "adaptive"
-    if program.mesh.n_intervals >= 200:
+    if program.mesh.n_intervals >= 200 or program.layout.n_s > 1:
         # MUMPS' matching of rows to columns takes time quadratic in the intervals: at 2,000, three quarters of a solve.
-        # Smaller programs keep it for its better pivots.
+        # With several freedoms it costs more than it gains on every mesh; small programs of one keep it for better pivots.
         options["ipopt.mumps_permuting_scaling"] = 0
+    if adaptive and close:
+        # Near a solution the filter's safeguard, a barrier that only falls, takes a hundred iterations in place of forty.
+        options["ipopt.adaptive_mu_globalization"] = "never-monotone-mode"
     if not (warm or close):
         return _Ipopt(functions["nlp"], options, settings)
     # Initial barriers without multipliers: close to a solution; at a solution on another mesh, from which a larger barrier
@@ -228,7 +231,12 @@ class _WarmIpopt:
 
 
 def solve(
-    transcribed: Transcribed, settings: SolverSettings | None = None, *, warm: bool = False, close: bool = False
+    transcribed: Transcribed,
+    settings: SolverSettings | None = None,
+    *,
+    warm: bool = False,
+    close: bool = False,
+    adaptive: bool = False,
 ) -> Solution:
     """Return the solver's result, started as in `build_solver`; a problem without a solution raises nothing.
 
@@ -240,12 +248,13 @@ def solve(
     settings = settings or SolverSettings()
     first = _patience(transcribed, settings)
     if first is not None:
-        solution = _solved(transcribed, replace(settings, max_iterations=first), warm=warm, close=close)
+        few = replace(settings, max_iterations=first)
+        solution = _solved(transcribed, few, warm=warm, close=close, adaptive=adaptive)
         if solution.status != OUT_OF_ITERATIONS:
             return solution
         transcribed = with_compiled_code(transcribed, settings.deadline)
-    solution = _solved(transcribed, settings, warm=warm, close=close)
-    if solution.status != OUT_OF_ITERATIONS:
+    solution = _solved(transcribed, settings, warm=warm, close=close, adaptive=adaptive)
+    if solution.status != OUT_OF_ITERATIONS or adaptive:
         return solution
     fewer = replace(settings, max_iterations=min(_ITERATIONS_AGAIN, settings.max_iterations or _ITERATIONS_AGAIN))
     again = _solved(transcribed, fewer, warm=warm, close=close, adaptive=True)

@@ -306,9 +306,9 @@ def _start(
     finite = np.all(np.isfinite(limit), axis=1)
     both = np.where(finite[:, None], limit, 0.0)
     middle, half = 0.5 * both.sum(axis=1), 0.5 * np.diff(both, axis=1).ravel()
-    # Interior-point methods need a start inside the limits: a guessed effort uses at most 95 % of them.
-    low = np.where(finite, middle - 0.95 * half, limit[:, 0])
-    high = np.where(finite, middle + 0.95 * half, limit[:, 1])
+    # Interior-point methods need a start inside the limits, unless it is close to a solution.
+    low = np.where(finite, middle - start.share_of_effort * half, limit[:, 0])
+    high = np.where(finite, middle + start.share_of_effort * half, limit[:, 1])
     x[layout.effort()] = np.clip(coefficients, low, high) / unit
     return x
 

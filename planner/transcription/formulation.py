@@ -92,11 +92,12 @@ class Start:
     """A scaled motion to start a solver from, as functions of times (n,) [s].
 
     `states` gives (n, n_state). `nodes` gives accelerations (n, n_s), rates (n, n_x), algebraic unknowns (n, n_z) and
-    efforts (n, n_u); the efforts are in their own units.
+    efforts (n, n_u); the efforts are in their own units, and the solver starts from at most `share_of_effort` of the limits.
     """
 
     states: Callable[[np.ndarray], np.ndarray]
     nodes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    share_of_effort: float = 0.95
 
 
 def stretched_durations(

@@ -189,16 +189,20 @@ def broken(breaks: np.ndarray) -> Mesh:
     return Mesh(fraction=widths / widths.sum(), segment=np.zeros(len(widths), dtype=int))
 
 
-def segmented(durations: np.ndarray, n_intervals: int, phase: np.ndarray = _ONE_PHASE) -> Mesh:
-    """Return about `n_intervals` intervals, at least three a segment, distributed in proportion to the durations."""
+def segmented(durations: np.ndarray, n_intervals: int, phase: np.ndarray = _ONE_PHASE, *, least: int = 3) -> Mesh:
+    """Return about `n_intervals` intervals, at least so many a segment, distributed in proportion to the durations."""
     durations = np.asarray(durations, dtype=float)
-    share = np.maximum(3, np.round(n_intervals * durations / durations.sum())).astype(int)
+    share = np.maximum(least, np.round(n_intervals * durations / durations.sum())).astype(int)
     fraction = np.concatenate([np.full(n, 1.0 / n) for n in share])
     return Mesh(fraction=fraction, segment=np.repeat(np.arange(len(share)), share), phase=phase)
 
 
 def halved(mesh: Mesh, which: np.ndarray) -> Mesh:
     """Return the mesh with the intervals marked in `which` (n,) halved."""
-    pieces = np.where(which, 2, 1)
+    return divided(mesh, np.where(which, 2, 1))
+
+
+def divided(mesh: Mesh, pieces: np.ndarray) -> Mesh:
+    """Return the mesh with each interval divided into so many pieces (n,)."""
     fraction = np.repeat(mesh.fraction / pieces, pieces)
     return Mesh(fraction=fraction, segment=np.repeat(mesh.segment, pieces), phase=mesh.phase)

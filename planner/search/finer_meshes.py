@@ -1,0 +1,249 @@
+"""The refinement of motions of several motors: one warm solve a mesh, until no digit that counts changes.
+
+One joint decides the time of a fast motion, and only its jumps of effort matter. They become ends of segments with unknown
+durations, between which efforts are free. Elsewhere the mesh is made finer by as much as the certificate asks for at once.
+What is overrun by less than a finer mesh is worth is removed by tightening. Once the motion keeps still, it is only changed
+where it needs more effort than a proof allows, by Newton's steps to the nearest motion on a finer mesh.
+
+The first solves keep a distance from singular poses that nobody asked for, so that no iterate leaves its assembly branch
+(`FIRST_MARGIN`). Finer meshes come nearer, from a motion that is on its branch.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.models.deadline import check
+from linkplan.planner.closed_chain.case import MechanismCase
+from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
+from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.actions import nearest_on
+from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate
+from linkplan.planner.refinement.marking import degree_of, rough_of
+from linkplan.planner.refinement.state import Refined
+from linkplan.planner.refinement.switch_search import mesh_with_switches
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.mesh import Mesh, divided, uniform
+
+# |det J_z| relative to home that iterates keep at first. Where that binds and less is asked for, the next solve keeps a
+# fifth of it, down to the last one.
+FIRST_MARGIN, _MARGIN_FACTOR, _LAST_MARGIN = 0.05, 0.2, 1e-3
+# The transcription of finer meshes, and their intervals as a share of those asked for: with degree 5 they err by less.
+_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
+# At most so many meshes; the objective has settled once it changes by less than this share.
+_MAX_MESHES, _SETTLED = 8, 1e-5
+# An effort jumps where it changes by more than this share of its range from one interval to the next but one. The jump costs
+# about the square of the interval's share of the motion: less than the second share is not worth an unknown.
+_JUMP, _WORTH_AN_UNKNOWN = 0.4, 1e-4
+# A limit that is overrun between the nodes may be tightened by this share of itself.
+_TIGHTENED = 3e-4
+# The motion that is kept is changed on at most so many meshes.
+_MAX_RESTORATIONS = 4
+# A joint is at an end of its range within this share of it.
+_NEAR_RANGE = 1e-3
+# An interval is divided into so many at most, and a mesh has so many times the intervals asked for at most.
+_MAX_PIECES, _MAX_GROWTH = 4, 6
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Way:
+    """The next solve: its case, mesh, segments' durations [s] and words."""
+
+    case: MechanismCase
+    mesh: Mesh
+    durations: np.ndarray
+    what: str
+
+
+def of_several(problem: Problem) -> bool:
+    """True if motions of several freedoms are refined here: in polynomials, on a mesh and for an objective that allow it."""
+    mesh, objective = problem.mesh, problem.objective
+    free = mesh.effort == "polynomial" and mesh.breaks is None
+    return problem.mechanism.dof > 1 and free and not objective.is_smoothed
+
+
+def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined | None:
+    """Return the best motion whose certificate passes, else the last one; None without a certificate.
+
+    Args:
+        case: what is refined, with the limits as asked.
+        found: a first solution.
+    """
+    case = at_a_distance(case, found.motion.start_pose)
+    at, best, gain, solved = certify_iterate(case, found), None, np.inf, case
+    way: _Way | None = _first_way(case, found)
+    rows = False  # whether ranges are kept between the nodes too: at nodes alone, a motion along one flips between them
+    for _ in range(_MAX_MESHES):
+        check()
+        if way is None:
+            break
+        start = replace(motion_of(at.found.motion), share_of_effort=1.0)
+        rows = rows or _rides_a_range(case.asked, at.found.motion)
+        finer = attempt(
+            way.case, start, way.mesh, way.durations, way.what, close=True, adaptive=True,
+            position_rows=rows,
+        )  # fmt: skip
+        if finer is None:
+            break
+        before, at = at, certify_iterate(case, finer)
+        gain = (before.found.solution.objective - finer.solution.objective) / abs(finer.solution.objective)
+        if at.passed and (best is None or at.found.solution.objective <= (1 + _SETTLED) * best.found.solution.objective):
+            best = at
+        solved, way = way.case, _next_way(way.case, at, gain)
+    at = best or at
+    if at.passed:
+        at = _within_efforts(solved, at, rows)
+    if at.certificate is None:
+        return None
+    moved, found = max(gain, 0.0) if np.isfinite(gain) else 0.0, at.found
+    return Refined(
+        motion=found.motion, solution=found.solution, certificate=at.certificate, settled=moved <= _SETTLED, moved=moved
+    )
+
+
+def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
+    """Return a case whose solves keep a distance from singular poses: `FIRST_MARGIN`, or half of what the start has."""
+    if not len(case.asked.mechanism.dependent):
+        return case
+    margin = min(FIRST_MARGIN, 0.5 * float(singularity_ratios(case.asked, start_pose[None]).min()))
+    limits = replace(case.problem.limits, singular_margin=max(case.asked.limits.singular_margin, margin))
+    return replace(case, problem=replace(case.problem, limits=limits))
+
+
+def _rides_a_range(problem: Problem, motion: Trajectory) -> bool:
+    """True if a coefficient of an independent joint's position is at an end of its range or beyond, for whole intervals."""
+    limit = problem.limits.position[problem.mechanism.independent]
+    near = _NEAR_RANGE * np.where(np.isfinite(np.ptp(limit, axis=1)), np.ptp(limit, axis=1), 0.0)
+    inside = (motion.position > limit[:, 0] + near) & (motion.position < limit[:, 1] - near)
+    return not bool(np.all(inside[:, 1:-1]))
+
+
+def _within_efforts(case: MechanismCase, at: CertifiedIterate, rows: bool) -> CertifiedIterate:
+    """Return a motion that passes, changed until it needs no more effort between the nodes than a proof allows."""
+    for _ in range(_MAX_RESTORATIONS):
+        beyond = at.certificate.effort_overrun
+        if beyond.max(initial=0.0) <= 1.0 or case.problem.solver.deadline.passed:
+            break
+        scheme = case.with_scheme(at.found.solution.transcribed.scheme.name)
+        found = nearest_on(scheme, at.found, divided(at.found.mesh, _within(scheme, at)), position_rows=rows)
+        changed = None if found is None else certify_iterate(case, found)
+        if changed is None or not changed.passed:
+            break
+        at = changed
+    return at
+
+
+def _first_way(case: MechanismCase, found: Iterate[Trajectory]) -> _Way:
+    """Return the solve with jumps as ends of segments, nearer to singular poses."""
+    asked, motion = case.asked, found.motion
+    case = replace(case, ties=TIE_WEIGHT)
+    if asked.mesh.refine != "intervals":
+        case = case.with_scheme(_SCHEME)
+    n = max(8, round(_SHARE_OF_INTERVALS * asked.mesh.intervals))
+    boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, motion)
+    if len(boundaries) == 2 and not len(jumps):
+        return _Way(case, uniform(n), np.array([motion.duration_s]), "finer transcription")
+    return _Way(case, *mesh_with_switches(boundaries, jumps, n, least=1), "jumps of efforts as unknowns")
+
+
+def _next_way(case: MechanismCase, at: CertifiedIterate, gain: float) -> _Way | None:
+    """Return the next solve; None where the motion is done, or no finer mesh is allowed."""
+    if at.certificate is None:
+        return None
+    pieces, mesh = _pieces(case, at), at.found.mesh
+    boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], _durations(at)
+    further = _apart(jumps_of(case, at.found.motion), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
+    nearer = _nearer(case, at) if at.passed else None
+    if nearer is not None:
+        return _Way(nearer, mesh, durations, "nearer to singular poses")
+    if gain > _SETTLED and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
+        ends = np.concatenate([np.cumsum(durations)[:-1], further])
+        ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
+        return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "further jumps as unknowns")
+    if pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
+        return _Way(case, divided(mesh, pieces), durations, "finer mesh")
+    if at.overruns:
+        tightened = case.tightened(at.certificate, at.found.motion)
+        return _Way(tightened, mesh, durations, "limits tightened between the nodes")
+    if at.passed and gain <= _SETTLED:
+        return None
+    return _Way(case, divided(mesh, 1 + rough_of(at.found.motion)), durations, "finer mesh")
+
+
+def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase | None:
+    """Return a case that comes nearer to singular poses, if the margin that nobody asked for binds; else None."""
+    margin, asked = case.problem.limits.singular_margin, case.asked.limits.singular_margin
+    if margin <= max(asked, _LAST_MARGIN) or at.certificate.singularity_ratio > 1.01 * margin:
+        return None
+    limits = replace(case.problem.limits, singular_margin=max(asked, _LAST_MARGIN, _MARGIN_FACTOR * margin))
+    return replace(case, problem=replace(case.problem, limits=limits))
+
+
+def _durations(at: CertifiedIterate) -> np.ndarray:
+    return np.bincount(at.found.mesh.segment, np.diff(at.found.motion.breaks_s))
+
+
+def _pieces(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
+    """Return into how many (n,) each interval is divided, by how far its errors are beyond their share."""
+    certificate, report, n = at.certificate, at.report, at.n_intervals
+    growth = certificate.growth * case.target.strictness * (1.0 if case.target.tolerance_given else 1e-3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = np.vstack([
+            certificate.residual_share / 0.1,
+            np.where(growth.sum() > 0.5, growth * n, 0.0),
+            report.overrun / _TIGHTENED,
+        ])  # fmt: skip
+    return _enough(case, errors.max(axis=0))
+
+
+def _within(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
+    """Return into how many (n,) intervals are divided where the motion needs more effort than a proof allows.
+
+    The allowance is kept by a factor of three: the largest effort may lie between the samples.
+    """
+    return _enough(case, 3.0 * at.certificate.effort_overrun)
+
+
+def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
+    """Return into how many (n,) intervals are divided whose errors are this many times too large."""
+    finite = np.nan_to_num(worst, nan=1e30, posinf=1e30)
+    return np.clip(np.ceil(finite ** (1.0 / degree_of(case.problem.mesh.scheme))), 1, _MAX_PIECES).astype(int)
+
+
+def jumps_of(case: MechanismCase, motion: Trajectory) -> np.ndarray:
+    """Return the times (n,) [s] at which efforts jump between intervals or inside one, increasing.
+
+    The impulse of an interval tells where in it an effort changes from its mean before to its mean after.
+    """
+    if case.target.continuous_efforts or case.target.enclosed or not case.target.switches:
+        return np.zeros(0)
+    limit, mean = case.asked.limits.effort, motion.effort.mean(axis=0)  # of Bernstein coefficients: that of the polynomial
+    span = np.ptp(limit, axis=1)
+    level = mean / np.where(np.isfinite(span) & (span > 0), span, np.maximum(np.ptp(mean, axis=0), 1e-300))
+    breaks, found = motion.breaks_s, []
+    widths = np.diff(breaks) / motion.duration_s
+    for effort in level.T:
+        k = 1
+        while k < len(effort) - 1:
+            before, after = effort[k - 1], effort[k + 1]
+            if abs(after - before) <= _JUMP or widths[k] ** 2 * abs(after - before) <= _WORTH_AN_UNKNOWN:
+                k += 1
+                continue
+            share = float(np.clip((effort[k] - after) / (before - after), 0.0, 1.0))
+            found.append(float(breaks[k] + share * (breaks[k + 1] - breaks[k])))
+            k += 2
+    return _apart(np.array(sorted(found)), breaks[[0, -1]], motion)
+
+
+def _apart(times: np.ndarray, from_these: np.ndarray, motion: Trajectory) -> np.ndarray:
+    """Return the times that are a tenth of a mean interval or more apart from some others and from each other."""
+    least = 0.1 * motion.duration_s / (len(motion.breaks_s) - 1)
+    kept: list[float] = []
+    for time in times:
+        others: Sequence[float] = [*from_these, *kept]
+        if min(abs(time - other) for other in others) > least:
+            kept.append(float(time))
+    return np.array(kept)

@@ -1,0 +1,162 @@
+"""The search for fast motions of several motors: cheap first solves, the best few refined, every certified motion a bound.
+
+A first solve takes tens of iterations once three things hold: its iterates keep a distance from singular poses, a small
+weight on efforts breaks the ties of joints with time to spare, and the barrier of every other one follows the iterates.
+Several local optima exist, and no start leads to the best of them for certain. Starts are therefore tried until the best
+objective was found twice (Boender & Rinnooy Kan, Mathematical Programming 37, 1987, have such stopping rules).
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.models.deadline import OutOfTimeError
+from linkplan.planner.certificate.further_checks import objective_value
+from linkplan.planner.closed_chain.case import MechanismCase, case_of
+from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, TIE_WEIGHT, tie_weights
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, stretched
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.history import progress
+from linkplan.planner.search.attempts import certified, only_feasible, without_solving
+from linkplan.planner.search.finer_meshes import at_a_distance
+from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.solving import first_mesh, with_longer_durations
+
+# A first solve takes at most so many iterations.
+FIRST_ITERATIONS = 120
+# At least and at most so many first solves that lead to a motion, and so many starts in all.
+_FEWEST, _MOST, _STARTS = 3, 6, 10
+# Objectives of first solves that are no further apart than this share are of one motion.
+_ALIKE = 1e-3
+# So many of the best motions are refined.
+_REFINED = 3
+# The factors on the duration of a motion that does not pass, with which a slower one is tried.
+_SLOWER = (1.05, 1.3)
+_TIES = f"; ties between the joints with time to spare are broken by a weight of {TIE_WEIGHT:g} on squared efforts"
+# The factors on the duration of the smooth path from which a free duration is sought.
+_STRETCHES = (0.7, 1.5, 1.0)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _First:
+    """A first solution, and the words on its start."""
+
+    what: str
+    found: Iterate
+
+    @property
+    def objective(self) -> float:
+        """The objective of its program."""
+        return self.found.solution.objective
+
+
+def from_several_starts(search: Search, budget: Budget) -> Plan | None:
+    """Return the best plan that passes of several starts, else the first that was found; None without a motion."""
+    problem = search.within(budget)
+    firsts = _first_solutions(search, problem)
+    plans: list[Plan] = []
+    for first in search.deadline.take(firsts[:_REFINED]):
+        best = _best(plans)
+        if best is not None and first.objective > (1 - _ALIKE) * best.objective:
+            break
+        progress(f"refining the motion from {first.what}")
+        found, unbounded = with_longer_durations(problem, first.found)
+        if unbounded is not None:
+            search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
+            return None
+        plans.append(certified(problem, found))
+        if plans[-1].passed:
+            break
+    best = _best(plans) or (_slower(problem, firsts[0]) if firsts else None)
+    if best is None:
+        return plans[0] if plans else None
+    better = min(first.objective for first in firsts)
+    if best is not plans[0] and better < (1 - _ALIKE) * best.objective:
+        return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
+    return best if not np.any(tie_weights(problem, TIE_WEIGHT)) else replace(best, message=best.message + _TIES)
+
+
+def _slower(problem: Problem, first: _First) -> Plan | None:
+    """Return the plan of a slower motion with little effort, which bounds the cost of a free duration; None without one."""
+    if problem.motion.duration_s is not None:
+        return None
+    motion = first.found.motion
+    for factor in _SLOWER:
+        duration = factor * motion.duration_s
+        if duration > (problem.motion.max_duration_s or np.inf):
+            break
+        fixed = replace(problem.motion, duration_s=duration, min_duration_s=None, max_duration_s=None)
+        slower = replace(problem, objective="effort", motion=fixed)
+        case, guess = _first_case(slower, motion.start_pose), stretched(motion_of(motion), duration)
+        found = attempt(case, guess, *first_mesh(case.problem, guess), f"{factor:g} times slower", adaptive=True)
+        plan = None if found is None else certified(slower, found)
+        if plan is not None and plan.passed:
+            found = plan.require_motion("bound the duration with")
+            return without_solving(problem, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")
+    return None
+
+
+def _best(plans: list[Plan]) -> Plan | None:
+    """Return the plan that passes with the least objective."""
+    passed = [plan for plan in plans if plan.passed and plan.objective is not None]
+    return min(passed, key=lambda plan: plan.objective, default=None)
+
+
+def _first_solutions(search: Search, problem: Problem) -> list[_First]:
+    """Return the first solutions of different motions, the best first, until the best one was found twice."""
+    case = _first_case(problem, search.start_pose)
+    found: list[_First] = []
+    for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(_starts(search, problem), _STARTS))):
+        mesh, durations = first_mesh(case.problem, guess)
+        try:
+            if not closes(problem, guess):
+                continue
+            one = attempt(case, guess, mesh, durations, f"start from {what}", adaptive=number % 2 == 0)
+        except OutOfTimeError:
+            break
+        if one is not None:
+            found.append(_First(what, one))
+        best = min((first.objective for first in found), default=np.inf)
+        if len(found) >= _MOST or (len(found) >= _FEWEST and sum(_alike(first.objective, best) for first in found) > 1):
+            break
+    different: list[_First] = []
+    for first in sorted(found, key=lambda first: first.objective):
+        if not different or not _alike(first.objective, different[-1].objective):
+            different.append(first)
+    return different
+
+
+def _alike(one: float, other: float) -> bool:
+    return abs(one - other) <= _ALIKE * abs(other)
+
+
+def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:
+    """Yield starts with the words on each: the user's guess, the smooth path in several durations, perturbed paths."""
+    first = list(search.first_starts())
+    yield from first[:-1]
+    words, smooth = first[-1]
+    perturbed = perturbed_guesses(problem, search.start_pose)
+    if problem.motion.duration_s is not None:
+        yield words, smooth
+        yield words, smooth  # with the other barrier
+        yield from perturbed
+    for factor in _STRETCHES:
+        if problem.motion.max_duration_s is None or factor * smooth.duration_s <= problem.motion.max_duration_s:
+            yield f"{words} of {factor:g} times its least duration", stretched(smooth, factor * smooth.duration_s)
+        yield next(perturbed)
+    yield from perturbed
+
+
+def _first_case(problem: Problem, start_pose: np.ndarray) -> MechanismCase:
+    """Return the case of first solves: at a distance from singular poses, with ties broken, on a coarse mesh."""
+    solver = problem.solver
+    mesh = replace(problem.mesh, intervals=max(12, round(0.6 * problem.mesh.intervals)))
+    compiled = "always" if solver.compile == "auto" else solver.compile
+    iterations = min(FIRST_ITERATIONS, solver.max_iterations or FIRST_ITERATIONS)
+    solver = replace(solver, compile=compiled, max_iterations=iterations)
+    case = at_a_distance(case_of(problem), start_pose)
+    return replace(case, problem=replace(case.problem, mesh=mesh, solver=solver), ties=FIRST_TIE_WEIGHT)
