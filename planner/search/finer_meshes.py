@@ -28,9 +28,9 @@ from linkplan.planner.refinement.switch_search import mesh_with_switches
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform
 
-# |det J_z| relative to home that iterates keep at first. Where that binds and less is asked for, the next solve keeps a
-# fifth of it, down to the last one.
-FIRST_MARGIN, _MARGIN_FACTOR, _LAST_MARGIN = 0.05, 0.2, 1e-3
+# |det J_z| relative to home that iterates keep at first, and at last where the first one binds and less is asked for. Next to
+# a singular pose no mesh is fine enough, and a tenth of the last one saves a two-thousandth of the time.
+FIRST_MARGIN, _LAST_MARGIN = 0.05, 0.01
 # The transcription of finer meshes, and their intervals as a share of those asked for: with degree 5 they err by less.
 _SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
 # At most so many meshes; the objective has settled once it changes by less than this share.
@@ -58,6 +58,15 @@ class _Way:
     what: str
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Kept:
+    """A motion that passes, the case that it solves, and whether ranges are kept by rows."""
+
+    case: MechanismCase
+    at: CertifiedIterate
+    rows: bool
+
+
 def of_several(problem: Problem) -> bool:
     """True if motions of several freedoms are refined here: in polynomials, on a mesh and for an objective that allow it."""
     mesh, objective = problem.mesh, problem.objective
@@ -73,35 +82,39 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         found: a first solution.
     """
     case = at_a_distance(case, found.motion.start_pose)
-    at, best, gain, solved = certify_iterate(case, found), None, np.inf, case
+    at, moved = certify_iterate(case, found), 0.0
+    kept: list[_Kept] = []  # the motions that pass, each better than the one before
     way: _Way | None = _first_way(case, found)
     rows = False  # whether ranges are kept between the nodes too: at nodes alone, a motion along one flips between them
     for _ in range(_MAX_MESHES):
         check()
         if way is None:
             break
-        start = replace(motion_of(at.found.motion), share_of_effort=1.0)
-        rows = rows or _rides_a_range(case.asked, at.found.motion)
+        start, rows = replace(motion_of(at.found.motion), share_of_effort=1.0), rows or _rides_a_range(case.asked, at)
         finer = attempt(
-            way.case, start, way.mesh, way.durations, way.what, close=True, adaptive=True,
-            position_rows=rows,
+            way.case, start, way.mesh, way.durations, way.what, close=True, adaptive=True, position_rows=rows
         )  # fmt: skip
         if finer is None:
             break
-        before, at = at, certify_iterate(case, finer)
-        gain = (before.found.solution.objective - finer.solution.objective) / abs(finer.solution.objective)
-        if at.passed and (best is None or at.found.solution.objective <= (1 + _SETTLED) * best.found.solution.objective):
-            best = at
-        solved, way = way.case, _next_way(way.case, at, gain)
-    at = best or at
-    if at.passed:
-        at = _within_efforts(solved, at, rows)
+        before, at = at.found.solution.objective, certify_iterate(case, finer)
+        gain = (before - finer.solution.objective) / abs(finer.solution.objective)
+        better = not kept or finer.solution.objective < (1 - _SETTLED) * kept[-1].at.found.solution.objective
+        if at.passed and better:
+            moved = kept[-1].at.found.solution.objective / finer.solution.objective - 1.0 if kept else 0.0
+            kept.append(_Kept(way.case, at, rows))
+        elif not better:
+            break
+        way = _next_way(way.case, at, gain)
+    for one in reversed(kept):
+        at = _within_efforts(one)
+        if at.certificate.effort_overrun.max(initial=0.0) <= 1.0:
+            break
     if at.certificate is None:
         return None
-    moved, found = max(gain, 0.0) if np.isfinite(gain) else 0.0, at.found
+    motion, solution = at.found.motion, at.found.solution
     return Refined(
-        motion=found.motion, solution=found.solution, certificate=at.certificate, settled=moved <= _SETTLED, moved=moved
-    )
+        motion=motion, solution=solution, certificate=at.certificate, settled=moved <= _SETTLED, moved=moved
+    )  # fmt: skip
 
 
 def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
@@ -113,23 +126,24 @@ def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
     return replace(case, problem=replace(case.problem, limits=limits))
 
 
-def _rides_a_range(problem: Problem, motion: Trajectory) -> bool:
-    """True if a coefficient of an independent joint's position is at an end of its range or beyond, for whole intervals."""
+def _rides_a_range(problem: Problem, at: CertifiedIterate) -> bool:
+    """True if a coefficient of an independent joint's position is at an end of its range or beyond."""
+    motion = at.found.motion
     limit = problem.limits.position[problem.mechanism.independent]
     near = _NEAR_RANGE * np.where(np.isfinite(np.ptp(limit, axis=1)), np.ptp(limit, axis=1), 0.0)
     inside = (motion.position > limit[:, 0] + near) & (motion.position < limit[:, 1] - near)
     return not bool(np.all(inside[:, 1:-1]))
 
 
-def _within_efforts(case: MechanismCase, at: CertifiedIterate, rows: bool) -> CertifiedIterate:
+def _within_efforts(kept: _Kept) -> CertifiedIterate:
     """Return a motion that passes, changed until it needs no more effort between the nodes than a proof allows."""
+    at, case = kept.at, kept.case.with_scheme(kept.at.found.solution.transcribed.scheme.name)
+    asked = replace(case, problem=case.asked)
     for _ in range(_MAX_RESTORATIONS):
-        beyond = at.certificate.effort_overrun
-        if beyond.max(initial=0.0) <= 1.0 or case.problem.solver.deadline.passed:
+        if at.certificate.effort_overrun.max(initial=0.0) <= 1.0 or case.problem.solver.deadline.passed:
             break
-        scheme = case.with_scheme(at.found.solution.transcribed.scheme.name)
-        found = nearest_on(scheme, at.found, divided(at.found.mesh, _within(scheme, at)), position_rows=rows)
-        changed = None if found is None else certify_iterate(case, found)
+        found = nearest_on(case, at.found, divided(at.found.mesh, _within(case, at)), position_rows=kept.rows)
+        changed = None if found is None else certify_iterate(asked, found)
         if changed is None or not changed.passed:
             break
         at = changed
@@ -178,7 +192,7 @@ def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase | None:
     margin, asked = case.problem.limits.singular_margin, case.asked.limits.singular_margin
     if margin <= max(asked, _LAST_MARGIN) or at.certificate.singularity_ratio > 1.01 * margin:
         return None
-    limits = replace(case.problem.limits, singular_margin=max(asked, _LAST_MARGIN, _MARGIN_FACTOR * margin))
+    limits = replace(case.problem.limits, singular_margin=max(asked, _LAST_MARGIN))
     return replace(case, problem=replace(case.problem, limits=limits))
 
 

@@ -27,7 +27,7 @@ from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
 
 # A first solve takes at most so many iterations.
-FIRST_ITERATIONS = 120
+FIRST_ITERATIONS = 200
 # At least and at most so many first solves that lead to a motion, and so many starts in all.
 _FEWEST, _MOST, _STARTS = 3, 6, 10
 # Objectives of first solves that are no further apart than this share are of one motion.
