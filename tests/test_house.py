@@ -42,9 +42,9 @@ ROOMS = {
     ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.
-MOST_ARROWS = 20
+MOST_ARROWS = 24
 # Names of numbers at the top of our files: each is one more thing to know.
-MOST_CONSTANTS = 411
+MOST_CONSTANTS = 435
 # The root of the public package: installed as `linkplan` itself, above everything.
 PUBLIC = ROOT / "studies" / "package"
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
@@ -235,7 +235,7 @@ def test_all_data_files_are_listed_in_the_project_file():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "most"), [("plan", 115), ("compare", 140)])
+@pytest.mark.parametrize(("command", "most"), [("plan", 116), ("compare", 140)])
 def test_a_reader_who_follows_a_command_meets_few_files(command, most):
     asked = [sys.executable, "-m", "tests.bench.entered", command, "knee-reach"]
     run = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True)

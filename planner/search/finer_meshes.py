@@ -28,18 +28,19 @@ from linkplan.planner.refinement.switch_search import mesh_with_switches
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform
 
-# |det J_z| relative to home that iterates keep at first, and at last where the first one binds and less is asked for. Next to
-# a singular pose no mesh is fine enough, and a tenth of the last one saves a two-thousandth of the time.
+# |det J_z| relative to home that iterates keep at first, and at last where the first one binds and less is asked for. Next
+# to a singular pose no mesh is fine enough, and a tenth of the last one saves a two-thousandth of the time.
 FIRST_MARGIN, _LAST_MARGIN = 0.05, 0.01
 # The transcription of finer meshes, and their intervals as a share of those asked for: with degree 5 they err by less.
-_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
+_FINER_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
 # At most so many meshes; the objective has settled once it changes by less than this share.
-_MAX_MESHES, _SETTLED = 8, 1e-5
+_MAX_MESHES, _SETTLED_CHANGE = 8, 1e-5
 # An effort jumps where it changes by more than this share of its range from one interval to the next but one. The jump costs
 # about the square of the interval's share of the motion: less than the second share is not worth an unknown.
-_JUMP, _WORTH_AN_UNKNOWN = 0.4, 1e-4
-# A limit that is overrun between the nodes may be tightened by this share of itself.
-_TIGHTENED = 3e-4
+_JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
+# A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
+# more than this share of itself: less is tightened.
+_MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
 # The motion that is kept is changed on at most so many meshes.
 _MAX_RESTORATIONS = 4
 # A joint is at an end of its range within this share of it.
@@ -82,8 +83,9 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         found: a first solution.
     """
     case = at_a_distance(case, found.motion.start_pose)
-    at, moved = certify_iterate(case, found), 0.0
-    kept: list[_Kept] = []  # the motions that pass, each better than the one before
+    at, gain, moved = certify_iterate(case, found), np.inf, 0.0
+    kept: list[_Kept] = []  # the motions that pass, each better than the one before, and then the last one
+    last: _Kept | None = None
     way: _Way | None = _first_way(case, found)
     rows = False  # whether ranges are kept between the nodes too: at nodes alone, a motion along one flips between them
     for _ in range(_MAX_MESHES):
@@ -98,23 +100,29 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
             break
         before, at = at.found.solution.objective, certify_iterate(case, finer)
         gain = (before - finer.solution.objective) / abs(finer.solution.objective)
-        better = not kept or finer.solution.objective < (1 - _SETTLED) * kept[-1].at.found.solution.objective
-        if at.passed and better:
+        better = not kept or finer.solution.objective < (1 - _SETTLED_CHANGE) * kept[-1].at.found.solution.objective
+        last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
+        way = _next_way(way.case, at, gain) if at.passed or better else None
+        if last is not None and at.passed:
             moved = kept[-1].at.found.solution.objective / finer.solution.objective - 1.0 if kept else 0.0
-            kept.append(_Kept(way.case, at, rows))
-        elif not better:
-            break
-        way = _next_way(way.case, at, gain)
+            kept.append(last)
+    if last is not None and last not in kept:
+        kept.append(last)
     for one in reversed(kept):
-        at = _within_efforts(one)
-        if at.certificate.effort_overrun.max(initial=0.0) <= 1.0:
+        at = _mended(one)
+        if _is_sound(at):
             break
     if at.certificate is None:
         return None
     motion, solution = at.found.motion, at.found.solution
     return Refined(
-        motion=motion, solution=solution, certificate=at.certificate, settled=moved <= _SETTLED, moved=moved
+        motion=motion, solution=solution, certificate=at.certificate, settled=moved <= _SETTLED_CHANGE, moved=moved
     )  # fmt: skip
+
+
+def _is_sound(at: CertifiedIterate) -> bool:
+    """True if a motion passes and needs no more effort between the nodes than a proof allows."""
+    return at.passed and float(at.certificate.effort_overrun.max(initial=0.0)) <= 1.0
 
 
 def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
@@ -135,16 +143,20 @@ def _rides_a_range(problem: Problem, at: CertifiedIterate) -> bool:
     return not bool(np.all(inside[:, 1:-1]))
 
 
-def _within_efforts(kept: _Kept) -> CertifiedIterate:
-    """Return a motion that passes, changed until it needs no more effort between the nodes than a proof allows."""
-    at, case = kept.at, kept.case.with_scheme(kept.at.found.solution.transcribed.scheme.name)
+def _mended(kept: _Kept) -> CertifiedIterate:
+    """Return a motion that is changed as little as finer meshes ask for, until it is sound, or the last one that passes."""
+    at, problem, margin = kept.at, kept.case.problem, kept.case.asked.limits.singular_margin
+    # Within the limits as asked, and a margin that nobody asked for may be missed by the error of the mesh.
+    limits = replace(kept.case.asked.limits, singular_margin=max(margin, 0.5 * problem.limits.singular_margin))
+    solver = replace(problem.solver, deadline=problem.solver.certificate_deadline)
+    case = replace(kept.case, problem=replace(problem, limits=limits, solver=solver), tightenings=())
     asked = replace(case, problem=case.asked)
     for _ in range(_MAX_RESTORATIONS):
-        if at.certificate.effort_overrun.max(initial=0.0) <= 1.0 or case.problem.solver.deadline.passed:
+        if _is_sound(at) or case.problem.solver.deadline.passed:
             break
-        found = nearest_on(case, at.found, divided(at.found.mesh, _within(case, at)), position_rows=kept.rows)
+        found = nearest_on(case, at.found, divided(at.found.mesh, _inexact(case, at)), position_rows=kept.rows)
         changed = None if found is None else certify_iterate(asked, found)
-        if changed is None or not changed.passed:
+        if changed is None or changed.certificate is None or (at.passed and not changed.passed):
             break
         at = changed
     return at
@@ -155,7 +167,7 @@ def _first_way(case: MechanismCase, found: Iterate[Trajectory]) -> _Way:
     asked, motion = case.asked, found.motion
     case = replace(case, ties=TIE_WEIGHT)
     if asked.mesh.refine != "intervals":
-        case = case.with_scheme(_SCHEME)
+        case = case.with_scheme(_FINER_SCHEME)
     n = max(8, round(_SHARE_OF_INTERVALS * asked.mesh.intervals))
     boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, motion)
     if len(boundaries) == 2 and not len(jumps):
@@ -167,22 +179,23 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, gain: float) -> _Way | 
     """Return the next solve; None where the motion is done, or no finer mesh is allowed."""
     if at.certificate is None:
         return None
-    pieces, mesh = _pieces(case, at), at.found.mesh
+    pieces, mesh = _coarse(case, at), at.found.mesh
     boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], _durations(at)
     further = _apart(jumps_of(case, at.found.motion), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     nearer = _nearer(case, at) if at.passed else None
     if nearer is not None:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
-    if gain > _SETTLED and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
+    settled = gain <= _SETTLED_CHANGE
+    if not settled and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
         return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "further jumps as unknowns")
-    if pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
+    if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
         return _Way(case, divided(mesh, pieces), durations, "finer mesh")
     if at.overruns:
         tightened = case.tightened(at.certificate, at.found.motion)
         return _Way(tightened, mesh, durations, "limits tightened between the nodes")
-    if at.passed and gain <= _SETTLED:
+    if settled:
         return None
     return _Way(case, divided(mesh, 1 + rough_of(at.found.motion)), durations, "finer mesh")
 
@@ -200,25 +213,21 @@ def _durations(at: CertifiedIterate) -> np.ndarray:
     return np.bincount(at.found.mesh.segment, np.diff(at.found.motion.breaks_s))
 
 
-def _pieces(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
-    """Return into how many (n,) each interval is divided, by how far its errors are beyond their share."""
-    certificate, report, n = at.certificate, at.report, at.n_intervals
-    growth = certificate.growth * case.target.strictness * (1.0 if case.target.tolerance_given else 1e-3)
-    with np.errstate(over="ignore", invalid="ignore"):
-        errors = np.vstack([
-            certificate.residual_share / 0.1,
-            np.where(growth.sum() > 0.5, growth * n, 0.0),
-            report.overrun / _TIGHTENED,
-        ])  # fmt: skip
-    return _enough(case, errors.max(axis=0))
+def _coarse(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
+    """Return into how many (n,) each interval is divided, by how far its residual and its overruns are too large."""
+    errors = at.certificate.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_TIGHTENED
+    return _enough(case, np.maximum(*errors))
 
 
-def _within(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
-    """Return into how many (n,) intervals are divided where the motion needs more effort than a proof allows.
+def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
+    """Return into how many (n,) each interval is divided for the certificate and a proof.
 
-    The allowance is kept by a factor of three: the largest effort may lie between the samples.
+    The allowance of efforts is kept by a factor of three: the largest effort may lie between the samples.
     """
-    return _enough(case, 3.0 * at.certificate.effort_overrun)
+    growth = at.certificate.growth * (case.target.strictness if case.target.tolerance_given else 1.0)
+    too_large = growth.sum() > 0.5 or not np.isfinite(growth.sum())
+    errors = np.maximum(2.0 * growth * len(growth) * too_large, 3.0 * at.certificate.effort_overrun)
+    return np.maximum(_coarse(case, at), _enough(case, errors))
 
 
 def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
@@ -243,7 +252,7 @@ def jumps_of(case: MechanismCase, motion: Trajectory) -> np.ndarray:
         k = 1
         while k < len(effort) - 1:
             before, after = effort[k - 1], effort[k + 1]
-            if abs(after - before) <= _JUMP or widths[k] ** 2 * abs(after - before) <= _WORTH_AN_UNKNOWN:
+            if abs(after - before) <= _JUMP_SHARE or widths[k] ** 2 * abs(after - before) <= _WORTH_AN_UNKNOWN:
                 k += 1
                 continue
             share = float(np.clip((effort[k] - after) / (before - after), 0.0, 1.0))

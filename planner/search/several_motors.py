@@ -29,16 +29,16 @@ from linkplan.planner.search.solving import first_mesh, with_longer_durations
 # A first solve takes at most so many iterations.
 FIRST_ITERATIONS = 200
 # At least and at most so many first solves that lead to a motion, and so many starts in all.
-_FEWEST, _MOST, _STARTS = 3, 6, 10
+_FEWEST_FOUND, _MOST_FOUND, _MOST_STARTS = 3, 6, 10
 # Objectives of first solves that are no further apart than this share are of one motion.
-_ALIKE = 1e-3
+_ALIKE_SHARE = 1e-3
 # So many of the best motions are refined.
-_REFINED = 3
+_MOST_REFINED = 3
 # The factors on the duration of a motion that does not pass, with which a slower one is tried.
-_SLOWER = (1.05, 1.3)
+_SLOWER_FACTORS = (1.05, 1.3)
 _TIES = f"; ties between the joints with time to spare are broken by a weight of {TIE_WEIGHT:g} on squared efforts"
 # The factors on the duration of the smooth path from which a free duration is sought.
-_STRETCHES = (0.7, 1.5, 1.0)
+_STRETCH_FACTORS = (0.7, 1.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,9 +59,9 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     problem = search.within(budget)
     firsts = _first_solutions(search, problem)
     plans: list[Plan] = []
-    for first in search.deadline.take(firsts[:_REFINED]):
+    for first in search.deadline.take(firsts[:_MOST_REFINED]):
         best = _best(plans)
-        if best is not None and first.objective > (1 - _ALIKE) * best.objective:
+        if best is not None and first.objective > (1 - _ALIKE_SHARE) * best.objective:
             break
         progress(f"refining the motion from {first.what}")
         found, unbounded = with_longer_durations(problem, first.found)
@@ -75,7 +75,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     if best is None:
         return plans[0] if plans else None
     better = min(first.objective for first in firsts)
-    if best is not plans[0] and better < (1 - _ALIKE) * best.objective:
+    if best is not plans[0] and better < (1 - _ALIKE_SHARE) * best.objective:
         return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
     return best if not np.any(tie_weights(problem, TIE_WEIGHT)) else replace(best, message=best.message + _TIES)
 
@@ -85,7 +85,7 @@ def _slower(problem: Problem, first: _First) -> Plan | None:
     if problem.motion.duration_s is not None:
         return None
     motion = first.found.motion
-    for factor in _SLOWER:
+    for factor in _SLOWER_FACTORS:
         duration = factor * motion.duration_s
         if duration > (problem.motion.max_duration_s or np.inf):
             break
@@ -110,7 +110,7 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
     """Return the first solutions of different motions, the best first, until the best one was found twice."""
     case = _first_case(problem, search.start_pose)
     found: list[_First] = []
-    for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(_starts(search, problem), _STARTS))):
+    for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(_starts(search, problem), _MOST_STARTS))):
         mesh, durations = first_mesh(case.problem, guess)
         try:
             if not closes(problem, guess):
@@ -121,7 +121,8 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
         if one is not None:
             found.append(_First(what, one))
         best = min((first.objective for first in found), default=np.inf)
-        if len(found) >= _MOST or (len(found) >= _FEWEST and sum(_alike(first.objective, best) for first in found) > 1):
+        twice = sum(_alike(first.objective, best) for first in found) > 1
+        if len(found) >= _MOST_FOUND or (len(found) >= _FEWEST_FOUND and twice):
             break
     different: list[_First] = []
     for first in sorted(found, key=lambda first: first.objective):
@@ -131,7 +132,7 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
 
 
 def _alike(one: float, other: float) -> bool:
-    return abs(one - other) <= _ALIKE * abs(other)
+    return abs(one - other) <= _ALIKE_SHARE * abs(other)
 
 
 def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:
@@ -144,7 +145,7 @@ def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:
         yield words, smooth
         yield words, smooth  # with the other barrier
         yield from perturbed
-    for factor in _STRETCHES:
+    for factor in _STRETCH_FACTORS:
         if problem.motion.max_duration_s is None or factor * smooth.duration_s <= problem.motion.max_duration_s:
             yield f"{words} of {factor:g} times its least duration", stretched(smooth, factor * smooth.duration_s)
         yield next(perturbed)

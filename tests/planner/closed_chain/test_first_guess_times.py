@@ -115,10 +115,20 @@ def test_the_unit_of_an_effort_is_its_limit_or_what_a_slow_motion_needs(limits, 
 )
 def test_the_own_objective_is_without_the_smoothing_of_efforts(coefficients, breaks, integral):
     """smoothing x unit of the objective x unit of time x int (u' / U)^2 dt."""
-    origin = SimpleNamespace(smoothing=0.1, scales=SimpleNamespace(effort=np.array([2.0]), time_s=3.0))
+    scales = SimpleNamespace(effort=np.array([2.0]), time_s=3.0)
+    origin = SimpleNamespace(smoothing=0.1, scales=scales, tie_weights=np.zeros(1))
     transcribed = SimpleNamespace(origin=origin, units=SimpleNamespace(objective=5.0))
     motion = SimpleNamespace(breaks_s=np.array(breaks), effort=np.array(coefficients)[:, :, None])
     assert own_objective(transcribed, 7.0, motion) == pytest.approx(7.0 - 0.1 * 5.0 * 3.0 * integral)
+
+
+def test_the_own_objective_is_without_what_breaks_ties():
+    """Weights x int u^2 dt of each actuator: of tau^2, and of 2."""
+    origin = SimpleNamespace(smoothing=0.0, tie_weights=np.array([0.5, 0.25]))
+    effort = np.stack([[[0.0], [0.0], [1.0]], [[2.0], [2.0], [2.0]]], axis=2)
+    motion = SimpleNamespace(breaks_s=np.array([0.0, 3.0]), effort=effort)
+    found = own_objective(SimpleNamespace(origin=origin), 7.0, motion)
+    assert found == pytest.approx(7.0 - 0.5 * 3.0 / 5.0 - 0.25 * 4.0 * 3.0)
 
 
 # Demands of prescribed motions.

@@ -26,7 +26,7 @@ def test_a_motion_ends_where_the_site_is_at_the_place_asked_for():
 def test_smoothing_adds_to_the_cost_of_efforts_that_change():
     problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
     scales = choose_scales(problem, first_guess(problem, problem.start_pose()))
-    assert set(_exact_costs(problem, scales, None, 2.0)) == {"effort"}
-    smoothed = _exact_costs(problem, scales, 0.3, 2.0)
+    assert set(_exact_costs(problem, scales, None, 2.0, 0.0)) == {"effort"}
+    smoothed = _exact_costs(problem, scales, 0.3, 2.0, 0.0)
     assert smoothed["effort_rate"] == pytest.approx([0.3])
     assert smoothed["effort"] == pytest.approx(scales.effort**2 * scales.time_s / 2.0)

@@ -51,6 +51,7 @@ def test_a_plan_is_optimal_where_a_finer_mesh_hardly_changes_it_and_no_arc_leave
         monkeypatch.setattr(attempts, name, lambda *_, value=value, **__: value)
     monkeypatch.setattr(attempts, "finished", finished)
     problem = SimpleNamespace(objective=SimpleNamespace(is_smoothed=False))
+    monkeypatch.setattr(attempts, "of_several", lambda _: False)
     plan = certified(problem, SimpleNamespace(motion=None, solution=solution))
     assert plan.optimal is optimal
     assert plan.message.startswith(f"plan{words}") if words else plan.message == "plan"

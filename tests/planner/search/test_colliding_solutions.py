@@ -27,8 +27,8 @@ def planned(reach):
 def test_a_motion_through_a_post_is_not_refined():
     apart = planned(reach=5.0)
     assert apart.passed
-    assert any("degree" in step.what or "intervals" in step.what for step in apart.history[1:])  # its mesh is refined
+    assert any(step.scheme != "radau-3" for step in apart.history)  # its mesh is refined
     through = planned(reach=0.6)
     assert not through.passed
     assert "collide" in through.message
-    assert len(through.history) == 1
+    assert all(step.what.startswith("start from") for step in through.history)

@@ -1,0 +1,130 @@
+"""Fast motions of several motors: a leg whose knee is a four-bar, and the parts of its search by themselves.
+
+The best known values are of an independent collocation, at the nodes of its mesh.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import linkplan
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.refinement.history import recording
+from linkplan.planner.search import several_motors
+from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, jumps_of, of_several
+from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.search.several_motors import _first_solutions, from_several_starts
+from tests.support.data import DATA
+
+LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
+ENDS = {
+    "start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0},
+    "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0},
+}
+
+
+def leg(**asked):
+    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
+    limits = {"contacts": "note"}
+    return linkplan.Problem.reach(mechanism, **ENDS, **asked, mesh={"intervals": 40}, limits=limits)
+
+
+@pytest.fixture(scope="module")
+def in_least_time():
+    return leg(duration_s="free", minimize="time")
+
+
+@pytest.fixture(scope="module")
+def quickest(in_least_time):
+    return plan_motion(in_least_time)
+
+
+def search_of(problem):
+    begun = replace(problem, solver=problem.solver.begun())
+    return Search(problem=begun, start_pose=problem.start_pose())
+
+
+def test_the_least_time_is_the_best_known_one_and_a_proof_accepts_its_efforts(quickest):
+    assert quickest.status == "optimal"
+    assert quickest.objective == pytest.approx(LEAST_TIME_S, rel=1e-4)
+    assert quickest.objective == pytest.approx(quickest.trajectory.duration_s, rel=1e-12)  # without what breaks ties
+    assert quickest.certificate.effort_overrun.max() <= 1.0
+    assert "ties between the joints" in quickest.message
+
+
+def test_little_effort_near_a_singular_pose_is_not_a_motion_and_a_rest():
+    plan = plan_motion(leg(duration_s=0.279953, minimize="effort"))
+    assert plan.status == "optimal"
+    assert plan.objective <= LEAST_EFFORT * (1 + 1e-3)
+    assert "ties" not in plan.message
+
+
+def test_solves_keep_a_distance_from_singular_poses_that_the_certificate_does_not_ask_for(in_least_time):
+    case = at_a_distance(case_of(in_least_time), in_least_time.start_pose())
+    assert case.problem.limits.singular_margin == FIRST_MARGIN
+    assert case.asked.limits.singular_margin == 0.0
+
+
+def test_a_margin_that_is_asked_for_is_kept():
+    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
+    problem = linkplan.Problem.reach(mechanism, **ENDS, duration_s=0.3, limits={"singular_margin": 0.3})
+    kept = at_a_distance(case_of(problem), problem.start_pose()).problem.limits.singular_margin
+    assert kept == 0.3
+
+
+def test_starts_end_once_the_best_objective_was_found_twice(in_least_time, monkeypatch):
+    values = iter([3.0, 2.0, 5.0, 2.001, 1.0])
+
+    def attempt(*_, **__):
+        return SimpleNamespace(solution=SimpleNamespace(objective=next(values)))
+
+    monkeypatch.setattr(several_motors, "attempt", attempt)
+    search = search_of(in_least_time)
+    found = _first_solutions(search, search.problem)
+    assert [first.objective for first in found] == [2.0, 3.0, 5.0]  # 2.001 is the same motion
+    assert next(values) == 1.0
+
+
+def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, monkeypatch):
+    own = several_motors.certified
+
+    def failing(problem, found):
+        return own(problem, found) if problem.motion.duration_s else SimpleNamespace(passed=False)
+
+    monkeypatch.setattr(several_motors, "certified", failing)
+    with recording():
+        plan = from_several_starts(search_of(in_least_time), PATIENT)
+    assert plan.status == "feasible"
+    assert plan.passed
+    assert plan.objective == pytest.approx(1.05 * LEAST_TIME_S, rel=2e-3)
+    assert "was found that does not pass its certificate" in plan.message
+
+
+def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_least_time):
+    weights = tie_weights(in_least_time, FIRST_TIE_WEIGHT)
+    assert weights * np.array([130.0, 120.0]) ** 2 == pytest.approx(FIRST_TIE_WEIGHT / 2)
+    assert not tie_weights(leg(duration_s=0.3, minimize="effort"), FIRST_TIE_WEIGHT).any()
+    mixed = leg(duration_s="free", minimize={"time": 1.0, "effort": 1e-5})
+    assert not tie_weights(mixed, FIRST_TIE_WEIGHT).any()
+
+
+def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
+    breaks, level = np.linspace(0.0, 1.0, 11), np.full((10, 2), 100.0)
+    level[4, 0], level[5:, 0] = 100.0 - 0.3 * 200.0, -100.0  # the first effort jumps at seven tenths of the fifth interval
+    motion = SimpleNamespace(breaks_s=breaks, duration_s=1.0, effort=np.stack([level, level]))
+    assert jumps_of(case_of(in_least_time), motion) == pytest.approx([0.47])
+    smooth = case_of(leg(duration_s=0.3, minimize="effort"))
+    assert len(jumps_of(smooth, motion)) == 0
+
+
+def test_one_motor_constant_efforts_and_given_breaks_have_another_search(in_least_time):
+    assert of_several(in_least_time)
+    assert not of_several(load_problem("knee-reach"))
+    for mesh in ({"effort": "constant"}, {"breaks": np.linspace(0.0, 1.0, 21)}):
+        assert not of_several(replace(in_least_time, mesh=replace(in_least_time.mesh, **mesh)))
+    assert not of_several(leg(duration_s=0.3, minimize="work"))
