@@ -41,6 +41,8 @@ _JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
 # A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
 # more than this share of itself: less is tightened.
 _MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
+# A solve that begins at the last mesh's motion takes at most so many iterations; 120 were the most of those that converged.
+_MOST_ITERATIONS = 150
 # The motion that is kept is changed on at most so many meshes.
 _MAX_RESTORATIONS = 4
 # A joint is at an end of its range within this share of it.
@@ -69,9 +71,12 @@ class _Kept:
 
 
 def of_several(problem: Problem) -> bool:
-    """True if motions of several freedoms are refined here: in polynomials, on a mesh and for an objective that allow it."""
+    """True if motions of several freedoms are refined here: in polynomials, on a mesh and for an objective that allow it.
+
+    Limits on power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
+    """
     mesh, objective = problem.mesh, problem.objective
-    free = mesh.effort == "polynomial" and mesh.breaks is None
+    free = mesh.effort == "polynomial" and mesh.breaks is None and not np.any(np.isfinite(problem.limits.power))
     return problem.mechanism.dof > 1 and free and not objective.is_smoothed
 
 
@@ -83,6 +88,9 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         found: a first solution.
     """
     case = at_a_distance(case, found.motion.start_pose)
+    settings = case.problem.solver
+    few = replace(settings, max_iterations=min(_MOST_ITERATIONS, settings.max_iterations or _MOST_ITERATIONS))
+    case = replace(case, problem=replace(case.problem, solver=few))
     at, gain, moved = certify_iterate(case, found), np.inf, 0.0
     kept: list[_Kept] = []  # the motions that pass, each better than the one before, and then the last one
     last: _Kept | None = None

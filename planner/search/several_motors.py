@@ -29,7 +29,7 @@ from linkplan.planner.search.solving import first_mesh, with_longer_durations
 # A first solve takes at most so many iterations.
 FIRST_ITERATIONS = 200
 # At least and at most so many first solves that lead to a motion, and so many starts in all.
-_FEWEST_FOUND, _MOST_FOUND, _MOST_STARTS = 3, 6, 10
+_FEWEST_FOUND, _MOST_FOUND, _MOST_STARTS = 2, 6, 10
 # Objectives of first solves that are no further apart than this share are of one motion.
 _ALIKE_SHARE = 1e-3
 # So many of the best motions are refined.
