@@ -149,6 +149,7 @@ def draw(found: Sequence[Compared], path: Path) -> None:
             _draw_times(ax, ours, "linkplan, certified", BLUE, "o", -0.12)
             _draw_times(ax, peers, "casadi.Opti by hand, no certificate", ORANGE, "s", 0.12)
             ax.set(yscale="log", title=title, xlabel="motors", xticks=sorted({one.motors for one in found}))
+            ax.yaxis.set_major_formatter("{x:g}")
         axes[0, 0].set_ylabel("processor time of the whole process [s]")
         axes[0, 0].legend(fontsize=8)
 
