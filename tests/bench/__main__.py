@@ -1,8 +1,8 @@
 """`make bench`: what plans cost and how exact they are, beside other people's programs; eight minutes in all.
 
 Only ratios within one run mean anything on a shared machine; the medians beside them say what they are ratios of. Parts can
-be named: `python -m tests.bench peer shares`, `make bench peer shares`; `rounding` runs only where it is named. Tables are
-printed, figures and CSV go to bench-results/, progress to stderr.
+be named: `python -m tests.bench peer shares`, `make bench peer shares`; `rounding` and `many` run only where they are named.
+Tables are printed, figures, CSV and JSON go to bench-results/, progress to stderr.
 """
 
 import sys
@@ -13,6 +13,7 @@ from tests.bench.c_code import bench_c
 from tests.bench.ensemble import bench_ensemble
 from tests.bench.explore import bench_explore
 from tests.bench.loop import bench_loop
+from tests.bench.many import bench_many
 from tests.bench.measurement import bench_measurement
 from tests.bench.mpc import bench_mpc
 from tests.bench.packages import between_nodes
@@ -43,7 +44,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "precision": lambda: bench_precision(RESULTS),
 }
 # Parts that run only where they are named.
-FURTHER: Mapping[str, Callable[[], str]] = {"rounding": bench_rounding}
+FURTHER: Mapping[str, Callable[[], str]] = {"rounding": bench_rounding, "many": lambda: bench_many(RESULTS)}
 
 
 def main(names: list[str]) -> int:

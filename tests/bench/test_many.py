@@ -1,0 +1,116 @@
+"""The robots of several motors are what they are called, the peer has their dynamics, and a table tells what failed."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.problem import load_problem
+from tests.bench import many
+from tests.bench.many_peer import node_function
+from tests.bench.many_robots import KINDS, robots, write_robots
+from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
+
+# Of a motor's limit, the most that it takes to hold the weight at both ends.
+_HELD_SHARE = 0.6
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("many")
+    write_robots(place)
+    return place
+
+
+@pytest.mark.parametrize("robot", robots(), ids=lambda robot: robot.name)
+def test_a_robot_has_a_freedom_for_each_motor_and_holds_both_ends_of_a_way_that_closes(robot, folder):
+    mechanism = load_mechanism(folder / f"{robot.name}.xml")
+    assert mechanism.dof == mechanism.n_u == robot.n_motors
+    assert [joint.name for joint in mechanism.independent_joints] == list(robot.limits)
+    assert len(mechanism.closure_names) == robot.text.count("<connect")
+    start, goal = (np.radians([*ends.values()]) for ends in (robot.start_deg, robot.goal_deg))
+    poses = follow(mechanism, start + np.linspace(0.0, 1.0, 11)[:, None] * (goal - start))
+    still = np.zeros((2, mechanism.dof))
+    effort, missed = needed_effort(mechanism, poses[[0, -1]], still, still)
+    assert np.abs(missed).max() < ROUNDING * mechanism.effort_limit.max()
+    assert np.abs(effort / mechanism.effort_limit[:, 1]).max() < _HELD_SHARE
+
+
+def test_the_set_has_robots_of_two_to_sixteen_motors_with_all_kinds_of_problems(folder):
+    assert {robot.n_motors for robot in robots()} == {2, 3, 4, 6, 8, 10, 12, 16}
+    assert len(list(folder.glob("*.toml"))) == len(KINDS) * len(robots())
+    kept = load_problem(folder / "planar-2-speed.toml").limits.speed
+    assert np.all(np.isfinite(kept))
+    assert set(load_problem(folder / "planar-2-mixed.toml").objective.weights) == {"time", "effort"}
+
+
+@pytest.mark.parametrize("name", ["spatial-4", "delta-reach"])
+def test_the_peer_s_equations_hold_where_the_reduced_dynamics_do(name, folder):
+    """The rows are linear in accelerations and multipliers of dependent joints: some make all rows vanish, or none do."""
+    mechanism, rng = load_mechanism(folder / f"{name}.xml"), np.random.default_rng(3)
+    pose, (v, a) = mechanism.home, rng.normal(size=(2, mechanism.dof))
+    node, n_z = node_function(mechanism), len(mechanism.dependent)
+    rates = np.array(mechanism.dynamics.velocity_map(pose)) @ v
+    known = np.concatenate([pose[mechanism.dependent], rates[mechanism.dependent], np.zeros(2 * n_z)])
+
+    def left(u: np.ndarray) -> float:
+        steps = np.vstack([np.zeros(4 * n_z), np.eye(4 * n_z)[2 * n_z :]])
+        first, *others = (np.array(node(pose[mechanism.independent], v, a, u, known + step)[0]).ravel() for step in steps)
+        slopes = np.array(others).reshape(-1, len(first)).T - first[:, None]
+        return float(np.abs(first - slopes @ np.linalg.lstsq(slopes, first, rcond=None)[0]).max())
+
+    effort = needed_effort(mechanism, pose[None], v[None], a[None])[0][0]
+    assert left(effort) < SAME_FIGURE
+    assert left(1.01 * effort) > 1e3 * SAME_FIGURE
+
+
+ROW = many.Compared(
+    problem="arm-time", kind="time", motors=3, processor_s=2.0, status="optimal", message="", objective=0.51,
+    peer_processor_s=4.0, peer_status="solved", peer_objective=0.5, best_known=0.505,
+)  # fmt: skip
+
+
+def test_an_objective_is_over_the_least_of_all_that_are_known_and_a_failure_over_none():
+    assert ROW.over_best == pytest.approx(0.02)
+    assert replace(ROW, peer_objective=None).over_best == pytest.approx(0.51 / 0.505 - 1)
+    assert replace(ROW, status="failed").over_best is None
+    assert replace(ROW, peer_objective=None, best_known=None).over_best is None
+
+
+def test_the_figure_shows_failures_apart_from_certified_plans(tmp_path):
+    rows = [ROW, replace(ROW, kind="effort11", motors=2, status="failed", peer_objective=None)]
+    many.draw(rows, tmp_path / "many.png")
+    assert (tmp_path / "many.png").stat().st_size > 10_000
+
+
+def test_the_time_of_a_process_has_that_of_what_it_leaves_running():
+    """The child is left behind at once; it spends the time."""
+    child = "import time\nwhile time.process_time() < 0.5: pass"
+    code = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {child!r}], stdout=subprocess.DEVNULL)"
+    spent, said = many.run_counted(["-c", code])
+    assert said["status"] == "refused"
+    if sys.platform == "linux":
+        assert spent > 0.5
+
+
+@pytest.mark.slow
+def test_the_bench_tells_certified_plans_from_a_file_that_is_refused(folder, tmp_path, capsys):
+    names = ("five-bar-reach-effort15", "knee-leg-effort15")
+    for name in names:
+        text = (folder / f"{name}.toml").read_text(encoding="utf-8")
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+        model = name.removesuffix("-effort15") + ".xml"
+        (tmp_path / model).write_text((folder / model).read_text(encoding="utf-8"), encoding="utf-8")
+    assert many.main([str(tmp_path), "-o", str(tmp_path / "found.json")]) == 0
+    found = [many.Compared(**row) for row in json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))]
+    assert [row.problem for row in found] == list(names)
+    assert all(row.over_best is not None and abs(row.over_best) < 1e-3 for row in found)
+    assert all(row.processor_s > 0.1 and (row.peer_processor_s or 0.0) > 0.1 for row in found)
+    (tmp_path / "knee-leg.xml").unlink()
+    assert many.main([str(tmp_path), "--only", "knee", "--no-peer"]) == 1
+    assert "refused" in capsys.readouterr().out
