@@ -35,6 +35,8 @@ FIRST_MARGIN, LAST_MARGIN = 0.05, 0.01
 _FINER_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
 # At most so many meshes; the objective has settled once it changes by less than this share.
 _MAX_MESHES, _SETTLED_CHANGE = 8, 1e-5
+# A finer mesh's objective that is worse by more than this share is that of another motion.
+_LOST_SHARE = 1e-3
 # An effort jumps where it changes by more than this share of its range from one interval to the next but one. The jump costs
 # about the square of the interval's share of the motion: less than the second share is not worth an unknown.
 _JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
@@ -100,10 +102,8 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         check()
         if way is None:
             break
-        start, rows = replace(motion_of(at.found.motion), share_of_effort=1.0), rows or _rides_a_range(case.asked, at)
-        finer = attempt(
-            way.case, start, way.mesh, way.durations, way.what, close=True, adaptive=True, position_rows=rows
-        )  # fmt: skip
+        rows = rows or _rides_a_range(case.asked, at)
+        finer = _solved(way, at.found, rows)
         if finer is None:
             break
         before, at = at.found.solution.objective, certify_iterate(case, finer)
@@ -126,6 +126,24 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
     return Refined(
         motion=motion, solution=solution, certificate=at.certificate, settled=moved <= _SETTLED_CHANGE, moved=moved
     )  # fmt: skip
+
+
+def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Trajectory] | None:
+    """Return the solution of the next solve from a motion; None without one.
+
+    Where the barrier that follows the iterates loses the motion, it falls from a small value in a second solve.
+    """
+    start = replace(motion_of(coarse.motion), share_of_effort=1.0)
+    found: list[Iterate[Trajectory]] = []
+    for adaptive in (True, False):
+        finer = attempt(
+            way.case, start, way.mesh, way.durations, way.what, close=True, adaptive=adaptive, position_rows=rows
+        )  # fmt: skip
+        if finer is not None:
+            found.append(finer)
+            if finer.solution.objective <= (1 + _LOST_SHARE) * coarse.solution.objective:
+                break
+    return min(found, key=lambda finer: finer.solution.objective, default=None)
 
 
 def _is_sound(at: CertifiedIterate) -> bool:
@@ -162,7 +180,10 @@ def _mended(kept: _Kept) -> CertifiedIterate:
     for _ in range(_MAX_RESTORATIONS):
         if _is_sound(at) or case.problem.solver.deadline.passed:
             break
-        found = nearest_on(case, at.found, divided(at.found.mesh, _inexact(case, at)), position_rows=kept.rows)
+        mesh = divided(at.found.mesh, _inexact(case, at))
+        found = nearest_on(case, at.found, mesh, position_rows=kept.rows)
+        if found is None:  # efforts and other limits that bind together leave no freedom
+            found = _solved(_Way(case, mesh, _durations(at), "finer mesh"), at.found, kept.rows)
         changed = None if found is None else certify_iterate(asked, found)
         if changed is None or changed.certificate is None or (at.passed and not changed.passed):
             break

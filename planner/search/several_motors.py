@@ -153,7 +153,6 @@ def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:
     perturbed = perturbed_guesses(problem, search.start_pose)
     if problem.motion.duration_s is not None:
         yield words, smooth
-        yield words, smooth  # with the other barrier
         yield from perturbed
     for factor in _STRETCH_FACTORS:
         if problem.motion.max_duration_s is None or factor * smooth.duration_s <= problem.motion.max_duration_s:
