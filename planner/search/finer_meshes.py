@@ -112,7 +112,9 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
         way = _next_way(way.case, at, gain) if at.passed or better else None
         if last is not None and at.passed:
-            moved = kept[-1].at.found.solution.objective / finer.solution.objective - 1.0 if kept else 0.0
+            # Nearer to singular poses the objective changes, and not for the mesh's sake.
+            alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
+            moved = kept[-1].at.found.solution.objective / finer.solution.objective - 1.0 if alike else 0.0
             kept.append(last)
     if last is not None and last not in kept:
         kept.append(last)
@@ -220,7 +222,8 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, gain: float) -> _Way | 
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
         return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "further jumps as unknowns")
     if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
-        return _Way(case, divided(mesh, pieces), durations, "finer mesh")
+        tightened = case.tightened(at.certificate, at.found.motion) if at.overruns else case
+        return _Way(tightened, divided(mesh, pieces), durations, "finer mesh")
     if at.overruns:
         tightened = case.tightened(at.certificate, at.found.motion)
         return _Way(tightened, mesh, durations, "limits tightened between the nodes")
@@ -236,6 +239,10 @@ def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase | None:
         return None
     limits = replace(case.problem.limits, singular_margin=max(asked, LAST_MARGIN))
     return replace(case, problem=replace(case.problem, limits=limits))
+
+
+def _margin_of(case: MechanismCase) -> float:
+    return case.problem.limits.singular_margin
 
 
 def _durations(at: CertifiedIterate) -> np.ndarray:
