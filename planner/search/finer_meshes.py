@@ -34,7 +34,7 @@ FIRST_MARGIN, LAST_MARGIN = 0.05, 0.01
 # The transcription of finer meshes, and their intervals as a share of those asked for: with degree 5 they err by less.
 _FINER_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
 # At most so many meshes; the objective has settled once it changes by less than this share.
-_MAX_MESHES, _SETTLED_CHANGE = 8, 1e-5
+_MAX_MESHES, _SETTLED_CHANGE = 8, 2e-5
 # A finer mesh's objective that is worse by more than this share is that of another motion.
 _LOST_SHARE = 1e-3
 # An effort jumps where it changes by more than this share of its range from one interval to the next but one. The jump costs
@@ -108,7 +108,7 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
             break
         before, at = at.found.solution.objective, certify_iterate(case, finer)
         gain = (before - finer.solution.objective) / abs(finer.solution.objective)
-        better = not kept or finer.solution.objective < (1 - _SETTLED_CHANGE) * kept[-1].at.found.solution.objective
+        better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
         way = _next_way(way.case, at, gain) if at.passed or better else None
         if last is not None and at.passed:
