@@ -112,8 +112,8 @@ def _slower(problem: Problem, first: _First) -> Plan | None:
 
 def _best(plans: list[Plan]) -> Plan | None:
     """Return the plan that passes with the least objective."""
-    passed = [plan for plan in plans if plan.passed and plan.objective is not None]
-    return min(passed, key=lambda plan: plan.objective, default=None)
+    passed = [(plan.objective, k) for k, plan in enumerate(plans) if plan.passed and plan.objective is not None]
+    return plans[min(passed)[1]] if passed else None
 
 
 def _first_solutions(search: Search, problem: Problem) -> list[_First]:
