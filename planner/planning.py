@@ -26,8 +26,22 @@ from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
+Climb = Callable[[Search, Budget], Plan | None]
 # The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
 _DETAIL = "objective_as_modelled"
+
+
+def _with_time_to_wait(start: Climb) -> Climb:
+    """Return an attempt that gets half of the time left where several driven freedoms may wait, else all of it.
+
+    The first start of a swing-up may otherwise use up all the time in refinement.
+    """
+
+    def climb(search: Search, budget: Budget) -> Plan | None:
+        spare = search.problem.mechanism.dof > 1 and waiting.may_wait(search)
+        return start(search, replace(budget, share_of_time=0.5) if spare else budget)
+
+    return climb
 
 
 def _is_worth_a_start(search: Search) -> bool:
@@ -38,7 +52,7 @@ def _is_worth_a_start(search: Search) -> bool:
 def _first_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the plan of the first starts: of as many as the problem asks for, or of the given guess and the smooth path."""
     several = search.problem.solver.starts > 1
-    return (starts.best_of_several if several else starts.from_first_starts)(search, budget)
+    return (starts.best_of_several if several else _with_time_to_wait(starts.from_first_starts))(search, budget)
 
 
 _FIRST: tuple[Rung, ...] = (
@@ -58,7 +72,7 @@ _FIRST: tuple[Rung, ...] = (
 _SWINGS = Rung(
     name="swings",
     tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
-    climb=starts.from_swings,
+    climb=_with_time_to_wait(starts.from_swings),
     budget=HURRIED,
 )
 _LONGER = Rung(
@@ -69,6 +83,7 @@ _LONGER = Rung(
         and not search.only_time_counts
         and not of_several(search.problem)
         and continuations.may_be_lengthened(search)
+        and not waiting.far_beyond(search)
     ),
     climb=continuations.from_continuation,
     budget=PATIENT,

@@ -73,13 +73,14 @@ class _Kept:
 
 
 def of_several(problem: Problem) -> bool:
-    """True if motions of several freedoms are refined here: in polynomials, on a mesh and for an objective that allow it.
+    """True if motions of several motors are refined here: in polynomials, on a mesh and for an objective that allow it.
 
-    Limits on power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
+    One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes. Limits on
+    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
     """
     mesh, objective = problem.mesh, problem.objective
     free = mesh.effort == "polynomial" and mesh.breaks is None and not np.any(np.isfinite(problem.limits.power))
-    return problem.mechanism.dof > 1 and free and not objective.is_smoothed
+    return min(problem.mechanism.dof, problem.mechanism.n_u) > 1 and free and not objective.is_smoothed
 
 
 def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined | None:
@@ -268,8 +269,9 @@ def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
 
 def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
     """Return into how many (n,) intervals are divided whose errors are this many times too large."""
-    finite = np.nan_to_num(worst, nan=1e30, posinf=1e30)
-    return np.clip(np.ceil(finite ** (1.0 / degree_of(case.problem.mesh.scheme))), 1, _MAX_PIECES).astype(int)
+    finite, scheme = np.nan_to_num(worst, nan=1e30, posinf=1e30), case.problem.mesh.scheme
+    order = degree_of(scheme) if scheme[-1].isdigit() else 2
+    return np.clip(np.ceil(finite ** (1.0 / order)), 1, _MAX_PIECES).astype(int)
 
 
 def jumps_of(case: MechanismCase, motion: Trajectory) -> np.ndarray:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from linkplan.planner import planning
-from linkplan.planner.planning import RUNGS, _first_starts, _with_the_best
+from linkplan.planner.planning import RUNGS, _first_starts, _with_the_best, _with_time_to_wait
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,13 @@ def test_several_starts_are_compared_where_they_are_asked_for(monkeypatch, start
     monkeypatch.setattr(planning.starts, "best_of_several", lambda *_: "several")
     monkeypatch.setattr(planning.starts, "from_first_starts", lambda *_: "first")
     assert _first_starts(search(starts=starts), Share()) == made
+
+
+@pytest.mark.parametrize(("dof", "may_wait", "share"), [(1, True, 1.0), (2, True, 0.5), (2, False, 1.0), (1, False, 1.0)])
+def test_a_start_has_half_of_the_time_where_several_freedoms_may_wait(monkeypatch, dof, may_wait, share):
+    monkeypatch.setattr(planning.waiting, "may_wait", lambda _: may_wait)
+    climb = _with_time_to_wait(lambda _, budget: budget.share_of_time)
+    assert climb(search(dof=dof), Share()) == share
 
 
 @pytest.mark.parametrize(("starts", "worth", "tried"), [(1, False, False), (1, True, True), (3, False, True)])
