@@ -15,7 +15,7 @@ from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weight
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search import several_motors
+from linkplan.planner.search import finer_meshes, several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, jumps_of, of_several
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.several_motors import _first_solutions, _margin_kept, from_several_starts
@@ -107,6 +107,28 @@ def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, m
     assert plan.passed
     assert plan.objective == pytest.approx(1.05 * LEAST_TIME_S, rel=2e-3)
     assert "was found that does not pass its certificate" in plan.message
+
+
+@pytest.mark.parametrize(
+    ("objectives", "best"), [((1.0,), 1.0), ((1.01, 1.0), 1.0), ((1.01, 1.02), 1.01), ((None, 1.0), 1.0)]
+)
+def test_a_finer_mesh_that_loses_the_motion_is_solved_again_with_a_falling_barrier(
+    in_least_time, monkeypatch, objectives, best
+):
+    barriers = []
+
+    def attempt(*_, adaptive, **__):
+        barriers.append(adaptive)
+        value = objectives[len(barriers) - 1]
+        return None if value is None else SimpleNamespace(solution=SimpleNamespace(objective=value))
+
+    monkeypatch.setattr(finer_meshes, "attempt", attempt)
+    monkeypatch.setattr(finer_meshes, "motion_of", lambda _: in_least_time)
+    monkeypatch.setattr(finer_meshes, "replace", lambda motion, **_: motion)
+    coarse = SimpleNamespace(motion=None, solution=SimpleNamespace(objective=1.0))
+    way = SimpleNamespace(case=None, mesh=None, durations=None, what="finer mesh")
+    assert finer_meshes._solved(way, coarse, False).solution.objective == best
+    assert barriers == [True, False][: len(objectives)]
 
 
 def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_least_time):
