@@ -125,7 +125,7 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
         try:
             if not closes(problem, guess):
                 continue
-            one = attempt(case, guess, mesh, durations, f"start from {what}", adaptive=number % 2 == 0)
+            one = attempt(_in_time(case, found), guess, mesh, durations, f"start from {what}", adaptive=number % 2 == 0)
         except OutOfTimeError:
             break
         if one is not None:
@@ -139,6 +139,14 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
         if not different or not _alike(first.objective, different[-1].objective):
             different.append(first)
     return different
+
+
+def _in_time(case: MechanismCase, found: list[_First]) -> MechanismCase:
+    """Return a case whose solve takes at most three times the iterations of the shortest one that led to a motion."""
+    solver = case.problem.solver
+    most = min((3 * first.found.solution.iterations for first in found), default=FIRST_ITERATIONS)
+    solver = replace(solver, max_iterations=min(most, solver.max_iterations or most))
+    return replace(case, problem=replace(case.problem, solver=solver))
 
 
 def _alike(one: float, other: float) -> bool:

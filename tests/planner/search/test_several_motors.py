@@ -18,7 +18,7 @@ from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import finer_meshes, several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, jumps_of, of_several
 from linkplan.planner.search.ladder import PATIENT, Search
-from linkplan.planner.search.several_motors import _first_solutions, _margin_kept, from_several_starts
+from linkplan.planner.search.several_motors import FIRST_ITERATIONS, _first_solutions, _margin_kept, from_several_starts
 from tests.support.data import DATA
 
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
@@ -82,16 +82,18 @@ def test_a_margin_that_is_asked_for_is_kept():
 
 
 def test_starts_end_once_the_best_objective_was_found_twice(in_least_time, monkeypatch):
-    values = iter([3.0, 2.0, 5.0, 2.001, 1.0])
+    values, most = iter([3.0, 2.0, 5.0, 2.001, 1.0]), []
 
-    def attempt(*_, **__):
-        return SimpleNamespace(solution=SimpleNamespace(objective=next(values)))
+    def attempt(case, *_, **__):
+        most.append(case.problem.solver.max_iterations)
+        return SimpleNamespace(solution=SimpleNamespace(objective=next(values), iterations=20))
 
     monkeypatch.setattr(several_motors, "attempt", attempt)
     search = search_of(in_least_time)
     found = _first_solutions(search, search.problem)
     assert [first.objective for first in found] == [2.0, 3.0, 5.0]  # 2.001 is the same motion
     assert next(values) == 1.0
+    assert most == [FIRST_ITERATIONS, 60, 60, 60]
 
 
 def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, monkeypatch):
