@@ -43,7 +43,7 @@ _JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
 # A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
 # more than this share of itself: less is tightened.
 _MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
-# A solve that begins at the last mesh's motion takes at most so many iterations; 120 were the most of those that converged.
+# A solve that begins at the last mesh's motion takes at most so many iterations, and twice as many in another transcription.
 _MOST_ITERATIONS = 150
 # The motion that is kept is changed on at most so many meshes.
 _MAX_RESTORATIONS = 4
@@ -91,9 +91,6 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         found: a first solution.
     """
     case = at_a_distance(case, found.motion.start_pose)
-    settings = case.problem.solver
-    few = replace(settings, max_iterations=min(_MOST_ITERATIONS, settings.max_iterations or _MOST_ITERATIONS))
-    case = replace(case, problem=replace(case.problem, solver=few))
     at, gain, moved = certify_iterate(case, found), np.inf, 0.0
     kept: list[_Kept] = []  # the motions that pass, each better than the one before, and then the last one
     last: _Kept | None = None
@@ -136,11 +133,16 @@ def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Traje
 
     Where the barrier that follows the iterates loses the motion, it falls from a small value in a second solve.
     """
-    start = replace(motion_of(coarse.motion), share_of_effort=1.0)
+    start, settings = replace(motion_of(coarse.motion), share_of_effort=1.0), way.case.problem.solver
+    most = (
+        _MOST_ITERATIONS if coarse.solution.transcribed.scheme.name == way.case.problem.mesh.scheme else 2 * _MOST_ITERATIONS
+    )
+    few = replace(settings, max_iterations=min(most, settings.max_iterations or most))
+    case = replace(way.case, problem=replace(way.case.problem, solver=few))
     found: list[Iterate[Trajectory]] = []
     for adaptive in (True, False):
         finer = attempt(
-            way.case, start, way.mesh, way.durations, way.what, close=True, adaptive=adaptive, position_rows=rows
+            case, start, way.mesh, way.durations, way.what, close=True, adaptive=adaptive, position_rows=rows
         )  # fmt: skip
         if finer is not None:
             found.append(finer)

@@ -126,9 +126,10 @@ def test_a_finer_mesh_that_loses_the_motion_is_solved_again_with_a_falling_barri
 
     monkeypatch.setattr(finer_meshes, "attempt", attempt)
     monkeypatch.setattr(finer_meshes, "motion_of", lambda _: in_least_time)
-    monkeypatch.setattr(finer_meshes, "replace", lambda motion, **_: motion)
-    coarse = SimpleNamespace(motion=None, solution=SimpleNamespace(objective=1.0))
-    way = SimpleNamespace(case=None, mesh=None, durations=None, what="finer mesh")
+    monkeypatch.setattr(finer_meshes, "replace", lambda value, **_: value)
+    transcribed = SimpleNamespace(scheme=SimpleNamespace(name="radau-5"))
+    coarse = SimpleNamespace(motion=None, solution=SimpleNamespace(objective=1.0, transcribed=transcribed))
+    way = SimpleNamespace(case=case_of(in_least_time), mesh=None, durations=None, what="finer mesh")
     assert finer_meshes._solved(way, coarse, False).solution.objective == best
     assert barriers == [True, False][: len(objectives)]
 
