@@ -105,14 +105,14 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         if finer is None:
             break
         before, at = at.found.solution.objective, certify_iterate(case, finer)
-        gain = (before - finer.solution.objective) / abs(finer.solution.objective)
+        gain = (before - finer.solution.objective) / max(abs(finer.solution.objective), np.finfo(float).tiny)
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
         way = _next_way(way.case, at, gain) if at.passed or better else None
         if last is not None and at.passed:
             # Nearer to singular poses the objective changes, and not for the mesh's sake.
             alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
-            moved = kept[-1].at.found.solution.objective / finer.solution.objective - 1.0 if alike else 0.0
+            moved = max(gain, 0.0) if alike else 0.0
             kept.append(last)
     if last is not None and last not in kept:
         kept.append(last)
@@ -134,9 +134,8 @@ def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Traje
     Where the barrier that follows the iterates loses the motion, it falls from a small value in a second solve.
     """
     start, settings = replace(motion_of(coarse.motion), share_of_effort=1.0), way.case.problem.solver
-    most = (
-        _MOST_ITERATIONS if coarse.solution.transcribed.scheme.name == way.case.problem.mesh.scheme else 2 * _MOST_ITERATIONS
-    )
+    another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
+    most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
     few = replace(settings, max_iterations=min(most, settings.max_iterations or most))
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     found: list[Iterate[Trajectory]] = []
