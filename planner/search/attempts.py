@@ -203,8 +203,8 @@ def enclosed(problem: Problem, found: Iterate) -> Plan | None:
     return plan if plan.passed else None
 
 
-def _own_objective(at: Iterate | Refined) -> float:
-    """Return the objective of a motion without the weight on its effort rate."""
+def objective_of(at: Iterate | Refined) -> float:
+    """Return the objective of a motion without the weights on its effort rate and on ties."""
     return own_objective(at.solution.transcribed, at.solution.objective, at.motion)
 
 
@@ -232,7 +232,7 @@ def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refine
     nothing = _EXACT_TRACKING_SHARE * first.solution.transcribed.units.objective
     steps = Steps(begin=case.smoothing, end=1e-3 * SMOOTHING_WEIGHT, factor=0.1, halvings=0)
     solves = ((case, first),)
-    if _own_objective(first) > nothing:
+    if objective_of(first) > nothing:
         solves = followed(solves[0], steps, lambda stage, weight: _smoothed(*stage, weight)).stages
     at, change = None, None
     for case, found in reversed(solves):
@@ -241,12 +241,12 @@ def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refine
             break
     if at is None or not at.certificate.passed:
         return at, None
-    while 2 * at.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS and _own_objective(at) > nothing:
+    while 2 * at.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS and objective_of(at) > nothing:
         solved = _smoothed(case, at, case.smoothing, finer=True)
         finer = None if solved is None else refine(*solved, warm=True)
-        if finer is None or not finer.certificate.passed or _own_objective(finer) > _own_objective(at):
+        if finer is None or not finer.certificate.passed or objective_of(finer) > objective_of(at):
             break
-        change, at = _own_objective(at) / _own_objective(finer) - 1, finer
+        change, at = objective_of(at) / objective_of(finer) - 1, finer
         if change <= REPORTED_CHANGE:
             break
     return at, change

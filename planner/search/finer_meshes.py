@@ -1,4 +1,4 @@
-"""The refinement of motions of several motors: one warm solve a mesh, until no digit that counts changes.
+"""The refinement of motions of several motors: one solve a mesh, until one hardly gains anything.
 
 One joint decides the time of a fast motion, and only its jumps of effort matter. They become ends of segments with unknown
 durations, between which efforts are free. Elsewhere the mesh is made finer by as much as the certificate asks for at once.
@@ -196,7 +196,7 @@ def _mended(kept: _Kept) -> CertifiedIterate:
 
 
 def _first_way(case: MechanismCase, found: Iterate[Trajectory]) -> _Way:
-    """Return the solve with jumps as ends of segments, nearer to singular poses."""
+    """Return the solve in the finer transcription, with the jumps of efforts as ends of segments."""
     asked, motion = case.asked, found.motion
     case = replace(case, ties=TIE_WEIGHT)
     if asked.mesh.refine != "intervals":

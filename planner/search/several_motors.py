@@ -21,7 +21,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import progress
-from linkplan.planner.search.attempts import certified, only_feasible, without_solving
+from linkplan.planner.search.attempts import certified, objective_of, only_feasible, without_solving
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
@@ -43,15 +43,11 @@ _STRETCH_FACTORS = (0.7, 1.5, 1.0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _First:
-    """A first solution, and the words on its start."""
+    """A first solution, the words on its start, and its objective without the weight that breaks ties."""
 
     what: str
     found: Iterate
-
-    @property
-    def objective(self) -> float:
-        """The objective of its program."""
-        return self.found.solution.objective
+    objective: float
 
 
 def from_several_starts(search: Search, budget: Budget) -> Plan | None:
@@ -75,7 +71,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     if best is None:
         return plans[0] if plans else None
     better = min(first.objective for first in firsts)
-    if best is not plans[0] and better < (1 - _ALIKE_SHARE) * best.objective:
+    if not (plans and best is plans[0]) and better < (1 - _ALIKE_SHARE) * best.objective:
         return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
     said = _TIES if np.any(tie_weights(problem, TIE_WEIGHT)) else ""
     return replace(best, message=best.message + said + _margin_kept(problem, best))
@@ -106,7 +102,8 @@ def _slower(problem: Problem, first: _First) -> Plan | None:
         plan = None if found is None else certified(slower, found)
         if plan is not None and plan.passed:
             found = plan.require_motion("bound the duration with")
-            return without_solving(problem, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")
+            bound = without_solving(problem, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")
+            return bound if bound.passed else None
     return None
 
 
@@ -129,7 +126,7 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
         except OutOfTimeError:
             break
         if one is not None:
-            found.append(_First(what, one))
+            found.append(_First(what, one, objective_of(one)))
         best = min((first.objective for first in found), default=np.inf)
         twice = sum(_alike(first.objective, best) for first in found) > 1
         if len(found) >= _MOST_FOUND or (len(found) >= _FEWEST_FOUND and twice):

@@ -128,7 +128,7 @@ def tracked(own: float, n_intervals: int = 40, *, passed: bool = True):
 def unsmoothed(monkeypatch, first, lighter=(), finer=()):
     """Return the result for a first motion; `lighter` are motions with less smoothing, `finer` ones on finer meshes."""
     case, rest = SimpleNamespace(smoothing=1.0), iter(finer)
-    monkeypatch.setattr(attempts, "_own_objective", lambda at: at.own)
+    monkeypatch.setattr(attempts, "objective_of", lambda at: at.own)
     monkeypatch.setattr(attempts, "refine", lambda _case, found, **_: found)
     monkeypatch.setattr(attempts, "followed", lambda at, *_: SimpleNamespace(stages=(at, *((case, x) for x in lighter))))
     monkeypatch.setattr(attempts, "_smoothed", lambda *_, **__: (case, next(rest)))
