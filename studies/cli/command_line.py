@@ -74,7 +74,7 @@ def build_parser() -> Parser:
     text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
     prove = command("prove", text, output=False)
     _add(prove, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
-    _flag(prove, "--no-existence", "prove the limits alone, and do not look for the model's own motion near the plan")
+    _off(prove, "--no-existence", "prove the limits alone, and do not look for the model's own motion near the plan")
     _all(prove)
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
@@ -117,7 +117,7 @@ def build_parser() -> Parser:
     _loop(bode)
     _add(bode, "--kp", "KP", "proportional gain [N.m/rad] (default: the problem's, 200)", float)
     _add(bode, "--kd", "KD", "derivative gain [N.m.s/rad] (default: the problem's, 1)", float)
-    _add(bode, "--measure", "HOW", "sinestream, multisine, chirp or none (default: %(default)s)", default="sinestream")
+    _off(bode, "--no-measure", "measure no response in MuJoCo; predict only")
     _add(bode, "--from-hz", "F", "lowest frequency measured (default: about the crossover)", float)
     _add(bode, "--to-hz", "F", "highest frequency measured, below half the sampling rate", float)
     _add(bode, "--frequencies", "N", "how many frequencies are measured (default: 20)", int)
@@ -214,6 +214,11 @@ def _repeated(parser: argparse.ArgumentParser, name: str, metavar: str, text: st
 
 def _flag(parser: argparse.ArgumentParser, name: str, text: str) -> None:
     parser.add_argument(name, action="store_true", help=text)
+
+
+def _off(parser: argparse.ArgumentParser, name: str, text: str) -> None:
+    """Add the option --no-NAME, which sets `name` to False."""
+    parser.add_argument(name, action="store_false", dest=name.removeprefix("--no-").replace("-", "_"), help=text)
 
 
 def _loop(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,6 @@ from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
 from linkplan.studies.export.formats import FOLDER_FORMATS, FORMATS
-from linkplan.studies.frequency.method_names import METHODS
 
 # The words and the file name patterns that an argument accepts, by its name in the help.
 _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -32,11 +31,10 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "LAW": (("pd", "pd+ff", "lqr"), ()),
     "DESIGN": (("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol"), ()),
     "KIND": (("problem", "batch"), ()),
-    "HOW": ((*METHODS, "none"), ()),
     "FORMAT": ((*FORMATS, *FOLDER_FORMATS), ()),
     "SHELL": (SHELLS, ()),
 }
-_WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "HOW", "FORMAT", "SHELL")
+_WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "FORMAT", "SHELL")
 # A value follows the "=" of a setting without a space.
 _SETTINGS = tuple(f"{section}.{key}=" for section, keys in KEYS.items() for key in keys)
 _BASH_WITHOUT_BLANK = """

@@ -15,7 +15,6 @@ from linkplan.planner.problem.settings import Tracking, number, whole
 from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import Progress, progress
-from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.output.document import Block, Section
 
 _EXTRA_TITLES = {"map": "Stability map", "large": "Large signals", "along": "Along the motion"}
@@ -31,13 +30,12 @@ def run_bode(arguments: argparse.Namespace) -> int:
     from linkplan.studies.frequency.feedback_loops import refuse_several_freedoms
 
     choose("tracker", arguments.tracker, LINEAR, ProblemError)
-    choose("way to measure", arguments.measure, (*METHODS, "none"), ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
     if arguments.along and problem is None:
         raise ProblemError("--along needs a problem, for its motion; a model has none")
     amplitude = _amplitude(arguments, mechanism)
-    setup = None if arguments.measure == "none" else Setup(method=arguments.measure, amplitude=amplitude)
+    setup = Setup(amplitude=amplitude) if arguments.measure else None
     for name, what in (("map", "--map"), ("large", "--large")):
         if getattr(arguments, name):
             refuse_several_freedoms(mechanism, what)

@@ -103,8 +103,8 @@ def run_prove(arguments: argparse.Namespace) -> int:
     else:
         plan = plan_of(arguments.plan, say, arguments.set)
     plan = with_motion(plan)
-    say("proving the limits" if arguments.no_existence else PROVING)
-    proof = plan.prove(existence=not arguments.no_existence)
+    say(PROVING if arguments.existence else "proving the limits")
+    proof = plan.prove(existence=arguments.existence)
     said = {"plan": plan.problem.name, "verdict": proof.verdict} | proof.record()
     show(arguments, said, [Text(text=plan.problem.name), *proof_blocks(proof, names_in(plan))])
     return DONE if proof.passed else NO

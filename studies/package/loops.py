@@ -23,7 +23,6 @@ from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import QUANTITIES, operating_point, sampled_law
 from linkplan.studies.frequency.margins import frequency_grid
-from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.output.text import html_of, text_of
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
@@ -42,7 +41,7 @@ def bode(
     tracking: Mapping[str, float | Mapping[str, float]] | None = None,
     at_deg: Sequence[Mapping[str, float]] = (),
     at_m: Sequence[Mapping[str, float]] = (),
-    measure: str | None = "sinestream",
+    measure: bool = True,
     frequency_hz: Sequence[float] | None = None,
     amplitude_deg: float | None = None,
     progress: Progress | None = None,
@@ -57,7 +56,7 @@ def bode(
         at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name; by default five over the problem's
             motion, seven over the reach, or home with several degrees of freedom.
         at_m: likewise, for slides [m].
-        measure: "sinestream", "multisine" or "chirp"; None for no measurement.
+        measure: whether responses are measured in MuJoCo, by a sinestream.
         frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover.
         amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
         progress: called with lines on the progress.
@@ -67,18 +66,14 @@ def bode(
 
     Example::
 
-        loop = linkplan.bode("optimus-knee", at_deg=[{"O": 0.0}], measure=None)
+        loop = linkplan.bode("optimus-knee", at_deg=[{"O": 0.0}], measure=False)
         print(loop.stable, loop.message)
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
     mechanism, problem, settings, limit = _loop_of(subject, tracking)
-    setup = None
-    if measure is not None:
-        method = choose("way to measure", str(measure), METHODS, ProblemError)
-        amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
-        joint = mechanism.independent_joints[0]
-        setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
+    amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
+    joint = mechanism.independent_joints[0]
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     study = bode_study(
         mechanism,
@@ -87,7 +82,7 @@ def bode(
         limit,
         say,
         law=tracker,
-        setup=setup,
+        setup=Setup(amplitude=None if amplitude is None else joint.read(amplitude)) if measure else None,
         frequency_hz=None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True)),
         line=looked.line,
         note=looked.note,

@@ -190,7 +190,7 @@ def command_line(rng: random.Random, plan: Path) -> list[str]:
     elif command not in ("list", ""):
         line.append(rng.choice([*MODELS, *PROBLEMS, "nothing", "/dev/zero", ".", "", "\udce9", "x" * 5000]))
     options = ["--at-deg", "--set", "--kp", "--kd", "--period-s", "--delay-periods", "--from-hz", "--to-hz", "--frequencies",
-               "--amplitude-deg", "--measure", "--tracker", "--mass-factor", "--bandwidth-hz", "--phase-margin-deg",
+               "--amplitude-deg", "--tracker", "--mass-factor", "--bandwidth-hz", "--phase-margin-deg",
                "--json", "--anyway", "--slow", "--seconds", "--version", "-o"]  # fmt: skip
     options = OPTIONS.get(command, options) if rng.random() < 0.8 else options
     if command == "experiment":
@@ -209,7 +209,7 @@ def command_line(rng: random.Random, plan: Path) -> list[str]:
                       "pd", "lqr", "none", "a.b=[" + "[" * 3000, "/dev/full", "\udcff", ""]  # fmt: skip
             line.append(rng.choice(values))
     if command == "bode":
-        line += ["--measure", "none"]
+        line += ["--no-measure"]
     if command == "export":
         line += ["--to", rng.choice(FORMATS), "-o", "out.x"]
     if command == "render":

@@ -240,7 +240,7 @@ LIMITS = (
     *(limited("files", resource.RLIMIT_NOFILE, most) for most in (6, 10, 20, 64)),
     *(limited("files", resource.RLIMIT_NOFILE, 20, *words) for words in (TRACK, ("render", "planned", "--size", "64x64", "-o", "x.png"), ("experiment", "planned", "--samples", "4", "--trackers", "pd", "-o", "out"), ("experiment", "planned", "--samples", "400", "--trackers", "pd", "--workers", "2", "-o", "out"), ("report", "planned", "-o", "r.html"))),
     *(limited("address space", resource.RLIMIT_AS, most * 1_000_000) for most in (150, 250, 350, 500, 1000, 3000)),
-    *(limited("address space", resource.RLIMIT_AS, 3_000_000_000, *words) for words in (TRACK, ("compare", "planned"), ("bode", "optimus-knee", "--at-deg", "3.6", "--measure", "none"), ("render", "planned", "--size", "64x64", "-o", "x.png"), ("experiment", "planned", "--samples", "4", "--trackers", "pd"), ("report", "planned", "-o", "r.html"))),
+    *(limited("address space", resource.RLIMIT_AS, 3_000_000_000, *words) for words in (TRACK, ("compare", "planned"), ("bode", "optimus-knee", "--at-deg", "3.6", "--no-measure"), ("render", "planned", "--size", "64x64", "-o", "x.png"), ("experiment", "planned", "--samples", "4", "--trackers", "pd"), ("report", "planned", "-o", "r.html"))),
     *(limited("address space", resource.RLIMIT_AS, 700_000_000, *words) for words in (TRACK, ("render", "planned", "--size", "64x64", "-o", "x.png"), ("experiment", "planned", "--samples", "4", "--trackers", "pd"))),
     limited("data", resource.RLIMIT_DATA, 300_000_000), limited("data", resource.RLIMIT_DATA, 100_000_000),
     limited("processor time", resource.RLIMIT_CPU, 1, "bode", "optimus-knee", "-o", "out", codes=(-signal.SIGXCPU, -signal.SIGKILL, 0, 2)),

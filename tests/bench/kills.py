@@ -108,7 +108,7 @@ COMMANDS = {
         same=("experiment.json", "results.parquet"),
     ),
     "compare": Command(words=("compare", "planned", "-o", "out"), record="compare.json"),
-    "bode": Command(words=("bode", "optimus-knee", "--at-deg", "3.6", "--measure", "none", "-o", "out"), record="bode.json"),
+    "bode": Command(words=("bode", "optimus-knee", "--at-deg", "3.6", "--no-measure", "-o", "out"), record="bode.json"),
     "demo": Command(words=("demo", "-o", "out"), record="demo.json", inside="plans/knee-sine/"),
 }
 

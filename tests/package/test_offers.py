@@ -18,7 +18,7 @@ def plan():
 
 @pytest.fixture(scope="module")
 def loop():
-    return linkplan.bode("knee-reach", measure=None, at_deg=[{"O": 0.0}, {"O": 20.0}])
+    return linkplan.bode("knee-reach", measure=False, at_deg=[{"O": 0.0}, {"O": 20.0}])
 
 
 def test_every_result_has_a_report(plan, loop, tmp_path):

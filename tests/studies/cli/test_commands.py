@@ -209,7 +209,7 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_j
 )
 def test_bode_says_which_loop_is_stable_and_mujoco_agrees(ask_json, kd, period, stable):
     code, said = ask_json(
-        *("bode", "optimus-knee", "--kp", "200", "--kd", kd, "--period-s", period, "--measure", "none"),
+        *("bode", "optimus-knee", "--kp", "200", "--kd", kd, "--period-s", period, "--no-measure"),
         *("--at-deg", "O=0", "--at-deg", "O=56.27"),
     )
     assert code == (0 if stable else 1)
