@@ -24,7 +24,7 @@ ROOMS = {
     "models": (
         "errors", "extras", "deadline", "compiled", "reading", "catalogue", "model_text", "payload", "kinematics",
         "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins",
-        "selection", "library", "digest", "renamed", "tree", "closure", "reduction", "actuation", "audit",
+        "selection", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),
     "planner": (

@@ -141,6 +141,6 @@ def test_a_run_with_more_gain_follows_more_closely():
         more = pressed(more, next(number for number, row in KEYS.items() if row[0] == "7"))
     runs = [make(controls) for controls in (start, more)]
     goal = plan.trajectory.position_at(runs[0].time_s)[:, 0]
-    errors = [abs(run.pose[:, plan.problem.mechanism.independent[0]] - goal).max() for run in runs]
+    errors = [abs(run.pose_rad[:, plan.problem.mechanism.independent[0]] - goal).max() for run in runs]
     assert errors[1] < 0.8 * errors[0]
     assert ("kp", "488.3  (x2.44)") in runs[1].words(3)
