@@ -131,7 +131,8 @@ def test_imports_run_downwards(module):
         return
     package, room = room_of(module)
     for name in ours:
-        assert room_of(name) is not None or name == "linkplan" or "." not in name.removeprefix("linkplan."), name
+        if room_of(name) is None and room == "cli":
+            continue  # the command line calls the public package
         assert room_of(name) is not None, f"{module} imports the public package: {name}"
         other_package, other = room_of(name)
         assert PACKAGES.index(other_package) <= PACKAGES.index(package), f"{module} imports {name}"

@@ -46,7 +46,7 @@ OPTIONS = {
     "experiment": ["--samples", "--trackers", "--seed", "--design", "--levels", "--tube-deg", "--tube-m", "--workers",
                    "--threads", "--set", "--json", "--anyway", "-o"],
     "export": ["--to", "--every-s", "--set", "--json", "--anyway", "-o"],
-    "render": ["--tracker", "--slow", "--fps", "--size", "--camera", "--at-s", "--instants", "--there-and-back", "--set",
+    "render": ["--tracker", "--slow", "--fps", "--size-px", "--camera", "--at-s", "--instants", "--there-and-back", "--set",
                "-o"],
     "report": ["-o", "--json"], "new": ["-o", "--json"], "schema": ["-o", "--json"], "batch": ["-o", "--json", "--set"],
     "completion": ["--json"],
@@ -189,14 +189,14 @@ def command_line(rng: random.Random, plan: Path) -> list[str]:
         line.append(rng.choice(["problem", "batch", "x", ""]))
     elif command not in ("list", ""):
         line.append(rng.choice([*MODELS, *PROBLEMS, "nothing", "/dev/zero", ".", "", "\udce9", "x" * 5000]))
-    options = ["--at-deg", "--set", "--kp", "--kd", "--period-s", "--delay-periods", "--from-hz", "--to-hz", "--frequencies",
+    options = ["--at-deg", "--set", "--kp", "--kd", "--period-s", "--delay-periods", "--frequency-hz",
                "--amplitude-deg", "--tracker", "--mass-factor", "--bandwidth-hz", "--phase-margin-deg",
                "--json", "--anyway", "--slow", "--seconds", "--version", "-o"]  # fmt: skip
     options = OPTIONS.get(command, options) if rng.random() < 0.8 else options
     if command == "experiment":
         line += FEW  # options drawn below overrule them
     if command == "render":
-        line += ["--size", "64x64", "--fps", "1", "--instants", "1"]
+        line += ["--size-px", "64x64", "--fps", "1", "--instants", "1"]
     for option in rng.sample(options, rng.randint(0, min(3, len(options)))):
         line.append(option)
         if option not in FLAGS:
@@ -237,7 +237,7 @@ def case_of(number: int, seed: int, plan: Path, folder: Path) -> tuple[str, list
         mutated_folder(rng, plan, folder / "p")
         command = rng.choice(["track", "track", "track", "export", "report", "experiment", "render"])
         line = [command, str(folder / "p"), *(rng.choice([[], ["--anyway"]]) if command != "report" else [])]
-        drawn = ["--size", "64x64", "--instants", "1", "-o", "out.png"]
+        drawn = ["--size-px", "64x64", "--instants", "1", "-o", "out.png"]
         more = {"export": ["--to", rng.choice(FORMATS), "-o", "out.x"], "render": drawn, "experiment": FEW}
         return kind, line + more.get(command, [])
     return kind, command_line(rng, plan)

@@ -218,7 +218,7 @@ RECORDS = (
     plan("with a name of a lone surrogate, drawn", text('"name": "knee-reach"', '"name": "\\ud800"'), "compare", "planned", "-o", "out", codes=(0, 2)),
     plan("with a name of a lone surrogate, in an experiment", text('"name": "knee-reach"', '"name": "\\ud800"'), "experiment", "planned", "--samples", "2", "--trackers", "pd", "-o", "out", codes=(0, 2)),
     plan("with a name of a lone surrogate, split", text('"name": "knee-reach"', '"name": "\\ud800"'), "decompose", "planned", "--trackers", "pd", "-o", "out", codes=(0, 2)),
-    plan("with a name of a lone surrogate, filmed", text('"name": "knee-reach"', '"name": "\\ud800"'), "render", "planned", "--size", "64x64", "-o", "x.mp4", codes=(0, 2)),
+    plan("with a name of a lone surrogate, filmed", text('"name": "knee-reach"', '"name": "\\ud800"'), "render", "planned", "--size-px", "64x64", "-o", "x.mp4", codes=(0, 2)),
     plan("with a name of 1 MB", record(name="x" * 1_000_000), "track", "planned", "-o", "out", codes=(0, 2)),
     plan("with a name of lines", record(name="a\nb\r\x1b[2J\t"), "track", "planned", "-o", "out", codes=(0, 2)),
     plan("with a name of zero bytes", record(name="a\0b"), "track", "planned", "-o", "out", codes=(0, 2)),

@@ -32,7 +32,7 @@ LABELS = {
 def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     folder = tmp_path / "loop"
-    command = ["bode", "optimus-knee", "--at-deg", "O=0", "--from-hz", "100", "--to-hz", "2000", "--frequencies", "4"]
+    command = ["bode", "optimus-knee", "--at-deg", "O=0", "--frequency-hz", "100:2000:4"]
     code, out, err = ask(*command, "-o", str(folder))
     assert code == 0
     assert "differ from the prediction by at most" in out
