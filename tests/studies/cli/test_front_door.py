@@ -13,7 +13,7 @@ from tests.support.data import ROOT
 
 # Options on showing and writing only: where the result goes and what of it is printed.
 SHOWING = {"json", "output", "report", "parquet", "jumps", "all", "help"}
-# Options that say how the first argument is read: a `Source` has them in Python, `load_mechanism`, `Problem` and `read_plan` too.
+# Options that say how the first argument is read: `load_mechanism`, `Problem.from_file` and `read_plan` take them in Python.
 READING = {"set", "keep", "fix_base", "lock", "keyframe", "drive", "anyway"}
 # Parameters that stand for such options: the place of the result, --set tracking.KEY and --set imperfections.KEY, and what a
 # process has of its own: its progress, its environment, its errors.
