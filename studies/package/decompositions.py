@@ -7,13 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec import to_builtins
+
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.paths import drawn
+from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.compare.user_tracker import TrackerLike, tracker_named
 from linkplan.studies.decompose import decompose as study
+from linkplan.studies.decompose.decomposition import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
 from linkplan.studies.output.document import Block, Report
 from linkplan.subjects import PlanLike, listed, plan_of, with_imperfections
@@ -59,7 +63,7 @@ def decompose(
     whole(seed, "seed", 0, 2**63 - 1)
     answer = plan_of(plan, say, "track")
     given = replace(answer, problem=with_imperfections(answer.problem, imperfections))
-    return DecompositionResult(decomposition=study.decompose(given, asked, samples, seed, say))
+    return DecompositionResult(decomposition=study.decompose(given, asked, samples, seed, say), plan=given)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -68,16 +72,17 @@ class DecompositionResult(Result):
 
     record_name = "decompose"
 
-    decomposition: study.Decomposition
+    decomposition: Decomposition
+    plan: Plan
 
     @property
     def passed(self) -> bool:
         """Whether the plan passes and every tracker's error is split."""
-        return self.decomposition.plan.passed and self.decomposition.found
+        return self.plan.passed and self.decomposition.found
 
     def to_dict(self) -> dict:
         """Return all parts by name, in JSON types: the sum of "parts" is "rms_error", in deg or m."""
-        return study.decomposition_record(self.decomposition)
+        return to_builtins(self.decomposition)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""
@@ -91,14 +96,13 @@ class DecompositionResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.report.reports import decomposition_report
+        from linkplan.studies.decompose.decomposition_blocks import decomposition_report
 
-        return decomposition_report(self.decomposition)
+        return decomposition_report(self.decomposition, self.plan)
 
     def draw(self, place: Path) -> None:
         """Write decompose.png."""
         self.plot(place / "decompose.png")
 
     def __repr__(self) -> str:
-        names = ", ".join(one.name for one in self.decomposition.trackers)
-        return f"DecompositionResult({self.decomposition.plan.problem.name!r}: {names})"
+        return f"DecompositionResult({self.decomposition.decomposition!r}: {', '.join(self.decomposition.trackers)})"

@@ -162,7 +162,7 @@ class ExperimentResult(Result):
 
     def document(self) -> Report:
         """Return the report; with a folder, it has the commands that run samples again."""
-        from linkplan.studies.report.reports import experiment_report
+        from linkplan.studies.experiment.experiment_sections import experiment_report
 
         return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))
 

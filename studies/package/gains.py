@@ -136,9 +136,9 @@ class TuneResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.report import reports
+        from linkplan.studies.tune import tune_sections
 
-        return reports.tune_report(self.tuning)
+        return tune_sections.tune_report(self.tuning)
 
     def draw(self, place: Path) -> None:
         """Write tune.png, and tracking.toml, the gains as the table of a problem file."""

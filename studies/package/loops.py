@@ -248,7 +248,7 @@ class BodeResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.report.reports import bode_report
+        from linkplan.studies.bode.bode_sections import bode_report
 
         return bode_report(self.study, list(self._further.values()))
 

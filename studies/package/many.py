@@ -96,7 +96,7 @@ class BatchResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.report.reports import report_of
+        from linkplan.studies.output.report_file import report_of
 
         n, lost = len(self.outcome.rows), len(self.outcome.failures)
         return report_of(

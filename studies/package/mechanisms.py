@@ -187,7 +187,7 @@ class CheckResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.report.reports import check_report
+        from linkplan.studies.check.check_sections import check_report
 
         return check_report(self.found)
 

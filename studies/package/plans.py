@@ -124,7 +124,7 @@ class ProofResult(Result):
 
     def document(self) -> Report:
         """Return the report of the plan with its proof."""
-        from linkplan.studies.report.reports import plan_report
+        from linkplan.studies.output.plan_sections import plan_report
 
         return plan_report(replace(self.plan, proof=self.proof))
 
@@ -271,7 +271,7 @@ class Plan(planned.Plan):
         Raises:
             LinkplanError: if another file exists at the path.
         """
-        from linkplan.studies.report.render import write_report
+        from linkplan.studies.output.report_file import write_report
 
         place = path_of(path, "path")
         write_report(self.document(), place)
@@ -279,7 +279,7 @@ class Plan(planned.Plan):
 
     def document(self) -> Report:
         """Return the report as a document."""
-        from linkplan.studies.report.reports import plan_report
+        from linkplan.studies.output.plan_sections import plan_report
 
         return plan_report(self)
 

@@ -63,7 +63,7 @@ class Result:
         Raises:
             LinkplanError: if another file exists at the path.
         """
-        from linkplan.studies.report.render import write_report
+        from linkplan.studies.output.report_file import write_report
 
         place = path_of(path, "path")
         write_report(self.document(), place)
@@ -83,7 +83,7 @@ class Result:
 def saved(result: Result, folder: str | Path, draw: Callable[[Path], object], *, report: bool) -> Path:
     """Write a result into a folder with the files that `draw` makes, as `Result.save` does."""
     from linkplan.planner.files.folders import write_json, write_whole
-    from linkplan.studies.report.render import save_report
+    from linkplan.studies.output.report_file import save_report
 
     target, record = path_of(folder, "folder"), f"{result.record_name}.json"
 

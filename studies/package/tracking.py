@@ -203,7 +203,7 @@ class TrackingResult(Result):
         """Return the table of errors and efforts, and the machine of an experiment's sample."""
         if self.sample is None:
             return comparison_blocks(self.comparison)
-        from linkplan.studies.report.experiment_sections import machine_section
+        from linkplan.studies.experiment.experiment_sections import machine_section
 
         failure = self.sample["failure"]
         lost = [Text(text=failure, tone="bad")] if failure else []
@@ -211,7 +211,8 @@ class TrackingResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.report.reports import comparison_report, replay_report
+        from linkplan.studies.compare.tracking_sections import comparison_report
+        from linkplan.studies.experiment.experiment_sections import replay_report
 
         if self.sample is not None:
             return replay_report(self.comparison, self.sample)

@@ -221,7 +221,7 @@ class TransferResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.report.reports import transfer_report
+        from linkplan.studies.transfer.transfer_blocks import transfer_report
 
         return transfer_report(self.found)
 

@@ -40,7 +40,7 @@ def report(
 
         linkplan.report(linkplan.plan("knee-reach"), "reach.html")
     """
-    from linkplan.studies.report.render import refuse_other_files, write_report
+    from linkplan.studies.output.report_file import refuse_other_files, write_report
 
     place, say = path_of(path, "path"), listener(progress)
     refuse_other_files(place)
@@ -50,14 +50,15 @@ def report(
 
 
 def _document(result: object) -> Report:
-    from linkplan.studies.report import reading, reports
+    from linkplan.studies.output.plan_sections import plan_report
+    from linkplan.studies.report import reading
 
     if isinstance(result, str | Path):
         return reading.folder_report(path_of(result, "result"), sample_again)
     if isinstance(result, Result):
         return result.document()
     if isinstance(result, Plan):
-        return reports.plan_report(result)
+        return plan_report(result)
     raise ProblemError(f"a report is on a result of linkplan's, or on the folder of one, got {result!r}")
 
 
