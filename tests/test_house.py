@@ -236,7 +236,7 @@ def test_all_data_files_are_listed_in_the_project_file():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "most"), [("plan", 116), ("compare", 140)])
+@pytest.mark.parametrize(("command", "most"), [("plan", 120), ("compare", 140)])
 def test_a_reader_who_follows_a_command_meets_few_files(command, most):
     asked = [sys.executable, "-m", "tests.bench.entered", command, "knee-reach"]
     run = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True)

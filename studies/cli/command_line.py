@@ -275,7 +275,7 @@ def _transfer(parser: argparse.ArgumentParser) -> None:
 
 
 def _trackers(parser: argparse.ArgumentParser) -> None:
-    text = f"names with commas between them, as track takes them; or all (default: {values.joined(LINEAR)})"
+    text = f"names with commas between them, as track takes them; or all (default: {', '.join(LINEAR)})"
     _add(parser, "--trackers", "NAMES", text, values.trackers, LINEAR)
 
 

@@ -2,7 +2,6 @@
 
 import argparse
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from linkplan.names import TRACKERS
@@ -115,11 +114,6 @@ def size(text: str) -> tuple[int, int]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"is WIDTHxHEIGHT in pixels, as 800x600, got '{text}'") from None
     return width, height
-
-
-def joined(values: Sequence[str]) -> str:
-    """Return names as the text of a default."""
-    return ", ".join(values)
 
 
 def _number(text: str) -> float:
