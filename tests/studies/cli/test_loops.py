@@ -91,7 +91,7 @@ def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
 def test_bode_looks_at_a_pure_damping_gain_too(ask, tmp_path):
     path = tmp_path / "mass.xml"
     path.write_text(mass_on_a_spring().mjcf)
-    command = ["bode", str(path), "--kp", "0", "--kd", "5", "--period-s", "2e-3", "--at-deg", "0.1", "--no-measure"]
+    command = ["bode", str(path), "--kp", "0", "--kd", "5", "--period-s", "2e-3", "--at-m", "0.1", "--no-measure"]
     code, out, _ = ask(*command, "--map", "--json", "-o", str(tmp_path / "mass"))
     assert code == 0
     said = json.loads(out)
