@@ -188,7 +188,7 @@ def _mended(kept: _Kept) -> CertifiedIterate:
         if _is_sound(at) or case.problem.solver.deadline.passed:
             break
         mesh = divided(at.found.mesh, _inexact(case, at))
-        if steps and at.overruns:  # by as little as this mesh errs
+        if steps and at.certificate is not None and at.overruns:  # by as little as this mesh errs
             case = case.tightened(at.certificate, at.found.motion)
         found = nearest_on(case, at.found, mesh, position_rows=kept.rows)
         if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.planner.limits.path_limit import Measured, margin_of
+from linkplan.planner.limits.limit import Measured, margin_of
 from linkplan.planner.limits.samples import sample_points
 
 POINTS = sample_points(3)
