@@ -1,5 +1,6 @@
 """The documents: every relative link and picture resolves, the README is short, and every page is linked."""
 
+import csv
 import re
 import tomllib
 from pathlib import Path
@@ -93,6 +94,17 @@ def test_the_citation_names_this_version_and_licence():
     assert {"cff-version", "message", "title", "authors"} <= set(cited)
     assert all({"name"} <= set(author) or {"family-names", "given-names"} <= set(author) for author in cited["authors"])
     assert (str(cited["version"]), cited["license"]) == (project["version"], project["license"])
+
+
+def test_the_counts_of_robots_on_the_page_of_measurements_follow_from_their_table():
+    with (ROOT / "docs" / "data" / "robots.csv").open(encoding="utf-8", newline="") as file:
+        robots = list(csv.DictReader(file))
+    planned = [robot for robot in robots if robot["plan [s]"]]
+    assert [robot["model"] for robot in robots if not robot["plan [s]"] and not robot["note"]] == []
+    assert all(robot["freedoms"] == robot["by MuJoCo"] for robot in planned)
+    page = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8")
+    assert f"lists {len(robots)} published robots" in page
+    assert f"equal to MuJoCo's for all {len(planned)}" in page
 
 
 def test_terms_of_the_glossary_stand_once_and_in_order():
