@@ -57,7 +57,7 @@ print("time x sqrt(torque), relative to the strongest motor:", np.round(scaled /
 # %% [markdown]
 # ## What a little more time is worth
 #
-# In its least time the motor is always at its limit. With more time the same swing needs less torque and power, and heats less.
+# In its least time the motor is always at its limit. More time needs less torque and power, and heats less.
 
 # %%
 fast = least[torques.index(100.0)]
