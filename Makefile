@@ -6,13 +6,17 @@ STAMP := $(VENV)/.installed
 # Threads of the linear algebra fight the tests' processes for the same cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test quick check bench docs clean
+.PHONY: demo test long quick check bench docs clean
 
 demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto
+
+# The hardest published problems and largest mechanisms, too: five minutes of processor time more.
+long: $(STAMP)
+	$(BIN)/python -m pytest -n auto --long
 
 quick: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not slow"
