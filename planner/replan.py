@@ -15,12 +15,10 @@ import contextlib
 import threading
 import time
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
-from linkplan.models.renamed import RenamedFields
 from linkplan.planner.closed_chain.case import case_of, finished
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
 from linkplan.planner.limits.kinds import structure_of
@@ -38,7 +36,7 @@ from linkplan.planner.transcription.program import Program
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class NextMotion(RenamedFields):
+class NextMotion:
     """A nearly optimal motion, a few Newton steps from the last one: not certified, but with bounds on its error.
 
     `position_bound_rad`, `velocity_bound_rad_s` (n_s,) and `effort_bound` (n_u,) [N.m or N] bound the differences
@@ -47,11 +45,6 @@ class NextMotion(RenamedFields):
     of the steps.
     """
 
-    renamed: ClassVar = {
-        "position_bound": "position_bound_rad",
-        "velocity_bound": "velocity_bound_rad_s",
-        "position_error": "position_error_deg",
-    }
     problem: Problem
     trajectory: Trajectory
     position_bound_rad: np.ndarray
