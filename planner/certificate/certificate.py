@@ -25,8 +25,10 @@ from linkplan.planner.certificate.integration import (
     waypoint_times,
 )
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
+from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.limits.kinds import margins
-from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.limits.limit import Margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.motion import Waypoint
@@ -42,11 +44,6 @@ _MIN_SPAN = 1e-9
 # Largest error of the planned effort between nodes, as a share of the largest effort: beyond it, the effort is not the
 # motion's.
 DYNAMICS_SHARE = 0.02
-# By how much the motion's effort by inverse dynamics may exceed its limit, as a share of the limit. Proofs refuse more, and
-# the planner refines meshes until it holds.
-INVERSE_DYNAMICS_SHARE = 2e-6
-# Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
-RANGE_SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -230,12 +227,6 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         failures=tuple(failures),
         unmendable=(*unmendable, *((opened,) if rounded else ())),
     )
-
-
-def end_sizes(bounds: np.ndarray) -> np.ndarray:
-    """Return the size of each end of limits (n, 2): an end at zero has that of the other, and an infinite one zero."""
-    sizes = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
-    return np.where(np.isfinite(bounds) & (sizes == 0), sizes.max(axis=1, keepdims=True), sizes)
 
 
 def _integration_failures(in_deg: float, in_m: float) -> list[str]:

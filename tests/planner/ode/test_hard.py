@@ -83,7 +83,7 @@ def test_where_an_end_is_asked_no_motion_of_constant_efforts_is_begun_from(goal)
     assert not list(integrated(problem))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bioreactor_is_fed_along_singular_arcs_and_limits_as_an_independent_program_has_it():
     problem = bioreactor()
     plan = solved(problem)
@@ -97,7 +97,7 @@ def terrain(t, exp=np.exp):
     return sum(height * exp(-slope * (t - at) ** 2) for height, at, slope in humps) + 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_alp_rider_goes_over_every_hump_for_the_published_cost():
     """Betts (2010): stiff, unstable at 2 / s over 20 s, and at its limit from 0.4 s to 18.4 s, on a sphere of any pose."""
     plan = solved(

@@ -1,22 +1,16 @@
 """Guesses for a differential equation: a motion as a guess, other durations, perturbed ones and constant efforts."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from linkplan.planner.ode import search
-from linkplan.planner.ode.case import FirstSolution, OdeCase
+from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import straight_guess, units_of
-from linkplan.planner.ode.plan import OdePlan
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem
 from linkplan.planner.ode.search import (
     OdeSearch,
-    _of_any_duration,
-    _solved_again,
-    _without_wild_efforts,
-    best_plan,
     first_solutions,
     integrated,
     of_other_durations,
@@ -109,39 +103,6 @@ def test_efforts_held_over_intervals_are_those_next_to_their_beginnings():
 # Which solutions are kept; the solves are not made.
 
 
-def first_of(objective: float, error: float = 0.0, number: int = 0) -> FirstSolution:
-    """Return a first solution whose integrated state ends an error away."""
-    certificate = SimpleNamespace(integration_error=error)
-    case = SimpleNamespace(asked=problem_of(), certify=lambda _: certificate, start_from=lambda _: None)
-    motion = SimpleNamespace(breaks_s=np.array([0.0, 1.0]))
-    found = SimpleNamespace(motion=motion, solution=SimpleNamespace(objective=objective), mesh=None)
-    return FirstSolution(case=case, found=found, number=number)
-
-
-def test_the_same_motion_is_refined_once_and_the_best_first(monkeypatch):
-    """Objectives within a ten thousandth of each other are those of one motion."""
-    refined = []
-    monkeypatch.setattr(search, "refined_motion", lambda _, first: refined.append(first.found.solution.objective))
-    monkeypatch.setattr(search, "plan_of", lambda problem, *_: OdePlan(problem=problem, status="failed", message=""))
-    monkeypatch.setattr(search, "unbounded_duration", lambda *_: None)
-    best_plan(problem_of(), [first_of(value) for value in (-1.0, 1.1, -1.00005, 1.0, 1.0003)])
-    assert refined == [-1.00005, 1.0, 1.0003, 1.1]
-
-
-@pytest.mark.parametrize(
-    ("objectives", "without_end"),
-    [([1.0, 0.9, 0.3, 0.1], True), ([1.0, 0.3, 0.2, 0.15], False), ([1.0, 0.9, 0.85, 0.1], True)],
-)
-def test_a_duration_has_no_best_value_if_the_objective_falls_by_half_from_restart_to_restart(
-    monkeypatch, objectives, without_end
-):
-    rest = iter(objectives[1:])
-    monkeypatch.setattr(search, "unbounded_duration", lambda *_: "no end")
-    monkeypatch.setattr(search, "sampled_guess", lambda _: None)
-    monkeypatch.setattr(search, "_solved", lambda *_: first_of(next(rest)))
-    assert (_of_any_duration(first_of(objectives[0]), "").unbounded is not None) == without_end
-
-
 @pytest.mark.parametrize(("starts", "words"), [(1, ["first solve", "start 2"]), (2, ["start 1", "start 2"])])
 def test_starts_are_counted_from_one(monkeypatch, starts, words):
     said, problem = [], problem_of()
@@ -149,23 +110,6 @@ def test_starts_are_counted_from_one(monkeypatch, starts, words):
     monkeypatch.setattr(search, "_solved", lambda _p, _g, word, _n: said.append(word))
     first_solutions(problem, [straight_guess(problem)] * 2)
     assert said == words
-
-
-@pytest.mark.parametrize(("error", "replaced"), [(0.9e-3, True), (1.1e-3, False)])
-def test_a_solution_is_solved_again_for_a_smaller_integration_error(monkeypatch, error, replaced):
-    first, again = first_of(1.0), first_of(2.0, error)
-    monkeypatch.setattr(search, "attempt", lambda *_, **__: again.found)
-    assert (_solved_again(first, again.case, None, 1e-3, "").found is again.found) == replaced
-
-
-@pytest.mark.parametrize(("error", "wild"), [(0.9e-3, False), (1.1e-3, True)])
-def test_efforts_are_wild_where_the_integrated_state_ends_a_thousandth_of_its_size_away(monkeypatch, error, wild):
-    asked = []
-    monkeypatch.setattr(search, "piecewise_constant", lambda *_: None)
-    monkeypatch.setattr(search, "attempt", lambda *_, **__: asked.append(True))
-    first = first_of(1.0, error)
-    assert _without_wild_efforts(first) is first
-    assert bool(asked) == wild
 
 
 # The ladder.

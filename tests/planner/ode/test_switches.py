@@ -1,15 +1,12 @@
 """Least times and fuels by `plan_ode` whose switches hide from a mesh, from costates and starts that find them."""
 
 from functools import cache
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from linkplan.planner.ode import switches
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import start_of, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
@@ -268,52 +265,3 @@ def test_switch_times_are_where_switching_functions_cross_zero():
     time = np.array([np.linspace(0.0, 1.0, 5), np.linspace(1.0, 2.0, 5)])
     value = np.stack([0.37 - time, 5.0 * (1.61 - time), 1.0 + time], axis=2)
     assert _switch_times(Switching(time_s=time, value=value)) == pytest.approx([0.37, 1.61], rel=1e-12)
-
-
-def test_at_both_ends_of_an_interval_the_switching_function_is_that_of_its_own_effort(monkeypatch):
-    """Without costates dH/du of u^2 is 2 u: of 1 in the first second and, with a jump at its end, of -3 in the next two."""
-    problem = OdeProblem(
-        name="jump",
-        rate=double_integrator,
-        start=[0.0, 0.0],
-        goal=[1.0, 0.0],
-        effort_limit=FREE_EFFORT,
-        duration_s=3.0,
-        running_cost=squared_effort,
-    )
-    motion = SimpleNamespace(
-        breaks_s=np.array([0.0, 1.0, 3.0]),
-        state_at=lambda t: np.zeros((len(t), 2)),
-        effort_at=lambda t: np.where(t < 1.0, 1.0, -3.0)[:, None] * (t < 3.0)[:, None],  # it has ended after 3 s
-    )
-    monkeypatch.setattr(switches, "_costates", lambda *_: np.zeros((2, 2)))
-    found = switching_of(problem, motion, SimpleNamespace(multipliers=np.zeros(1)))
-    assert np.ptp(found.value, axis=1) == pytest.approx(np.zeros((2, 1)))
-    assert found.value[:, 0, 0] == pytest.approx([2.0, -6.0])
-    assert found.time_s[:, [0, -1]].tolist() == [[0.0, 1.0], [1.0, 3.0]]
-
-
-def test_within_an_interval_costates_follow_their_equation_backwards_from_its_end(monkeypatch):
-    """x'' = -(1 + t) x + u: l' = (1 + t) l_v, -l of the velocity's costate l_v; dH/du is l_v, against scipy's answer."""
-    problem = OdeProblem(
-        name="stiffening",
-        rate=lambda x, u, p, t: [x[1], -(1 + t) * x[0] + u[0]],  # noqa: ARG005
-        start=[0.0, 0.0],
-        goal=[1.0, 0.0],
-        effort_limit=FREE_EFFORT,
-        duration_s=0.5,
-        running_cost=lambda x, u, p, t: 0.0 * u[0],  # noqa: ARG005
-    )
-    motion = SimpleNamespace(
-        breaks_s=np.array([0.0, 0.2, 0.5]),
-        state_at=lambda t: np.zeros((len(t), 2)),
-        effort_at=lambda t: np.zeros((len(t), 1)),
-    )
-    last = np.array([[0.7, -0.4], [-0.3, 1.1]])
-    monkeypatch.setattr(switches, "_costates", lambda *_: last)
-    found = switching_of(problem, motion, SimpleNamespace(multipliers=np.zeros(1)))
-    for times, value, end in zip(found.time_s, found.value, last, strict=True):
-        backwards = solve_ivp(
-            lambda t, y: [(1 + t) * y[1], -y[0]], times[[-1, 0]], end, t_eval=times[::-1], rtol=1e-10, atol=1e-12
-        )
-        assert value[:, 0] == pytest.approx(backwards.y[1, ::-1], abs=1e-7)

@@ -2,25 +2,19 @@
 
 from types import SimpleNamespace
 
-import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.ode import switches
-from linkplan.planner.ode.case import FirstSolution
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.switches import (
     Switching,
     _bang_efforts,
     _promised,
-    _replaces,
     _switch_times,
     has_arcs,
-    switch_by_costates,
     switching_of,
 )
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE
 from tests.support.ode import double_integrator
 
 BREAKS = np.array([10.0, 10.5, 12.0])
@@ -132,68 +126,3 @@ def test_efforts_that_go_from_limit_to_limit_within_each_of_four_intervals_are_a
 
 
 # Which solutions replace others.
-
-
-def replaces(objective: float, *, uncut: bool, error: float = 0.0) -> bool:
-    """Return the answer beside an objective of 1; the states are of sizes 3 and 1, their costates 2 and -0.5 at the end."""
-    motion = SimpleNamespace(state=np.array([[[0.0, 1.0]], [[-3.0, 0.0]]]))
-    tried = SimpleNamespace(solution=solution_of(np.array([[9.0, 9.0], [2.0, -0.5]]), objective), motion=motion)
-    certificate = SimpleNamespace(integration_error=error)
-    case = SimpleNamespace(asked=problem_of(lambda x, u, p, t: u[0]), certify=lambda _: certificate)  # noqa: ARG005
-    return _replaces(case, tried, SimpleNamespace(objective=1.0), uncut=uncut)
-
-
-@pytest.mark.parametrize(("share", "replaced"), [(-1.0, True), (0.5, True), (2.0, False)])
-def test_the_first_solution_with_switch_times_may_be_as_much_worse_as_a_mesh_without_them_is_wrong(share, replaced):
-    assert replaces(1.0 + share * MESH_ERROR_SHARE, uncut=True) == replaced
-
-
-@pytest.mark.parametrize(
-    ("gain", "error", "replaced"),
-    [
-        (3e-6, 0.0, True),
-        (3e-7, 0.0, False),
-        (-1.0, 0.0, False),
-        # Ten times an error of 1e-5 is worth 10 * 1e-5 * (2 * 3 + 0.5 * 1).
-        (7e-4, 1e-5, True),
-        (6e-4, 1e-5, False),
-    ],
-)
-def test_later_ones_must_gain_more_than_their_states_errors_are_worth(gain, error, replaced):
-    assert replaces(1.0 - gain, uncut=False, error=error) == replaced
-
-
-@pytest.mark.parametrize(
-    ("what", "efforts", "costate_x", "asks"),
-    [
-        ("efforts at the limits asked for", [[5.0, 5.0]], 0.0, 0),
-        ("efforts at the wrong limits", [[-2.0, -2.0]], 0.0, 2),
-    ],
-)
-def test_switch_times_are_tried_where_the_costates_promise_a_gain(monkeypatch, what, efforts, costate_x, asks):
-    """The costate of v is -1, which asks for the upper limit: first held there, then free."""
-    del what
-    tried = []
-    monkeypatch.setattr(switches, "attempt", lambda *_, **given: tried.append(given["bang_efforts"]))
-    problem = problem_of(lambda x, u, p, t: 0 * u[0])  # noqa: ARG005
-    case = SimpleNamespace(
-        asked=problem, problem=problem, start_from=lambda _: None, has_switch_times=False
-    )  # fmt: skip
-    found = SimpleNamespace(motion=moving(efforts), solution=solution_of(np.array([[costate_x, -1.0]] * 2)))
-    first = FirstSolution(case=case, found=found)
-    assert switch_by_costates(first) is first
-    assert len(tried) == asks
-    if asks:
-        assert tried[0].tolist() == [[5.0]]
-        assert tried[1] is None
-
-
-def test_a_solution_that_chatters_gets_no_switch_times(monkeypatch):
-    """L = u sin(79 t) changes its sign 50 times in two seconds, which is more than forty."""
-    monkeypatch.setattr(switches, "attempt", lambda *_, **__: pytest.fail("tried"))
-    breaks = np.linspace(0.0, 2.0, 41)
-    problem = problem_of(lambda x, u, p, t: u[0] * ca.sin(79.0 * t))  # noqa: ARG005
-    case = SimpleNamespace(asked=problem, problem=problem, start_from=lambda _: None, has_switch_times=False)
-    found = SimpleNamespace(motion=moving([[5.0] * 40], breaks), solution=solution_of(np.zeros((40, 2))))
-    first = FirstSolution(case=case, found=found)
-    assert switch_by_costates(first) is first

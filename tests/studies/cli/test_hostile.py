@@ -48,6 +48,7 @@ NONSENSE = {
     "an endless name": (bar().replace('"bar"', '"' + 600 * "a" + '"'), "600 characters"),
     "a million copies": (bar(more='<worldbody><replicate count="1000000"><site/></replicate></worldbody>'), "count"),
     "a huge field": (bar(more='<asset><hfield name="f" nrow="100000" ncol="9" size="1 1 1 1"/></asset>'), "nrow"),
+    "a sensor of a billion numbers": (bar(more='<sensor><user name="u" dim="1000000000"/></sensor>'), "dim"),
     "huge stack": (bar(more='<size nstack="900000000"/>'), "nstack"),
 }
 
@@ -64,8 +65,12 @@ def test_a_model_of_nonsense_is_refused_in_one_line(case):
 
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe.xml")
-    with pytest.raises(ModelError, match="regular file"):
-        load_mechanism(tmp_path / "pipe.xml")
+    os.mkfifo(tmp_path / "pipe.stl")
+    (tmp_path / "includes.xml").write_text(bar(more='<include file="pipe.xml"/>'))
+    (tmp_path / "draws.xml").write_text(bar(more='<asset><mesh name="m" file="pipe.stl"/></asset>'))
+    for name in ("pipe.xml", "includes.xml", "draws.xml"):
+        with pytest.raises(ModelError, match="regular file"):
+            load_mechanism(tmp_path / name)
 
 
 def test_names_that_are_no_text_are_refused(tmp_path):
