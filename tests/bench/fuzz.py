@@ -47,7 +47,7 @@ COMMANDS = ("check", "track", "bode", "tune", "list", "plan", "compare", "view",
 # What runs machines in MuJoCo or draws them, few of them and small.
 SMALL = {
     "experiment": ["--samples", "2", "--threads", "1"], "render": ["--size", "64x64", "--instants", "1", "-o", "out.png"],
-    "export": ["--to", "csv", "-o", "out.x"], "bode": ["--measure", "none"],
+    "export": ["--to", "csv", "-o", "out.x"], "bode": ["--no-measure"],
     "plan": ["--set", "mesh.intervals=10", "--set", "solver.max_time_s=5"],
 }  # fmt: skip
 
