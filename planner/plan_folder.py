@@ -19,7 +19,7 @@ from linkplan.planner.certificate.further_checks import disagreements, with_cont
 from linkplan.planner.files.columns import ARRAYS, csv_bytes, parquet_bytes, read_trajectory
 from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.tables import apply_override
-from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan import Plan, motion_table, not_honoured
 from linkplan.planner.plan_record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text

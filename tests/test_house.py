@@ -21,7 +21,7 @@ ROOMS = {
     "models": (
         "errors", "extras", "deadline", "compiled", "reading", "catalogue", "model_text", "payload", "kinematics",
         "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins",
-        "selection", "library", "digest", "renamed", "tree", "closure", "reduction", "actuation", "audit",
+        "selection", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
     ),
     "planner": (
@@ -79,7 +79,8 @@ def test_imports_run_downwards(module):
         return
     package, room = room_of(module)
     for name in ours:
-        assert room_of(name) is not None or name == "linkplan" or "." not in name.removeprefix("linkplan."), name
+        if room_of(name) is None and room == "cli":
+            continue  # the command line calls the public package
         assert room_of(name) is not None, f"{module} imports the public package: {name}"
         other_package, other = room_of(name)
         assert PACKAGES.index(other_package) <= PACKAGES.index(package), f"{module} imports {name}"

@@ -6,7 +6,6 @@ model under the planned effort and compares the state with the planned state.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, joint_rates, least_effort, missed_rounding, sampled, whole_turns
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
-from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import (
     BOUNDARY_SHARE,
@@ -27,8 +25,10 @@ from linkplan.planner.certificate.integration import (
     waypoint_times,
 )
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
+from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.limits.kinds import margins
-from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.limits.limit import Margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.motion import Waypoint
@@ -44,22 +44,16 @@ _MIN_SPAN = 1e-9
 # Largest error of the planned effort between nodes, as a share of the largest effort: beyond it, the effort is not the
 # motion's.
 DYNAMICS_SHARE = 0.02
-# By how much the motion's effort by inverse dynamics may exceed its limit, as a share of the limit. Proofs refuse more, and
-# the planner refines meshes until it holds.
-INVERSE_DYNAMICS_SHARE = 2e-6
-# Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
-RANGE_SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Certificate(RenamedFields):
+class Certificate:
     """Findings on one motion, with a list of failures that is empty if it passes.
 
     Efforts are in the actuators' units. Margins are negative outside a limit and infinite without one. `worst_time_s` is the
     time of each finding's worst value.
     """
 
-    renamed: ClassVar = {"position_margin": "position_margin_rad", "speed_margin": "speed_margin_rad_s"}
     effort_excess: float
     inverse_dynamics_excess: float
     dynamics_residual: float
@@ -233,12 +227,6 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         failures=tuple(failures),
         unmendable=(*unmendable, *((opened,) if rounded else ())),
     )
-
-
-def end_sizes(bounds: np.ndarray) -> np.ndarray:
-    """Return the size of each end of limits (n, 2): an end at zero has that of the other, and an infinite one zero."""
-    sizes = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
-    return np.where(np.isfinite(bounds) & (sizes == 0), sizes.max(axis=1, keepdims=True), sizes)
 
 
 def _integration_failures(in_deg: float, in_m: float) -> list[str]:

@@ -20,7 +20,7 @@ from linkplan.models.poses.contacts import Meeting, may_collide, meetings, new_m
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
-from linkplan.planner.limits.actuators import effort_rates
+from linkplan.planner.limits.efforts import effort_rates
 from linkplan.planner.problem.instant import Scales, free_instant
 from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem

@@ -11,7 +11,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.tree.friction import frictions_of
-from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
+from linkplan.planner.certificate.certificate import INTEGRATION_M, Certificate, certify
 from linkplan.planner.certificate.further_checks import objective_value, with_contacts
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, motion_of
@@ -25,6 +25,7 @@ from linkplan.planner.closed_chain.prescribed import (
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.problem import Problem
@@ -84,7 +85,7 @@ class MechanismCase:
     def error_report(self, certificate: Certificate) -> ErrorReport:
         """Return the certificate's findings that refinement needs."""
         over = [certificate.speed_overrun, certificate.position_overrun]
-        over += [margin.overrun[None] for margin in certificate.margins if margin.of.tightened is not None]
+        over += [margin.overrun[None] for margin in certificate.margins if margin.of.facts.tightened is not None]
         least = min(certificate.position_margin_rad.min(), certificate.speed_margin_rad_s.min())
         return ErrorReport(
             exact=is_exact(self.asked, certificate),
@@ -171,8 +172,8 @@ def _tightened(problem: Problem, certificate: Certificate, *, speeds: bool) -> P
         changed["speed"] = limits.speed + over * np.array([1.0, -1.0])
     problem = replace(problem, limits=replace(limits, **changed))
     for margin in certificate.margins:
-        if margin.of.tightened is None and not margin.kept and np.isfinite(margin.left):
-            problem = margin.of.narrowed(problem, 1.1 * -margin.left)
+        if margin.of.facts.tightened is None and not margin.kept and np.isfinite(margin.left):
+            problem = margin.of.relaxed(problem, 1.0 + 1.1 * margin.left / margin.size)
     return problem
 
 

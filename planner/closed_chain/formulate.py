@@ -17,8 +17,9 @@ from linkplan.planner.closed_chain.mechanics import (
     n_lifted,
     node_numbers,
 )
-from linkplan.planner.limits.kinds import limits_of, site_at_home
-from linkplan.planner.limits.path_limit import PathLimit
+from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.limit import Limit
+from linkplan.planner.limits.site import site_at_home
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
@@ -95,6 +96,7 @@ def formulate(
     value = sum(objective.weight(name) * term.scale(scales, problem.motors) for name, term in objective.terms.items())
     smoothing_weight = smoothing if objective.is_smoothed else None
     costs = {} if least_limit else _exact_costs(problem, scales, smoothing_weight, value, ties)
+    eta = [np.zeros(0), *costs.values(), *(limit.rows.interval_numbers(problem, scales) for limit in limits)]
     rows, own, own_tightening = _interval_rows(problem, scales, limits, n_z - asked.n_unknowns, tuple(costs), tightenings)
     n_works = n_u if asked.works else 0
     position, speed, rate = problem.limits.position, problem.limits.speed, scales.position / scales.time_s
@@ -129,11 +131,11 @@ def formulate(
         adrift=adrift if motion.kind == "periodic" else (),
         advance=_advance(problem, scales, returns),
         smooth=objective.is_smoothed or objective.efforts("smooth") or bool(rows.rate_columns),
-        eta=np.concatenate([np.zeros(0), *costs.values(), *(limit.interval_numbers(problem, scales) for limit in limits)]),
+        eta=np.concatenate(eta),
         theta=_theta(problem, asked, scales, value),
         tightening=tightening_over(tightenings, [_tightened_row(limit) for limit in asked.rows], path),
         own_tightening=own_tightening,
-        position_path=tuple(k for k, limit in enumerate(asked.rows) if limit.of_position),
+        position_path=tuple(k for k, limit in enumerate(asked.rows) if limit.facts.of_position),
         passed=_passed_rows(problem, asked),
         endpoint=endpoint,
         endpoint_bounds=np.zeros((len(places), 2)),
@@ -141,12 +143,12 @@ def formulate(
     )
 
 
-def _node_terms(problem: Problem, limits: tuple[PathLimit, ...], *, least_limit: bool) -> NodeTerms:
+def _node_terms(problem: Problem, limits: tuple[Limit, ...], *, least_limit: bool) -> NodeTerms:
     """Return the terms that are evaluated at a node."""
     passed = {(site, axis) for waypoint in problem.motion.waypoints for site, axis, _ in waypoint.open_coordinates}
     return NodeTerms(
         running=() if least_limit else tuple(term for term in problem.objective.terms.values() if term.exact is None),
-        limits=tuple(limit for limit in limits if limit.at_nodes or limit.n_unknowns),
+        limits=tuple(limit for limit in limits if limit.rows.node is not None or limit.rows.n_unknowns),
         passed=tuple(sorted(passed)),
     )
 
@@ -161,15 +163,15 @@ def _passed_rows(problem: Problem, asked: NodeTerms) -> tuple[tuple[int, int, fl
     )
 
 
-def _tightened_row(limit: PathLimit) -> TightenedRow:
-    assert limit.tightened is not None  # of rows of a program; the others narrow the problem
-    return TightenedRow(limit.kind, limit.item, limit.tightened)
+def _tightened_row(limit: Limit) -> TightenedRow:
+    assert limit.facts.tightened is not None  # of rows of a program; the others narrow the problem
+    return TightenedRow(limit.facts.kind, limit.item, limit.facts.tightened)
 
 
 def _interval_rows(
     problem: Problem,
     scales: Scales,
-    limits: tuple[PathLimit, ...],
+    limits: tuple[Limit, ...],
     first_unknown: int,
     costs: tuple[str, ...],
     tightenings: tuple[Tightening, ...],
@@ -179,23 +181,24 @@ def _interval_rows(
     bounds: dict[str, list] = {}
     enclosed: dict[str, list[TightenedRow]] = {}
     for limit in limits:
-        unknowns = tuple(range(first_unknown, first_unknown + limit.n_unknowns))
-        first_unknown += limit.n_unknowns
-        row = limit.interval_row(unknowns)
-        if row is not None:
-            fields.setdefault(row[0], []).append(row[1])
+        rows = limit.rows
+        unknowns = tuple(range(first_unknown, first_unknown + rows.n_unknowns))
+        first_unknown += rows.n_unknowns
+        if rows.interval is not None:
+            name, entry = rows.interval(unknowns)
+            fields.setdefault(name, []).append(entry)
             bounds.setdefault(limit.key, []).append(limit.bounds(problem, scales))
-            if limit.enclosable:
+            if limit.facts.enclosable:
                 enclosed.setdefault(limit.key, []).append(_tightened_row(limit))
-    at_nodes = [limit for limit in limits if limit.at_nodes]
-    rows = IntervalRows(
+    at_nodes = [limit for limit in limits if limit.rows.node is not None]
+    own_rows = IntervalRows(
         costs=costs,
-        open_end_path=tuple(k for k, limit in enumerate(at_nodes) if limit.jumps_with_effort),
+        open_end_path=tuple(k for k, limit in enumerate(at_nodes) if limit.facts.jumps_with_effort),
         **{field: tuple(entries) for field, entries in fields.items()},
     )
     own = {kind: np.array(of_kind).reshape(-1, 2) for kind, of_kind in bounds.items()}
     tightened = {kind: tightening_over(tightenings, of_kind, own[kind]) for kind, of_kind in enclosed.items()}
-    return rows, own, {kind: of_kind for kind, of_kind in tightened.items() if of_kind is not None}
+    return own_rows, own, {kind: of_kind for kind, of_kind in tightened.items() if of_kind is not None}
 
 
 def tie_weights(problem: Problem, ties: float) -> np.ndarray:

@@ -25,8 +25,8 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.limits.kinds import SitePathLimit
-from linkplan.planner.limits.path_limit import PathLimit
+from linkplan.planner.limits.limit import Limit
+from linkplan.planner.limits.site import site_coordinate
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem
@@ -129,7 +129,7 @@ class NodeTerms:
     """
 
     running: tuple[Term, ...] = ()
-    limits: tuple[PathLimit, ...] = ()
+    limits: tuple[Limit, ...] = ()
     passed: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -145,12 +145,12 @@ class NodeTerms:
     @property
     def n_unknowns(self) -> int:
         """The number of algebraic unknowns of the limits."""
-        return sum(limit.n_unknowns for limit in self.limits)
+        return sum(limit.rows.n_unknowns for limit in self.limits)
 
     @property
-    def rows(self) -> tuple[PathLimit, ...]:
+    def rows(self) -> tuple[Limit, ...]:
         """The limits with rows at nodes."""
-        return tuple(limit for limit in self.limits if limit.at_nodes)
+        return tuple(limit for limit in self.limits if limit.rows.node is not None)
 
 
 @functools.lru_cache(maxsize=16)
@@ -167,7 +167,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     z, lifted, working, unknowns = ca.vertsplit(node.z, parts)
     sizes = {"weight": len(asked.running), "reference": n_s if asked.tracked else 0}
     sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
-    sizes |= {"limits": sum(limit.n_numbers for limit in asked.limits)}
+    sizes |= {"limits": sum(limit.rows.n_numbers for limit in asked.limits)}
     sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
@@ -194,15 +194,19 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         reference=given["reference"] * given["position"] if asked.tracked else None,
         positive_power=working * given["power"] if asked.works else None,
     )
-    numbers = _split(given["limits"], [limit.n_numbers for limit in asked.limits])
-    places = _split(unknowns, [limit.n_unknowns for limit in asked.limits])
+    numbers = _split(given["limits"], [limit.rows.n_numbers for limit in asked.limits])
+    places = _split(unknowns, [limit.rows.n_unknowns for limit in asked.limits])
     for limit, own, place in zip(asked.limits, numbers, places, strict=True):
-        if limit.n_unknowns:
-            kind, values = limit.unknowns(at, own)
+        if limit.rows.unknowns is not None:
+            kind, values = limit.rows.unknowns(at, own)
             equations = ca.vertcat(equations, ca.vertcat(*values) - place)
-            kinds += (kind,) * limit.n_unknowns
+            kinds += (kind,) * limit.rows.n_unknowns
     path = _path_rows(asked, at, numbers, working)
-    kinds += tuple(limit.row_kind for limit in asked.rows) + ("site",) * len(asked.passed) + ("work",) * working.numel()
+    kinds += (
+        tuple(limit.facts.row_kind or limit.facts.kind for limit in asked.rows)
+        + ("site",) * len(asked.passed)
+        + ("work",) * working.numel()
+    )
     # Weights apply to integrands in SI and include the conversion of units.
     running = sum((given["weight"][item] * term.integrand(at) for item, term in enumerate(asked.running)), start=ca.SX(0))
     theta = ca.vertcat(*given.values())
@@ -221,8 +225,9 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
 
 def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.SX) -> ca.SX:
     """Return the path quantities: limits' rows, sites' coordinates at waypoints, P - u w of positive powers."""
-    path = [limit.row(at, own) for limit, own in zip(asked.limits, numbers, strict=True) if limit.at_nodes]
-    path += [SitePathLimit.coordinate(*where).row(at, ca.SX(0, 1)) for where in asked.passed]
+    rows = [(limit.rows.node, own) for limit, own in zip(asked.limits, numbers, strict=True)]
+    path = [node(at, own) for node, own in rows if node is not None]
+    path += [site_coordinate(at, *where) for where in asked.passed]
     if asked.works:
         path.append(working - at.u * at.actuator_speeds / at.units["power"])
     return ca.vertcat(ca.SX(0, 1), *path)
@@ -253,7 +258,7 @@ def node_numbers(problem: Problem, asked: NodeTerms, scales: Scales, value: floa
     """
     of = problem.objective.terms.items()
     weights = [problem.objective.weight(name) * scales.time_s / value for name, term in of if term in asked.running]
-    after = [scales.vector(), *(limit.numbers(problem) for limit in asked.limits)]
+    after = [scales.vector(), *(limit.rows.numbers(problem) for limit in asked.limits)]
     if problem.mechanism.payload is not None:
         after.append(problem.mechanism.payload.numbers())
     return np.asarray(weights, dtype=float), np.concatenate([np.asarray(part, dtype=float) for part in after])

@@ -210,7 +210,8 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
     """Return a guess as a scaled start, with closed loops, and efforts by inverse dynamics if the guess has none."""
     mechanism = problem.mechanism
     rate = scales.position / scales.time_s
-    limits = [limit for limit in limits_of(problem, enclosed=formulation.rows.encloses) if limit.n_unknowns]
+    limits = [limit.rows for limit in limits_of(problem, enclosed=formulation.rows.encloses)]
+    starts = [rows.start_of_unknowns for rows in limits if rows.start_of_unknowns is not None]
 
     def states(times: np.ndarray) -> np.ndarray:
         return np.hstack([guess.position(times) / scales.position, guess.velocity(times) / rate])
@@ -225,9 +226,9 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
             algebraic = np.column_stack([algebraic, lifted])
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
-            n_works = formulation.n_z - algebraic.shape[1] - sum(limit.n_unknowns for limit in limits)
+            n_works = formulation.n_z - algebraic.shape[1] - sum(rows.n_unknowns for rows in limits)
             spent = np.maximum(effort * np.einsum("ksu,ks->ku", maps, v) / scales.power, 0.0)[:, :n_works]
-            own = [limit.start_of_unknowns(problem, scales, (poses, v, a, effort)) for limit in limits]
+            own = [of(problem, scales, (poses, v, a, effort)) for of in starts]
             algebraic = np.column_stack([algebraic, spent, *own])
         return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
 

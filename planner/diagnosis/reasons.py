@@ -13,8 +13,8 @@ from linkplan.planner.closed_chain.guess import Guess, even_poses, motion_of
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
 from linkplan.planner.limits.actuators import ControlLimit
 from linkplan.planner.limits.joints import RangeLimit
-from linkplan.planner.limits.kinds import relaxed_kinds
-from linkplan.planner.limits.path_limit import PathLimit
+from linkplan.planner.limits.kinds import relaxed_kinds, without
+from linkplan.planner.limits.limit import Limit, factor_of, violation
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.extra import extras_not_finite
@@ -252,7 +252,7 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
     if not kinds:
         return None
     for kind in kinds:
-        bare = kind.without(bare)
+        bare = without(kind, bare)
     least = least_limit_of_starts(bare, search.smooth)
     if least is None or least.factor <= 1.0:
         return None
@@ -304,20 +304,20 @@ def _over(search: Search) -> LeastLimit | None:
     return least if least is not None and least.factor > 1.0 else None
 
 
-def _without(search: Search, kind: type[PathLimit]) -> Plan | None:
+def _without(search: Search, kind: type[Limit]) -> Plan | None:
     """Return the plan that says by how much a motion planned without a limit violates it; None if it keeps the limit."""
     problem, guess = search.within(HURRIED), search.smooth
     mesh, durations = first_mesh(problem, guess)
     word = f"without limits on {kind.key}"
-    found = solve_from(kind.without(problem), guess, mesh, durations, word)
+    found = solve_from(without(kind, problem), guess, mesh, durations, word)
     if found is None:
         return None
     motion = found.motion
-    if kind in relaxed_kinds(problem) and kind.violation(problem, motion) is not None:
+    if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
         progress(f"looking for the least limit on {kind.key} that admits a motion")
         durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
         motion = least_of(problem, kind, motion, mesh, durations)
-    sentence = kind.violation(problem, motion)
+    sentence = violation(kind, problem, motion)
     return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
 
 
@@ -355,7 +355,7 @@ def shortest_sentence(search: Search, details: dict[str, float]) -> str:
 
 def least_of(
     problem: Problem,
-    kind: type[PathLimit],
+    kind: type[Limit],
     motion: Trajectory,
     mesh: Mesh,
     durations: np.ndarray,
@@ -369,11 +369,11 @@ def least_of(
         mesh: of the solves.
         durations: of the mesh's segments in the motion [s].
     """
-    factor = kind.factor(problem, motion)
+    factor = factor_of(kind, problem, motion)
     if factor is None:
         return motion
     near, far = 1.0, factor
-    transcribed = transcribe(kind.scaled(problem, far), motion_of(motion), mesh, durations)
+    transcribed = transcribe(kind.relaxed(problem, far), motion_of(motion), mesh, durations)
     best = solve(transcribed, problem.solver)
     record(step_of(f"least {kind.key}", transcribed, best))
     if not best.converged:
@@ -383,7 +383,7 @@ def least_of(
         if problem.solver.deadline.passed:
             break
         middle = 0.5 * (near + far)
-        trial = run_solver(solver, renumbered(best.transcribed, kind.scaled(problem, middle), best.x))
+        trial = run_solver(solver, renumbered(best.transcribed, kind.relaxed(problem, middle), best.x))
         if trial.converged:
             best, far = trial, middle
         else:

@@ -11,46 +11,55 @@ polynomial through the nodes; its error between nodes decreases with the interva
 is the determinant of each block of J_z, relative to home.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.planner.limits.path_limit import (
-    BETWEEN_NODES_FACTOR,
+from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
+    Claimed,
+    Facts,
     Instant,
-    Margin,
+    Limit,
     Measured,
     MotionArrays,
-    PathLimit,
     Poses,
     Problem,
+    Rows,
     Samples,
     Scales,
     Tightened,
+    Trajectory,
     limited_rows,
+    times,
     with_limits,
 )
 
+# Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
+RANGE_SLACK = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
-class ClosureForceLimit(PathLimit):
-    """The force of one closure, as a share of its rating; `rows` are its indices among all forces if it is an unknown."""
+class ClosureForceLimit(Limit):
+    """The force of one closure, as a share of its rating; `places` are its indices among all forces if it is an unknown."""
 
     key: ClassVar[str] = "closure_force"
-    words: ClassVar[str] = "the closure force of {}"
-    enclosable: ClassVar[bool] = True
-    jumps_with_effort: ClassVar[bool] = True
-    tightened: ClassVar[Tightened] = Tightened.SQUARED
-    n_numbers: ClassVar[int] = 1
+    facts: ClassVar[Facts] = Facts(
+        kind=key,
+        words="the closure force of {}",
+        tightened=Tightened.SQUARED,
+        enclosable=True,
+        jumps_with_effort=True,
+    )
     item: int
-    rows: tuple[int, ...] = ()
+    places: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
@@ -59,56 +68,65 @@ class ClosureForceLimit(PathLimit):
         return [cls(c, tuple(range(places[c].start, places[c].stop)) if enclosed else ()) for c in limited]
 
     @property
-    def at_nodes(self) -> bool:
-        return not self.rows
+    def rows(self) -> Rows:
+        def rating(problem: Problem) -> float:
+            return problem.limits.closure_force[self.item]
 
-    def numbers(self, problem: Problem) -> Sequence[float]:
-        rating = problem.limits.closure_force[self.item]
-        return (rating if self.rows else 1.0 / np.square(rating),)
+        def node(at: Instant, numbers: ca.SX) -> ca.SX:
+            return ca.sumsqr(at.closure_force[at.mechanism.closure_slice(self.item)]) * numbers
 
-    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
-        return ca.sumsqr(at.closure_force[at.mechanism.closure_slice(self.item)]) * numbers
+        def unknowns(at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
+            return "bearing", ca.vertsplit(at.closure_force[list(self.places)] / numbers)
+
+        def start(problem: Problem, _: Scales, motion: MotionArrays) -> np.ndarray:
+            return sampled(problem.mechanism.dynamics.closure_force, *motion)[:, list(self.places), 0] / rating(problem)
+
+        if not self.places:
+            return Rows(node=node, n_numbers=1, numbers=lambda problem: (1.0 / np.square(rating(problem)),))
+        return Rows(
+            n_numbers=1,
+            numbers=lambda problem: (rating(problem),),
+            interval=lambda own: ("squared_sums", own),
+            n_unknowns=len(self.places),
+            unknowns=unknowns,
+            start_of_unknowns=start,
+        )
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -np.inf, 1.0
-
-    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
-        return ("squared_sums", unknowns) if self.rows else None
-
-    @property
-    def n_unknowns(self) -> int:
-        return len(self.rows)
-
-    def unknowns(self, at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
-        share = at.closure_force[list(self.rows)] / numbers
-        return "bearing", ca.vertsplit(share)
-
-    def start_of_unknowns(self, problem: Problem, scales: Scales, motion: MotionArrays) -> np.ndarray:
-        force = sampled(problem.mechanism.dynamics.closure_force, *motion)[:, list(self.rows), 0]
-        return force / problem.limits.closure_force[self.item]
 
     def measured(self, at: Samples) -> Measured:
         problem, c = at.problem, self.item
         bounds = (-np.inf, problem.limits.closure_force[c])
         return Measured(problem.mechanism.closure_names[c], at.closure_forces[:, c], bounds, "N")
 
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        mechanism = problem.mechanism
+        own, rating = mechanism.closure_slice(self.item), float(problem.limits.closure_force[self.item])
+        yield Claimed(
+            name=f"squared closure force of {mechanism.closure_names[self.item]}",
+            unit="N2",
+            bounds=(-np.inf, rating**2),
+            value=lambda at: sum((x * x for x in at.closure_forces[own]), 0 * at.state.q[0]),
+            slack=(0.0, 2 * ROUNDING_SHARE * max(1.0, rating) * rating),
+        )
+
     @classmethod
-    def without(cls, problem: Problem) -> Problem:
-        return with_limits(problem, closure_force=np.full(len(problem.limits.closure_force), np.inf))
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        return with_limits(problem, closure_force=problem.limits.closure_force * factor)
 
 
 @dataclass(frozen=True, slots=True)
-class SingularMarginLimit(PathLimit):
+class SingularMarginLimit(Limit):
     """The determinant of one block of J_z, for loops that close together.
 
     Its row binds at prescribed poses too: without it there, continuation next to the margin is lost more often.
     """
 
     key: ClassVar[str] = "singular_margin"
-    words: ClassVar[str] = "the distance from a singular pose, relative to home,"
-    beyond: ClassVar[str] = "short of"
-    row_kind: ClassVar[str] = "singular"
-    n_numbers: ClassVar[int] = 1
+    facts: ClassVar[Facts] = Facts(
+        kind=key, row_kind="singular", words="the distance from a singular pose, relative to home,", beyond="short of"
+    )
     item: int
 
     @classmethod
@@ -116,12 +134,13 @@ class SingularMarginLimit(PathLimit):
         n_blocks = problem.mechanism.dynamics.block_singularity.numel_out(0)
         return [cls(block) for block in range(n_blocks)] if problem.limits.singular_margin > 0 else []
 
-    def numbers(self, problem: Problem) -> Sequence[float]:
-        mechanism = problem.mechanism
-        return (1.0 / np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel()[self.item],)
-
-    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
-        return at.of_pose("block_singularity")[self.item] * numbers
+    @property
+    def rows(self) -> Rows:
+        return Rows(
+            node=lambda at, numbers: at.of_pose("block_singularity")[self.item] * numbers,
+            n_numbers=1,
+            numbers=lambda problem: (1.0 / _blocks_at_home(problem.mechanism)[self.item],),
+        )
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return problem.limits.singular_margin, np.inf
@@ -130,27 +149,36 @@ class SingularMarginLimit(PathLimit):
         bounds = (at.problem.limits.singular_margin, np.inf)
         return Measured(at.problem.mechanism.name, at.block_ratios[:, self.item], bounds)
 
-    @classmethod
-    def without(cls, problem: Problem) -> Problem:
-        return with_limits(problem, singular_margin=0.0)
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        at_home = float(_blocks_at_home(problem.mechanism)[self.item])
+        yield Claimed(
+            name=f"distance from a singular pose, block {self.item + 1}",
+            unit="1",
+            bounds=(problem.limits.singular_margin, np.inf),
+            value=lambda at: at.of_pose("block_singularity")[self.item] / at_home,
+            of_planned=True,
+        )
 
     @classmethod
-    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
-        return min(m.value / m.limit for m in over) / BETWEEN_NODES_FACTOR
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        return with_limits(problem, singular_margin=problem.limits.singular_margin * factor if np.isfinite(factor) else 0.0)
+
+
+def _blocks_at_home(mechanism: Mechanism) -> np.ndarray:
+    """Return the determinants (n_blocks,) of J_z's blocks at home."""
+    return np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel()
 
 
 @dataclass(frozen=True, slots=True)
-class RangeLimit(PathLimit):
+class RangeLimit(Limit):
     """The range of one joint; `column` is its index among the independent joints if intervals have rows for it."""
 
     key: ClassVar[str] = "position"
-    words: ClassVar[str] = "joint {}"
-    verb: ClassVar[str] = "stands at"
-    of_position: ClassVar[bool] = True
-    tightened: ClassVar[Tightened] = Tightened.IN_UNITS
+    facts: ClassVar[Facts] = Facts(
+        kind=key, words="joint {}", verb="stands at", tightened=Tightened.IN_UNITS, of_position=True
+    )
     item: int
     column: int | None
-    at_nodes: ClassVar[bool] = False
 
     @classmethod
     def of(cls, problem: Problem, *, position_rows: bool = False, **_: bool) -> list[Self]:
@@ -158,24 +186,41 @@ class RangeLimit(PathLimit):
             return [cls(int(joint), column) for column, joint in enumerate(problem.mechanism.independent)]
         return [cls(joint, None) for joint in limited_rows(problem.limits.position)]
 
-    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
-        return tuple(problem.limits.position[self.item] / scales.position[self.column])
+    @property
+    def rows(self) -> Rows:
+        return Rows() if self.column is None else Rows(interval=lambda _: ("position_columns", self.column))
 
-    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
-        return None if self.column is None else ("position_columns", self.column)
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return tuple(problem.limits.position[self.item] / (1.0 if self.column is None else scales.position[self.column]))
 
     def measured(self, at: Poses) -> Measured:
         joint = at.problem.mechanism.joints[self.item]
         unit, values, bounds = joint.shown(1.0), at.q[:, self.item], at.problem.limits.position[self.item]
         return Measured(joint.name, unit * values, unit * bounds, joint.unit, unit)
 
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        joint = problem.mechanism.joints[self.item]
+        yield Claimed(
+            name=f"position of {joint.name}",
+            unit=joint.unit,
+            bounds=problem.limits.position[self.item],
+            value=lambda at: at.q[self.item],
+            of_planned=True,
+            slack=(RANGE_SLACK, RANGE_SLACK),
+            per_unit=joint.shown(1.0),
+        )
+
+    @classmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        return with_limits(problem, position=times(problem.limits.position, factor))
+
 
 @dataclass(frozen=True, slots=True)
-class SpeedLimit(PathLimit):
+class SpeedLimit(Limit):
     """The speed of one joint; `column` is its index among the independent joints, None for a dependent one."""
 
     key: ClassVar[str] = "speed"
-    words: ClassVar[str] = "the speed of joint {}"
+    facts: ClassVar[Facts] = Facts(kind=key, words="the speed of joint {}")
     item: int
     column: int | None = None
 
@@ -186,11 +231,10 @@ class SpeedLimit(PathLimit):
         return own + [cls(joint) for joint in limited if joint not in independent]
 
     @property
-    def at_nodes(self) -> bool:
-        return self.column is None
-
-    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
-        return at.units["time"] * at.joint_rates[self.item]
+    def rows(self) -> Rows:
+        if self.column is None:
+            return Rows(node=lambda at, _: at.units["time"] * at.joint_rates[self.item])
+        return Rows(interval=lambda _: ("speed_columns", self.column))
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         limit = problem.limits.speed[self.item]
@@ -198,13 +242,25 @@ class SpeedLimit(PathLimit):
             return tuple(limit * scales.time_s)
         return tuple(limit / (scales.position[self.column] / scales.time_s))
 
-    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
-        return None if self.column is None else ("speed_columns", self.column)
-
     def measured(self, at: Samples) -> Measured:
         joint, bounds = at.problem.mechanism.joints[self.item], at.problem.limits.speed[self.item]
         unit = joint.shown(1.0)
         return Measured(joint.name, unit * at.joint_rates[:, self.item], unit * bounds, f"{joint.unit}/s")
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        joint = problem.mechanism.joints[self.item]
+        yield Claimed(
+            name=f"speed of {joint.name}",
+            unit=f"{joint.unit}/s",
+            bounds=problem.limits.speed[self.item],
+            value=lambda at: at.rates[self.item],
+            slack=(RANGE_SLACK, RANGE_SLACK),
+            per_unit=joint.shown(1.0),
+        )
+
+    @classmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        return with_limits(problem, speed=times(problem.limits.speed, factor))
 
 
 def own_column(mechanism: Mechanism, j: int) -> int | None:
@@ -215,21 +271,25 @@ def own_column(mechanism: Mechanism, j: int) -> int | None:
 
 
 @dataclass(frozen=True, slots=True)
-class BallLimit(PathLimit):
+class BallLimit(Limit):
     """The angle of one ball joint."""
 
     key: ClassVar[str] = "ball"
-    words: ClassVar[str] = "the angle of ball joint {}"
-    of_position: ClassVar[bool] = True
-    tightened: ClassVar[Tightened] = Tightened.SQUARED
+    facts: ClassVar[Facts] = Facts(
+        kind=key, words="the angle of ball joint {}", tightened=Tightened.SQUARED, of_position=True
+    )
     item: int
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
         return [cls(item) for item in range(len(problem.mechanism.balls))]
 
-    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
-        return at.of_pose("ball_turns")[self.item] / np.sin(at.mechanism.balls[self.item].largest / 2) ** 2
+    @property
+    def rows(self) -> Rows:
+        def node(at: Instant, _: ca.SX) -> ca.SX:
+            return at.of_pose("ball_turns")[self.item] / np.sin(at.mechanism.balls[self.item].largest / 2) ** 2
+
+        return Rows(node=node)
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -np.inf, 1.0
@@ -239,32 +299,43 @@ class BallLimit(PathLimit):
         angles = np.degrees(2 * np.arcsin(np.sqrt(np.clip(turns, 0.0, 1.0))))
         return Measured(ball.name, angles, (-np.inf, np.degrees(ball.largest)), "deg")
 
-    @classmethod
-    def scaled(cls, problem: Problem, factor: float) -> Problem:
-        wider = [replace(one, largest=min(np.pi, one.largest * factor)) for one in problem.mechanism.balls]
-        return replace(problem, mechanism=replace(problem.mechanism, balls=tuple(wider)))
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        ball = problem.mechanism.balls[self.item]
+        yield Claimed(
+            name=f"sin^2 of half the angle of ball joint {ball.name}",
+            unit="1",
+            bounds=(-np.inf, np.sin(ball.largest / 2) ** 2),
+            value=lambda at: at.of_pose("ball_turns")[self.item],
+            of_planned=True,
+        )
 
     @classmethod
-    def without(cls, problem: Problem) -> Problem:
-        return replace(problem, mechanism=replace(problem.mechanism, balls=()))
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        balls = () if not np.isfinite(factor) else problem.mechanism.balls
+        wider = tuple(replace(one, largest=min(np.pi, one.largest * factor)) for one in balls)
+        return replace(problem, mechanism=replace(problem.mechanism, balls=wider))
 
 
 @dataclass(frozen=True, slots=True)
-class TendonLimit(PathLimit):
+class TendonLimit(Limit):
     """The length of one tendon."""
 
     key: ClassVar[str] = "tendon"
-    words: ClassVar[str] = "the length of tendon {}"
-    of_position: ClassVar[bool] = True
-    tightened: ClassVar[Tightened] = Tightened.IN_UNITS
+    facts: ClassVar[Facts] = Facts(
+        kind=key, words="the length of tendon {}", tightened=Tightened.IN_UNITS, of_position=True, by_size=True
+    )
     item: int
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
         return [cls(item) for item in range(len(problem.mechanism.tendons))]
 
-    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
-        return at.of_pose("tendon_length")[self.item] / at.mechanism.tendons[self.item].span
+    @property
+    def rows(self) -> Rows:
+        def node(at: Instant, _: ca.SX) -> ca.SX:
+            return at.of_pose("tendon_length")[self.item] / at.mechanism.tendons[self.item].span
+
+        return Rows(node=node)
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         tendon = problem.mechanism.tendons[self.item]
@@ -274,18 +345,20 @@ class TendonLimit(PathLimit):
         tendon, lengths = at.problem.mechanism.tendons[self.item], at.of_pose("tendon_length")[:, self.item]
         return Measured(tendon.name, lengths, (tendon.low, tendon.high), tendon.unit, tendon.span)
 
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        tendon = problem.mechanism.tendons[self.item]
+        yield Claimed(
+            name=f"length of tendon {tendon.name}",
+            unit=tendon.unit,
+            bounds=(tendon.low, tendon.high),
+            value=lambda at: at.of_pose("tendon_length")[self.item],
+            of_planned=True,
+        )
+
     @classmethod
-    def scaled(cls, problem: Problem, factor: float) -> Problem:
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        more = min(factor - 1.0, RELAXED_FACTOR)
         longer = tuple(
-            replace(one, low=one.low - (factor - 1) * one.span, high=one.high + (factor - 1) * one.span)
-            for one in problem.mechanism.tendons
+            replace(one, low=one.low - more * one.span, high=one.high + more * one.span) for one in problem.mechanism.tendons
         )
         return replace(problem, mechanism=replace(problem.mechanism, tendons=longer))
-
-    @classmethod
-    def without(cls, problem: Problem) -> Problem:
-        return cls.scaled(problem, 1.0 + RELAXED_FACTOR)
-
-    @classmethod
-    def factor_of(cls, problem: Problem, over: list[Margin]) -> float | None:
-        return 1 + BETWEEN_NODES_FACTOR * max(-m.left / problem.mechanism.tendons[m.item].span for m in over)

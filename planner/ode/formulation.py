@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from linkplan.planner.limits.path_limit import Tightened
+from linkplan.planner.limits.limit import Tightened
 from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.problem.limits import free_bounds

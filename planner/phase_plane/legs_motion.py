@@ -40,7 +40,7 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
     rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
     effort, power, speed = (_inside(of) for of in (limits.effort, limits.power, limits.speed))
     inside = replace(limits, effort=effort, power=power, speed=speed, closure_force=rated)
-    found = power_legs(replace(MotorLimit.scaled(problem, 1.0 - _LIMIT_RESERVE), limits=inside), start_pose)
+    found = power_legs(replace(MotorLimit.relaxed(problem, 1.0 - _LIMIT_RESERVE), limits=inside), start_pose)
     if found is None:
         return None
     legs, boundaries = found

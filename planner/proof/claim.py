@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.planner.certificate.certificate import end_sizes
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Kinetics, State
 from linkplan.planner.proof.taylor import TaylorForm, Verdict
@@ -38,7 +37,7 @@ class Claim:
 def claim_of(
     name: str,
     unit: str,
-    bounds: Sequence[float],
+    bounds: Sequence[float] | np.ndarray,
     values: Callable[[State], list[Ball]],
     slack: tuple[float, float] | None = None,
     per_unit: float = 1.0,
@@ -47,12 +46,6 @@ def claim_of(
     low, high = (float(x) for x in bounds)
     given = rounding_of((low, high)) if slack is None else slack
     return Claim(name=name, unit=unit, low=low, high=high, slack=given, values=values, per_unit=per_unit)
-
-
-def share_of(bounds: Sequence[float], share: float) -> tuple[float, float]:
-    """Return the allowances of [low, high]: a share of each end, and for an end at zero of the other end."""
-    low, high = share * end_sizes(np.reshape(bounds, (1, 2)))[0]
-    return float(low), float(high)
 
 
 def rounding_of(bounds: Sequence[float]) -> tuple[float, float]:

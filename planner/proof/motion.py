@@ -22,7 +22,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.branch import pose_of
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.proof.taylor import Matrix, product, solve, transposed
-from linkplan.planner.proof.walk import Ball, Blocks, dense, loaded_tree
+from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
@@ -291,6 +291,19 @@ class State:
     u: Sequence[arb_series]
     rate: arb
     time: arb_series
+    _kept: dict[str, list[Ball]] = field(default_factory=dict)
+
+    def of_pose(self, name: str) -> list[Ball]:
+        """Return a column of the reduced dynamics that depends on the pose only."""
+        if name not in self._kept:
+            walk, n_rows = pose_walk(self.blocks.mechanism, name)
+            self._kept[name] = dense(walk(self.q)[0], n_rows)
+        return self._kept[name]
+
+    @staticmethod
+    def larger(number: float, other: Ball) -> Ball:
+        """Return the larger of two numbers at every point."""
+        return larger(arb(number), other)
 
     @cached_property
     def q(self) -> list[Ball]:

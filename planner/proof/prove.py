@@ -106,14 +106,14 @@ def prove(
 def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int) -> tuple[list[Finding], int]:
     """Return the findings on every instant, and the number of boxes."""
     try:
-        blocks, claims = blocks_of(problem.mechanism), claims_of(problem, trajectory)
+        blocks, (claims, open_limits) = blocks_of(problem.mechanism), claims_of(problem, trajectory)
+        shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until, "order": order}
+        sweep = _Sweep(claims=claims, **shared)
+        sweep.run()
     except UnknownOperationError as error:
         reason = f"not proved: the model has an operation that balls do not enclose ({error})"
         return [Finding(name="closure and efforts", answer="undecided", reason=reason)], 0
-    shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until, "order": order}
-    sweep = _Sweep(claims=claims, **shared)
-    sweep.run()
-    return sweep.findings(), sweep.boxes
+    return [*sweep.findings(), *open_limits], sweep.boxes
 
 
 def _existence(problem: Problem, trajectory: Trajectory, until: Deadline, order: int, *, existence: bool) -> list[Finding]:

@@ -327,6 +327,13 @@ def _in_numbers(function: ca.Function) -> Callable[[np.ndarray], tuple[np.ndarra
     return numbers
 
 
+@functools.lru_cache(maxsize=64)
+def pose_walk(mechanism: Mechanism, name: str) -> tuple[Walk, int]:
+    """Return the walk of a column of the reduced dynamics that depends on the pose only, and its number of rows."""
+    q, function = ca.SX.sym("q", mechanism.n_q), getattr(mechanism.dynamics, name)
+    return _walk(name, [q], ca.densify(function(q))), function.size1_out(0)
+
+
 @functools.lru_cache(maxsize=16)
 def loaded_tree(mechanism: Mechanism, payload_factor: float) -> Walk:
     """Return the walk of (q, q', q'') -> generalised forces with the payload's mass and inertia times a factor."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from linkplan.planner.limits.path_limit import Margin, Tightened
+from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Case, CertificateT, CertifiedIterate, MotionT
 from linkplan.planner.refinement.switches import PiecewiseMotion
@@ -83,7 +83,7 @@ def tightenings_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, break
         if overrun.max(initial=0.0) > 0
     ]
     for margin in margins:
-        if margin.of.tightened is not None and not margin.kept:
+        if margin.of.facts.tightened is not None and not margin.kept:
             found.append(
                 Tightening(
                     what=margin.what,

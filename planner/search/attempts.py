@@ -193,7 +193,7 @@ def from_next_to_it(problem: Problem, found: Iterate) -> Plan | None:
 def may_be_enclosed(problem: Problem, plan: Plan) -> bool:
     """True if limits on power or pin force are overrun between the nodes and rows on coefficients may keep them."""
     margins = () if plan.certificate is None else plan.certificate.margins
-    overrun = any(margin.of.enclosable and not margin.kept for margin in margins)
+    overrun = any(margin.of.facts.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 

@@ -43,6 +43,8 @@ _JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
 # A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
 # more than this share of itself: less is tightened.
 _MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
+# A mesh's limits are tightened so often; where that does not do, or costs more than settles, the mesh is made finer.
+_MAX_TIGHTENINGS = 2
 # A solve that begins at the last mesh's motion takes at most so many iterations, and twice as many in another transcription.
 _MOST_ITERATIONS = 150
 # The motion that is kept is changed on at most so many meshes.
@@ -76,10 +78,12 @@ def of_several(problem: Problem) -> bool:
     """True if motions of several motors are refined here: in polynomials, on a mesh and for an objective that allow it.
 
     One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes. Limits on
-    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
+    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh. Efforts
+    at the corners of [robust] are overrun by hundredths of their limits wherever they jump inside an interval.
     """
     mesh, objective = problem.mesh, problem.objective
     free = mesh.effort == "polynomial" and mesh.breaks is None and not np.any(np.isfinite(problem.limits.power))
+    free = free and not problem.robust.corners
     return min(problem.mechanism.dof, problem.mechanism.n_u) > 1 and free and not objective.is_smoothed
 
 
@@ -104,11 +108,12 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
         finer = _solved(way, at.found, rows)
         if finer is None:
             break
-        before, at = at.found.solution.objective, certify_iterate(case, finer)
-        gain = (before - finer.solution.objective) / max(abs(finer.solution.objective), np.finfo(float).tiny)
+        before, at = at, certify_iterate(case, finer)
+        gain = before.found.solution.objective - finer.solution.objective
+        gain /= max(abs(finer.solution.objective), np.finfo(float).tiny)
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
-        way = _next_way(way.case, at, gain) if at.passed or better else None
+        way = _next_way(way.case, before, at, gain) if at.passed or better else None
         if last is not None and at.passed:
             # Nearer to singular poses the objective changes, and not for the mesh's sake.
             alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
@@ -176,17 +181,19 @@ def _rides_a_range(problem: Problem, at: CertifiedIterate) -> bool:
 def _mended(kept: _Kept) -> CertifiedIterate:
     """Return a motion that is changed as little as finer meshes ask for, until it is sound, or the last one that passes."""
     at, problem, margin = kept.at, kept.case.problem, kept.case.asked.limits.singular_margin
-    # Within the limits as asked, and a margin that nobody asked for may be missed by the error of the mesh.
-    limits = replace(kept.case.asked.limits, singular_margin=max(margin, 0.5 * problem.limits.singular_margin))
     solver = replace(problem.solver, deadline=problem.solver.certificate_deadline)
-    case = replace(kept.case, problem=replace(problem, limits=limits, solver=solver), tightenings=())
+    # A margin that nobody asked for may be missed by the error of the mesh.
+    case = _loosened(kept.case, max(margin, 0.5 * problem.limits.singular_margin))
+    case = replace(case, problem=replace(case.problem, solver=solver))
     asked = replace(case, problem=case.asked)
-    for _ in range(_MAX_RESTORATIONS):
+    for steps in range(_MAX_RESTORATIONS):
         if _is_sound(at) or case.problem.solver.deadline.passed:
             break
         mesh = divided(at.found.mesh, _inexact(case, at))
+        if steps and at.certificate is not None and at.overruns:  # by as little as this mesh errs
+            case = case.tightened(at.certificate, at.found.motion)
         found = nearest_on(case, at.found, mesh, position_rows=kept.rows)
-        if found is None:  # efforts and other limits that bind together leave no freedom
+        if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom
             found = _solved(_Way(case, mesh, _durations(at), "finer mesh"), at.found, kept.rows)
         changed = None if found is None else certify_iterate(asked, found)
         if changed is None or changed.certificate is None or (at.passed and not changed.passed):
@@ -208,8 +215,8 @@ def _first_way(case: MechanismCase, found: Iterate[Trajectory]) -> _Way:
     return _Way(case, *mesh_with_switches(boundaries, jumps, n, least=1), "jumps of efforts as unknowns")
 
 
-def _next_way(case: MechanismCase, at: CertifiedIterate, gain: float) -> _Way | None:
-    """Return the next solve; None where the motion is done, or no finer mesh is allowed."""
+def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterate, gain: float) -> _Way | None:
+    """Return the next solve after two motions; None where the last one is done, or no finer mesh is allowed."""
     if at.certificate is None:
         return None
     pieces, mesh = _coarse(case, at), at.found.mesh
@@ -226,9 +233,14 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, gain: float) -> _Way | 
     if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
         tightened = case.tightened(at.certificate, at.found.motion) if at.overruns else case
         return _Way(tightened, divided(mesh, pieces), durations, "finer mesh")
-    if at.overruns:
+    if at.overruns and case.n_tightenings < _MAX_TIGHTENINGS:
         tightened = case.tightened(at.certificate, at.found.motion)
         return _Way(tightened, mesh, durations, "limits tightened between the nodes")
+    cost = -gain / _SETTLED_CHANGE  # of tightening
+    if case.n_tightenings and (at.overruns or (at.passed and cost > 1)):
+        overrun = at.report.overrun if at.overruns else before.report.overrun
+        mesh = divided(mesh, np.where(overrun > 0, _enough(case, np.full(len(overrun), max(cost, 2.0))), 1))
+        return _Way(_loosened(case, _margin_of(case)), mesh, durations, "limits as asked again, on a finer mesh")
     if settled:
         return None
     return _Way(case, divided(mesh, 1 + rough_of(at.found.motion)), durations, "finer mesh")
@@ -241,6 +253,12 @@ def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase | None:
         return None
     limits = replace(case.problem.limits, singular_margin=max(asked, LAST_MARGIN))
     return replace(case, problem=replace(case.problem, limits=limits))
+
+
+def _loosened(case: MechanismCase, margin: float) -> MechanismCase:
+    """Return a case within the limits as asked, and at this distance from singular poses."""
+    limits = replace(case.asked.limits, singular_margin=margin)
+    return replace(case, problem=replace(case.problem, limits=limits), tightenings=(), n_tightenings=0)
 
 
 def _margin_of(case: MechanismCase) -> float:

@@ -20,9 +20,10 @@ from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.joints import POSITION_ROUNDING
 from linkplan.planner.certificate.integration import POSE_SLACK
 from linkplan.planner.limits.joints import SingularMarginLimit
-from linkplan.planner.limits.kinds import SitePathLimit, limits_of
-from linkplan.planner.limits.path_limit import PathLimit
+from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.limit import Limit
 from linkplan.planner.limits.samples import Poses
+from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.phase_plane.grid import plane_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SitePoint
@@ -163,7 +164,7 @@ def _branches_on_the_way(problem: Problem) -> str | None:
 
 def _pose_beyond(problem: Problem) -> str | None:
     """Return the sentence on a limit that a pose of start, goal or a waypoint overruns, or one on the only way; or None."""
-    limits = [limit for limit in limits_of(problem) if limit.of_position or isinstance(limit, SingularMarginLimit)]
+    limits = [limit for limit in limits_of(problem) if limit.facts.of_position or isinstance(limit, SingularMarginLimit)]
     for when, pose, open_at in _known_poses(problem) if limits else ():
         known = [limit for limit in limits if open_at is None or _is_known(problem, limit, open_at)]
         sentence = sentence_beyond(problem, known, pose[None], when, POSE_SLACK)
@@ -190,7 +191,7 @@ def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Site
                 yield f"at motion.waypoints[{k}]", pose, waypoint.at if waypoint.at_rows else None
 
 
-def _is_known(problem: Problem, limit: PathLimit, points: tuple[SitePoint, ...]) -> bool:
+def _is_known(problem: Problem, limit: Limit, points: tuple[SitePoint, ...]) -> bool:
     """True if the given places of sites of an open pose determine the quantity that a limit bounds."""
     if not isinstance(limit, SitePathLimit):
         return False
@@ -199,9 +200,7 @@ def _is_known(problem: Problem, limit: PathLimit, points: tuple[SitePoint, ...])
     return any(p.index == bounded.index and not np.any(np.isnan(p.point[looked_at])) for p in points)
 
 
-def sentence_beyond(
-    problem: Problem, limits: list[PathLimit], poses: np.ndarray, when: str | None, slack: float
-) -> str | None:
+def sentence_beyond(problem: Problem, limits: list[Limit], poses: np.ndarray, when: str | None, slack: float) -> str | None:
     """Return the sentence on the first limit that the worst of poses (n, n_q) overruns, or None.
 
     Args:
@@ -223,11 +222,11 @@ def sentence_beyond(
         # Sites are as exact as the mechanism is large.
         size = problem.mechanism.extent_m if isinstance(limit, SitePathLimit) else measured.size or abs(nearest[k]) or 1.0
         if off[k] > slack * size:
-            unit, title = f" {measured.unit}".rstrip(), limit.words.format(measured.name)
+            unit, title = f" {measured.unit}".rstrip(), limit.facts.words.format(measured.name)
             value = measured.values[k] if abs(measured.values[k]) > POSITION_ROUNDING * size else 0.0
             return (
-                f"infeasible: {title} {limit.verb} {value:.6g}{unit} {when or _where(problem, poses[k])},"
-                f" {off[k]:.4g}{unit} {limit.beyond} its limit of {nearest[k]:.6g}"
+                f"infeasible: {title} {limit.facts.verb} {value:.6g}{unit} {when or _where(problem, poses[k])},"
+                f" {off[k]:.4g}{unit} {limit.facts.beyond} its limit of {nearest[k]:.6g}"
             )
     return None
 

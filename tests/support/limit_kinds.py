@@ -11,13 +11,12 @@ import numpy as np
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.limits.actuators import effort_rates
+from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.limits import Motor
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.planner.proof.claims import INVERSE_DYNAMICS_SHARE
 from linkplan.planner.trajectory import Trajectory
 from tests.support.random_motions import needed, samples_at
 

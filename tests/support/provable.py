@@ -8,9 +8,9 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import demanded, least_effort
 from linkplan.models.poses.assembly import close_at, follow
+from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.claims import INVERSE_DYNAMICS_SHARE
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 from tests.support.four_bars import PLAIN, load

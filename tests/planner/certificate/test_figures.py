@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.certificate import Certificate, _integration_failures, certify, end_sizes
+from linkplan.planner.certificate.certificate import Certificate, _integration_failures, certify
+from linkplan.planner.limits.efforts import end_sizes
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
 from tests.support.tolerances_planner import EXCESS

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _unit, clamped_allowance, effort_rates
-from linkplan.planner.limits.path_limit import BETWEEN_NODES_FACTOR
+from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _unit, clamped_allowance
+from linkplan.planner.limits.efforts import effort_rates
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
@@ -101,15 +101,13 @@ def test_at_every_instant_powers_are_limited_of_actuators_with_a_coordinate_and_
 
 def test_a_motor_s_row_is_the_share_of_its_line():
     at = SimpleNamespace(u=[0.0, 3.0], actuator_speeds=[0.0, 2.0])
-    assert MotorLimit(1).row(at, [1 / 6, 1 / 8]) == pytest.approx(3 / 6 + 2 / 8)
+    assert MotorLimit(1).rows.node(at, [1 / 6, 1 / 8]) == pytest.approx(3 / 6 + 2 / 8)
 
 
 def test_a_servo_s_range_is_widened_at_both_ends_by_a_share_of_the_larger_one():
     asked = crank(SERVO)
-    (wider,) = ControlLimit.scaled(asked, 1.1).mechanism.actuators
+    (wider,) = ControlLimit.relaxed(asked, 1.1).mechanism.actuators
     assert (wider.control_lower, wider.control_upper) == pytest.approx((-0.5 - 0.2, 2.0 + 0.2))
-    over = [SimpleNamespace(left=left, item=0) for left in (-0.01, -0.1, -0.03)]
-    assert ControlLimit.factor_of(asked, over) == pytest.approx(1 + BETWEEN_NODES_FACTOR * 0.1 / 2)
 
 
 @pytest.mark.parametrize(("place", "effort", "allowed"), [(-0.9, 3.0, 1e-4 * 4 / 10), (0.1, 1.0, 0.0)])

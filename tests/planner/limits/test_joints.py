@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.limit import violation
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from tests.support.bodies import HINGE, body_problem
@@ -39,7 +40,7 @@ def turn(*overrides: str):
     ],
 )
 def test_a_joint_that_would_leave_its_range_is_named_with_the_instant_and_the_excess(limit, said):
-    assert RangeLimit.violation(*turn(f"limits.range_deg.J={limit}")) == said
+    assert violation(RangeLimit, *turn(f"limits.range_deg.J={limit}")) == said
 
 
 @pytest.mark.parametrize(
@@ -53,4 +54,4 @@ def test_a_joint_that_would_leave_its_range_is_named_with_the_instant_and_the_ex
     ],
 )
 def test_a_joint_that_would_be_too_fast_is_named_with_the_instant_and_the_excess(limit, said):
-    assert SpeedLimit.violation(*turn(f"limits.speed_deg_s.J={limit}")) == said
+    assert violation(SpeedLimit, *turn(f"limits.speed_deg_s.J={limit}")) == said

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.path_limit import Measured, margin_of
+from linkplan.planner.limits.limit import Measured, margin_of
 from linkplan.planner.limits.samples import sample_points
 
 POINTS = sample_points(3)

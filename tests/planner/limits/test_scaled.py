@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, RobustLimit
+from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit
+from linkplan.planner.limits.efforts import EffortLimit, RobustLimit
 from linkplan.planner.limits.joints import ClosureForceLimit, RangeLimit, SingularMarginLimit, SpeedLimit, TendonLimit
-from linkplan.planner.limits.path_limit import BETWEEN_NODES_FACTOR, PathLimit
+from linkplan.planner.limits.kinds import without
+from linkplan.planner.limits.limit import BETWEEN_NODES_FACTOR, Limit, factor_of, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -26,17 +28,18 @@ KNEE = {
     "singular margin": (SingularMarginLimit, "limits.singular_margin=0.6"),
     "torque-speed line": (MotorLimit, LINE.format(400.0)),
     "corners": (RobustLimit, "robust.payload_factor=[0.5, 3.0]"),
+    "effort": (EffortLimit, "limits.effort.act_O=[-20.0, 20.0]"),
     "range": (RangeLimit, "limits.range_deg.C=[-30.0, 30.0]"),
 }
 
 
-def kept_from(kind: type[PathLimit], problem: Problem, motion: Trajectory) -> float:
-    """Return the factor next to 1 with which a motion keeps its limits of a kind, by bisection on `scaled`."""
+def kept_from(kind: type[Limit], problem: Problem, motion: Trajectory) -> float:
+    """Return the factor next to 1 with which a motion keeps its limits of a kind, by bisection on `relaxed`."""
 
     def is_kept(factor: float) -> bool:
-        relaxed = kind.scaled(problem, factor)
+        relaxed = kind.relaxed(problem, factor)
         samples = samples_of(relaxed, motion)
-        return all(margin is None or margin.left >= 0 for margin in (limit.margin(samples) for limit in kind.of(relaxed)))
+        return all(limit_margin(limit, samples).left >= 0 for limit in kind.of(relaxed))
 
     kept, overrun = (1e-2 if kind is SingularMarginLimit else 1e4), 1.0
     assert is_kept(kept)
@@ -47,13 +50,13 @@ def kept_from(kind: type[PathLimit], problem: Problem, motion: Trajectory) -> fl
     return kept
 
 
-def check(kind: type[PathLimit], problem: Problem, motion: Trajectory) -> None:
+def check(kind: type[Limit], problem: Problem, motion: Trajectory) -> None:
     """Check that a motion keeps limits relaxed by `factor`, and that less would do only by the allowance between nodes."""
-    factor, least = kind.factor(problem, motion), kept_from(kind, problem, motion)
+    factor, least = factor_of(kind, problem, motion), kept_from(kind, problem, motion)
     assert factor == pytest.approx(least, rel=1.5 * (BETWEEN_NODES_FACTOR - 1))
     assert abs(np.log(factor)) >= abs(np.log(least))
-    assert kind.factor(kind.scaled(problem, factor), motion) is None
-    assert kind.factor(kind.without(problem), motion) is None
+    assert factor_of(kind, kind.relaxed(problem, factor), motion) is None
+    assert factor_of(kind, without(kind, problem), motion) is None
 
 
 @pytest.mark.parametrize("case", KNEE)
@@ -62,7 +65,7 @@ def test_the_factor_of_a_motion_is_the_least_with_which_it_keeps_limits_that_it_
     check(kind, problem_of("knee-reach", override), planned("knee-reach").trajectory)
 
 
-def narrowed(kind: type[PathLimit], end: str) -> tuple[Problem, Trajectory]:
+def narrowed(kind: type[Limit], end: str) -> tuple[Problem, Trajectory]:
     """Return a motion of a gripper that overruns the low or high end of its tendon's length, or of its servo's ctrl."""
     text = LINKAGES["gripper"].replace('<fixed name="split">', '<fixed name="split" limited="true" range="-2 2">')
     problem, motion = motion_of(load_mechanism(text), np.random.default_rng(0), size=0.1)

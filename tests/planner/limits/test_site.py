@@ -7,10 +7,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.limits import kinds
-from linkplan.planner.limits.kinds import SitePathLimit
-from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.limits import site as site_limits
+from linkplan.planner.limits.limit import Margin, factor_of, limit_margin
 from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
@@ -49,7 +49,7 @@ def motion(n: int = 3) -> Trajectory:
 
 def margin_of(asked: Problem) -> Margin:
     (limit,) = SitePathLimit.of(asked)
-    return limit.margin(samples_of(asked, motion()))
+    return limit_margin(limit, samples_of(asked, motion()))
 
 
 def time_at(angle: float) -> float:
@@ -112,23 +112,21 @@ def test_the_scaled_row_is_at_its_bounds_where_the_site_is_at_its_limits(site):
             places = ca.DM.zeros(3, one.index + 1)
             places[:, one.index] = place
             at = SimpleNamespace(mechanism=asked.mechanism, of_pose=lambda _, p=places: p)
-            assert float(limit.row(at, ca.SX())) == pytest.approx(bound)
+            assert float(limit.rows.node(at, ca.SX())) == pytest.approx(bound)
 
 
 def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_asked_for_keeps_the_motion():
     asked = problem(z=[-0.5, 0.97])
-    wider = SitePathLimit.scaled(asked, 1.1).limits.site[0]
+    wider = SitePathLimit.relaxed(asked, 1.1).limits.site[0]
     room = 0.1 * asked.mechanism.extent_m
     assert (wider.low, wider.high) == pytest.approx((-0.5 - room, 0.97 + room))
-    factor = SitePathLimit.factor(asked, motion())
+    factor = factor_of(SitePathLimit, asked, motion())
     assert factor == pytest.approx(1 + 0.03 / asked.mechanism.extent_m, rel=1e-3)
-    assert margin_of(SitePathLimit.scaled(asked, factor)).kept
-    assert not margin_of(SitePathLimit.scaled(asked, 1 + 0.9 * (factor - 1))).kept
-    over = [SimpleNamespace(left=left) for left in (-0.01, -0.03, -0.02)]
-    assert SitePathLimit.factor_of(asked, over) == pytest.approx(factor, rel=1e-6)
+    assert margin_of(SitePathLimit.relaxed(asked, factor)).kept
+    assert not margin_of(SitePathLimit.relaxed(asked, 1 + 0.9 * (factor - 1))).kept
     tube = problem(along=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], radius_m=0.5)
-    assert SitePathLimit.scaled(tube, 1.1).limits.site[0].low == tube.limits.site[0].low
-    assert SitePathLimit.factor(replace(asked, limits=replace(asked.limits, site=())), motion()) is None
+    assert SitePathLimit.relaxed(tube, 1.1).limits.site[0].low == tube.limits.site[0].low
+    assert factor_of(SitePathLimit, replace(asked, limits=replace(asked.limits, site=())), motion()) is None
 
 
 @pytest.mark.parametrize(("highest", "intervals"), [(1.2, 1), (0.97, 2)])
@@ -140,10 +138,10 @@ def test_only_intervals_beyond_a_limit_or_nearest_to_it_are_sampled_finely(monke
         sizes.append(len(path))
         return kinds_follow(mechanism, path, *given)
 
-    kinds_follow = kinds.follow
+    kinds_follow = site_limits.follow
     samples = samples_of(asked, motion())
-    monkeypatch.setattr(kinds, "follow", follow)
+    monkeypatch.setattr(site_limits, "follow", follow)
     (limit,) = SitePathLimit.of(asked)
-    found = limit.margin(samples)
+    found = limit_margin(limit, samples)
     assert found.left == pytest.approx(highest - 1.0, abs=FINE_GRID)
     assert sizes == [33 * intervals]

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.kinds import _tube
+from linkplan.planner.limits.site import _tube
 
 ALONG, RADIUS = np.array([[0.1, 0.0, 0.2], [0.5, 0.0, 0.2], [0.5, 0.3, 0.2]]), 0.05
 

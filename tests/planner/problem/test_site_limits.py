@@ -14,7 +14,7 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.limits.kinds import SitePathLimit
+from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.planner.planning import plan_motion
@@ -225,7 +225,7 @@ def test_quantities_are_coordinates_and_distances():
 def test_a_tubes_row_is_never_short_of_the_distance_and_next_to_it():
     mechanism, limit = arm_of(UPPER, LOWER), limit_of(TUBE)
     at, (q, *_) = free_instant(mechanism)
-    row = ca.Function("row", [q], [SitePathLimit(0, limit.key).row(at, ca.SX(0, 1))])
+    row = ca.Function("row", [q], [SitePathLimit(0, limit.key).rows.node(at, ca.SX(0, 1))])
     poses = np.random.default_rng(3).uniform([-1.5, -2.5], [1.5, 2.5], (400, 2))
     poses = np.vstack([poses, plan_poses()])
     rows = np.array([float(row(pose)) for pose in poses])

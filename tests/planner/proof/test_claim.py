@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from flint import arb
 
-from linkplan.planner.proof.claim import Claim, Record, claim_of, finding_of_claim, rounding_of, share_of, undecided_reason
+from linkplan.planner.limits.efforts import share_of
+from linkplan.planner.proof.claim import Claim, Record, claim_of, finding_of_claim, rounding_of, undecided_reason
 from linkplan.planner.proof.taylor import TaylorForm, Verdict
 
 

@@ -12,10 +12,11 @@ from flint import arb, ctx
 import linkplan
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.limits.efforts import share_of
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.branch import newton
-from linkplan.planner.proof.claim import Record, claim_of, finding_of_claim, rounding_of, share_of
+from linkplan.planner.proof.claim import Record, claim_of, finding_of_claim, rounding_of
 from linkplan.planner.proof.claims import claims_of, reference_claims
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import TAYLOR_ORDER, prove, states_of
@@ -60,7 +61,7 @@ def check(problem, motion: Trajectory, words: str, exact, shares=(-1.0, -0.37, 0
     guess = newton(blocks, s, motion.start_pose[list(blocks.dependent)])
     slack = [arb(0)] * motion.n_s
     middle, whole, _ = states_of(blocks, piece, (CENTRE, RADIUS), guess, slack, TAYLOR_ORDER)
-    (claim,) = [claim for claim in claims_of(problem, motion) if words in claim.name]
+    (claim,) = [claim for claim in claims_of(problem, motion)[0] if words in claim.name]
     ctx.cap = TAYLOR_ORDER + 2
     first = claim.values(middle)
     ctx.cap = TAYLOR_ORDER + 3
@@ -256,7 +257,7 @@ def test_a_motion_without_effort_is_allowed_a_millionth_of_the_effort_of_its_ine
     """The certificate allows the same: rounding of that effort is no effort that the plan lacks."""
     problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
     still = replace(motion, effort=np.zeros_like(motion.effort))
-    marks = {claim.marks for claim in claims_of(problem, still) if "that the planned effort lacks" in claim.name}
+    marks = {claim.marks for claim in claims_of(problem, still)[0] if "that the planned effort lacks" in claim.name}
     M = np.array(problem.mechanism.dynamics.reduced_inertia(motion.start_pose))
     peak = np.abs(motion.acceleration_at(motion.dense_times(4))).max(axis=0)
     allowed = 1e-6 * max(abs(M[0]) @ peak, abs(M[1]) @ peak)

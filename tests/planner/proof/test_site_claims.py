@@ -7,13 +7,23 @@ import numpy as np
 import pytest
 from flint import arb
 
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.planner.proof.claims import site_claims
+from linkplan.planner.proof.claim import Claim
+from linkplan.planner.proof.claims import claims_of
 from tests.support.arms import LOWER, UPPER, foot_of
+from tests.support.random_motions import motion_of
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 
 POSE = np.array([0.7, -1.1])
 NORMAL, THROUGH = np.array([3.0, 0.0, 4.0]) / 5.0, np.array([0.9, 5.0, 0.2])
+
+
+def site_claim(problem: Problem) -> Claim:
+    """Return the claim on the only limit on a site."""
+    _, still = motion_of(problem.mechanism, np.random.default_rng(0))
+    (claim,) = [claim for claim in claims_of(problem, still)[0] if "of site foot" in claim.name]
+    return claim
 
 
 @pytest.mark.parametrize(
@@ -26,7 +36,7 @@ NORMAL, THROUGH = np.array([3.0, 0.0, 4.0]) / 5.0, np.array([0.9, 5.0, 0.2])
 )
 def test_a_claim_encloses_the_place_of_a_site(limit, quantity):
     problem = site_problem(arm_of(UPPER, LOWER), {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}}, {"foot": limit})
-    (claim,) = site_claims(problem, None)
+    claim = site_claim(problem)
     (value,) = claim.values(SimpleNamespace(q=[arb(x) for x in POSE]))
     expected = quantity(foot_of(POSE)[0])
     assert abs(float(value.mid()) - expected) < 1e-12
@@ -39,6 +49,6 @@ def test_a_tube_is_kept_within_its_radius_and_the_rounding_that_a_certificate_al
     index = problem.mechanism.model.site("foot").id
     along = np.array([ABOVE, BELOW])
     tube = SiteLimit(site="foot", index=index, what="tube", name="foot", low=0.0, high=radius_m, along=along)
-    (claim,) = site_claims(replace(problem, limits=replace(problem.limits, site=(tube,))), None)
+    claim = site_claim(replace(problem, limits=replace(problem.limits, site=(tube,))))
     assert claim.marks[1] == pytest.approx((radius_m + 1e-9 * max(1.0, radius_m)) ** 2, rel=1e-15)
     assert claim.marks[1] > radius_m**2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.path_limit import Tightened
+from linkplan.planner.limits.limit import Tightened
 from linkplan.planner.refinement.marking import (
     TightenedRow,
     Tightening,

@@ -38,8 +38,9 @@ def test_a_pin_s_force_takes_an_unknown_for_each_of_its_rows():
     problem = Problem.from_tables("five-bar", five_bar(13.0))
     (limit,), (at_nodes,) = (ClosureForceLimit.of(problem, enclosed=enclosed) for enclosed in (True, False))
     size = problem.mechanism.closure_slice(limit.item)
-    assert (limit.n_unknowns, limit.at_nodes) == (size.stop - size.start, False)
-    assert (at_nodes.n_unknowns, at_nodes.at_nodes, at_nodes.item) == (0, True, limit.item)
+    assert (limit.rows.n_unknowns, limit.rows.node) == (size.stop - size.start, None)
+    assert at_nodes.rows.node is not None
+    assert (at_nodes.rows.n_unknowns, at_nodes.item) == (0, limit.item)
 
 
 def test_little_tightenings_are_the_same_all_along_and_large_ones_where_they_were():

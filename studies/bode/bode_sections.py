@@ -1,12 +1,11 @@
-"""The sections of a feedback loop, of further studies of it, and of tuned gains."""
+"""The sections of a feedback loop, and its report."""
 
-import numpy as np
+from collections.abc import Sequence
 
 from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.bode.bode_blocks import margins_along, nyquist, responses, sensitivities, summary
-from linkplan.studies.output.document import Block, Code, Facts, Section
-from linkplan.studies.tune.tune import Tuning
-from linkplan.studies.tune.tune_report import tracking_table, tune_blocks
+from linkplan.studies.output.document import Block, Report, Section
+from linkplan.studies.output.report_file import report_of
 
 
 def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[Section]:
@@ -31,21 +30,7 @@ def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[
     return [Section(title=title, blocks=blocks, depth=1 + (k > 0)) for k, (title, blocks) in enumerate(found)]
 
 
-def tune_sections(found: Tuning) -> list[Section]:
-    """Return the sections of gains for requirements."""
-    mechanism, wanted, law = found.mechanism, found.wanted, found.best.law
-    rows = [
-        ("mechanism", mechanism.name),
-        ("tracker", law.name),
-        ("wanted bandwidth", f"{wanted.bandwidth_hz:g} Hz at least"),
-        ("wanted phase margin", f"{wanted.phase_margin_deg:g} deg at least"),
-        ("control period", f"{law.timing.period_s:g} s, delay {law.timing.delay_s:g} s"),
-    ]
-    if np.isfinite(wanted.sensitivity_peak):
-        rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
-    blocks: list[Block] = [
-        Facts(rows=rows),
-        Code(title="Gains as the [tracking] table of a problem file", text=tracking_table(found)),
-        *tune_blocks(found, verdict=False),
-    ]
-    return [Section(title=f"Gains for {mechanism.name}", blocks=blocks)]
+def bode_report(study: BodeStudy, extras: Sequence[Section] = ()) -> Report:
+    """Return the report of a feedback loop; `extras` are the sections of further studies of it."""
+    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law.name}", verdict=False), *extras]
+    return report_of(f"Feedback loop of {study.mechanism.name}", study.message, study.stable, sections)

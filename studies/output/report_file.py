@@ -7,6 +7,7 @@ import base64
 import hashlib
 import html
 import os
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import MAX_FILE_BYTES, read_head
 from linkplan.planner.files.manifest import read_record
 from linkplan.planner.files.single_file import write_over
-from linkplan.studies.output.document import Report
+from linkplan.planner.plan_folder import versions
+from linkplan.studies.output.document import Report, Section
 
 # Each script uses only those before it.
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "shapes", "animation", "player", "blocks", "main")
@@ -53,7 +55,7 @@ def report_html(report: Report, served: str = "") -> str:
 
 
 def _resource(name: str) -> str:
-    return resources.files("linkplan.studies.report").joinpath("page").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("linkplan.studies.output").joinpath("page").joinpath(name).read_text(encoding="utf-8")
 
 
 def _hash(text: str) -> str:
@@ -106,3 +108,9 @@ def read_document(path: Path) -> Report:
         PlanFileError: if the file is not a document, or a block lacks a value or has a value of another type.
     """
     return read_record(path, Report, MAX_FILE_BYTES)  # a robot with forty joints has ten megabytes
+
+
+def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[Section]) -> Report:
+    """Return a report with the versions of this installation."""
+    verdict = verdict[:1].upper() + verdict[1:]
+    return Report(title=title, verdict=verdict, passed=passed, versions=versions(), sections=list(sections))

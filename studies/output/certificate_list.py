@@ -7,12 +7,12 @@ from linkplan.planner.certificate.certificate import (
     BOUNDARY_SHARE,
     CLOSURE_M,
     INTEGRATION_M,
-    RANGE_SLACK,
     VELOCITY_SHARE,
     Certificate,
 )
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion

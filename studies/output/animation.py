@@ -10,10 +10,10 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.skeleton import view
 from linkplan.models.tree.coordinates import joint_label
+from linkplan.studies.output.bodies import Drawing, bodies_of, cut_pin_labels, drawing_of, floors_of
 from linkplan.studies.output.document import Animation, Ghost
+from linkplan.studies.output.drives import drives_of
 from linkplan.studies.output.numbers import direction_name, rounded, times
-from linkplan.studies.report.bodies import Drawing, bodies_of, cut_pin_labels, drawing_of, floors_of
-from linkplan.studies.report.drives import drives_of
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

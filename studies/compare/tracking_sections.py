@@ -15,9 +15,10 @@ from linkplan.studies.compare.comparison_blocks import (
     largest,
     site_plots,
 )
-from linkplan.studies.output.document import Block, Section, Text
-from linkplan.studies.report.animation import Run, animation, frames_of
-from linkplan.studies.report.plan_sections import group_of, plan_sections
+from linkplan.studies.output.animation import Run, animation, frames_of
+from linkplan.studies.output.document import Block, Report, Section, Text
+from linkplan.studies.output.plan_sections import group_of, plan_sections
+from linkplan.studies.output.report_file import report_of
 
 # With more joints or actuators, those with the largest errors and efforts are shown and the others are folded.
 _MAX_JOINTS_SHOWN = 6
@@ -91,3 +92,13 @@ def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> 
         " folded section below."
     )
     return [Text(text=said, tone="note")]
+
+
+def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
+    """Return the report of trackers' runs on a plan; `document` is the section of the source document's experiment."""
+    stable = [name for name, run in comparison.nominal.items() if run.stable]
+    lost = [name for name in comparison.nominal if name not in stable]
+    verdict = f"{comparison.title}: {', '.join(stable) or 'no tracker'} stable"
+    verdict += f", {', '.join(lost)} NOT" if lost else ""
+    sections = [*whole_comparison(comparison), *([] if document is None else [document])]
+    return report_of(f"Trackers on {comparison.plan.problem.name}", verdict, bool(stable), sections)

@@ -4,11 +4,15 @@ from collections.abc import Callable, Mapping
 
 from linkplan.planner.keys.kinds import QUANTITIES
 from linkplan.planner.problem.imperfections import Factor
+from linkplan.studies.compare.compare import Comparison
+from linkplan.studies.compare.tracking_sections import whole_comparison
 from linkplan.studies.experiment.distributions import SHOWN, distributions
 from linkplan.studies.experiment.experiment import Experiment
-from linkplan.studies.experiment.experiment_blocks import pairs, sensitivity, summary, worst
+from linkplan.studies.experiment.experiment_blocks import pairs, sensitivity, summary, tube_text, worst
 from linkplan.studies.experiment.study import Outcome
-from linkplan.studies.output.document import Block, Code, Section, Table, table_of
+from linkplan.studies.output.document import Block, Code, Report, Section, Table, table_of
+from linkplan.studies.output.plan_sections import plan_sections
+from linkplan.studies.output.report_file import report_of
 
 # The command that runs a tracker's sample again.
 Again = Callable[[str, int], str]
@@ -69,3 +73,33 @@ def _spread(factor: Factor) -> str:
     if spread.kind == "normal":
         return f"normal about {spread.first:.4g}, standard deviation {spread.second:.4g}"
     return f"{spread.first:.4g}"
+
+
+def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
+    """Return the report of an experiment and its plan; `again` returns the command that runs a sample again."""
+    plan, summary = outcome.experiment.plan, outcome.summary
+    best = max(summary.trackers, key=lambda one: one.success.value)
+    shares = ", ".join(f"{one.name} {100 * one.success.value:.3g} %" for one in summary.trackers)
+    verdict = f"success on {summary.samples} machines within {tube_text(outcome.experiment)}: {shares}"
+    if not outcome.distributed:
+        verdict = f"what matters most for the rms error: {_foremost(outcome)}"
+    sections = [*experiment_sections(outcome, again), *plan_sections(plan)]
+    title = f"Trackers of {plan.problem.name} on many machines"
+    return report_of(title, verdict, None if best.success.value > 0 or not outcome.distributed else False, sections)
+
+
+def _foremost(outcome: Outcome) -> str:
+    """Return each tracker's imperfection with the largest influence on the first rms error."""
+    found = outcome.sensitivity
+    return ", ".join(f"{found.ranking(tracker, found.mains[0])[0]} ({tracker})" for tracker in found.influences)
+
+
+def replay_report(comparison: Comparison, sample: Mapping) -> Report:
+    """Return the report of a repeated sample of an experiment; `sample` is its record."""
+    (tracker,) = comparison.nominal
+    failure = sample["failure"]
+    result = failure or ("success" if sample["success"] else "outside the tube")
+    verdict = f"{tracker} on machine {sample['sample']}: {result}"
+    sections = [machine_section(sample), *whole_comparison(comparison)]
+    passed = bool(sample["success"]) and failure is None
+    return report_of(f"A machine of the experiment on {comparison.plan.problem.name}", verdict, passed, sections)

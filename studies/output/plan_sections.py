@@ -9,16 +9,17 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.build import file_text
-from linkplan.studies.output.document import Block, Code, Facts, Plot, Section, Text
+from linkplan.studies.output.animation import animation, frames_of
+from linkplan.studies.output.certificate_list import certificate_list
+from linkplan.studies.output.document import Block, Code, Facts, Plot, Report, Section, Text
 from linkplan.studies.output.draw_plan import force_plots, motion_of, time_plots
+from linkplan.studies.output.lead import lead_facts, verdict_sentence
 from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.phase import phase_plane
 from linkplan.studies.output.plan_blocks import facts, names_in, proof_blocks, solves
+from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.robust_sections import robust_section
 from linkplan.studies.output.text import in_brief, notes_of
-from linkplan.studies.report.animation import animation, frames_of
-from linkplan.studies.report.certificate_list import certificate_list
-from linkplan.studies.report.lead import lead_facts, verdict_sentence
-from linkplan.studies.report.phase import phase_plane
-from linkplan.studies.report.robust_sections import robust_section
 
 
 def group_of(plan: Plan) -> str:
@@ -151,3 +152,9 @@ def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item is not None and item != {}}
     return value
+
+
+def plan_report(plan: Plan) -> Report:
+    """Return the report of a plan."""
+    title, verdict = f"Plan {plan.problem.name}", verdict_sentence(plan)
+    return report_of(title, verdict, plan.passed, plan_sections(plan, verdict=False))

@@ -1,0 +1,196 @@
+"""Limits on efforts: the effort of an actuator, its rate, and the efforts at the corners of [robust].
+
+Efforts and their rates are polynomials with bounded coefficients, so that their limits hold at every instant. The efforts at
+the corners of [robust] are those that each machine there needs.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.planner.limits.limit import (
+    RELAXED_FACTOR,
+    Bounds,
+    Claimed,
+    Facts,
+    Instant,
+    Limit,
+    Measured,
+    Problem,
+    Rows,
+    Samples,
+    Scales,
+    Trajectory,
+    limited_rows,
+    times,
+    with_limits,
+)
+from linkplan.planner.problem.instant import Corner, Robust
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial
+
+# By how much the motion's effort by inverse dynamics may exceed its limit, as a share of the limit. Proofs refuse more, and
+# the planner refines meshes until it holds.
+INVERSE_DYNAMICS_SHARE = 2e-6
+
+
+@dataclass(frozen=True, slots=True)
+class EffortLimit(Limit):
+    """The effort of one actuator; the bounds of the efforts' coefficients impose it at every instant."""
+
+    key: ClassVar[str] = "effort"
+    facts: ClassVar[Facts] = Facts(kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True)
+    item: int
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        return [cls(j) for j in limited_rows(problem.limits.effort)]
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return tuple(problem.limits.effort[self.item] / scales.effort[self.item])
+
+    def measured(self, at: Samples) -> Measured:
+        actuator = at.problem.mechanism.actuators[self.item]
+        return Measured(actuator.name, at.u[:, self.item], at.problem.limits.effort[self.item], actuator.unit)
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        actuator, bounds = problem.mechanism.actuators[self.item], problem.limits.effort[self.item]
+        yield Claimed(
+            name=f"effort of {actuator.name} by inverse dynamics",
+            unit=actuator.unit,
+            bounds=bounds,
+            value=lambda at: at.efforts()[self.item],
+            slack=share_of(bounds, INVERSE_DYNAMICS_SHARE),
+        )
+        yield Claimed(
+            name=f"planned effort of {actuator.name}",
+            unit=actuator.unit,
+            bounds=bounds,
+            value=lambda at: at.u[self.item],
+            of_planned=True,
+            slack=share_of(bounds, ROUNDING_SHARE),
+        )
+
+    @classmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        return with_limits(problem, effort=times(problem.limits.effort, factor))
+
+
+def end_sizes(bounds: np.ndarray) -> np.ndarray:
+    """Return the size of each end of limits (n, 2): an end at zero has that of the other, and an infinite one zero."""
+    sizes = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
+    return np.where(np.isfinite(bounds) & (sizes == 0), sizes.max(axis=1, keepdims=True), sizes)
+
+
+def share_of(bounds: np.ndarray, share: float) -> tuple[float, float]:
+    """Return the allowances of [low, high]: a share of each end, and for an end at zero of the other end."""
+    low, high = share * end_sizes(np.reshape(bounds, (1, 2)))[0]
+    return float(low), float(high)
+
+
+@dataclass(frozen=True, slots=True)
+class EffortRateLimit(Limit):
+    """The rate of one actuator's effort."""
+
+    key: ClassVar[str] = "effort_rate"
+    facts: ClassVar[Facts] = Facts(kind=key, words="the effort rate of {}", tightened=None)
+    item: int
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        return [cls(j) for j in limited_rows(problem.limits.effort_rate)]
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(interval=lambda _: ("rate_columns", self.item))
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return tuple(problem.limits.effort_rate[self.item] * scales.time_s / scales.effort[self.item])
+
+    def measured(self, at: Samples) -> Measured:
+        actuator, bounds = at.problem.mechanism.actuators[self.item], at.problem.limits.effort_rate[self.item]
+        rate, jumps = effort_rates(at.trajectory, at.time)
+        values = np.where(np.isnan(jumps[:, self.item]), rate[:, self.item], jumps[:, self.item])
+        return Measured(actuator.name, values, bounds, f"{actuator.unit}/s")
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        actuator = problem.mechanism.actuators[self.item]
+        yield Claimed(
+            name=f"effort rate of {actuator.name}",
+            unit=f"{actuator.unit}/s",
+            bounds=problem.limits.effort_rate[self.item],
+            value=lambda at: at.rate * at.u[self.item].derivative(),
+            of_planned=True,
+        )
+
+    @classmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        return with_limits(problem, effort_rate=problem.limits.effort_rate * min(factor, RELAXED_FACTOR))
+
+
+def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return u' (n, n_u) within intervals, and jumps (n, n_u): an infinite rate with the jump's sign after it, else NaN."""
+    rate = PiecewisePolynomial(trajectory.effort, trajectory.breaks_s).derivative()(time)
+    index = np.searchsorted(trajectory.breaks_s[1:-1], time, side="right")
+    jumps = np.full((len(time), trajectory.n_u), np.nan)
+    step = trajectory.effort[0, 1:] - trajectory.effort[-1, :-1]
+    size = 1e-7 * max(float(np.abs(trajectory.effort).max()), np.finfo(float).tiny)
+    for k, j in zip(*np.nonzero(np.abs(step) > size), strict=True):
+        jumps[np.flatnonzero(index == k + 1)[:1], j] = np.inf * np.sign(step[k, j])
+    return rate, jumps
+
+
+@dataclass(frozen=True, slots=True)
+class RobustLimit(Limit):
+    """The effort of one actuator at one of the `corners`; `item` counts the actuators of the first corner, then the next."""
+
+    key: ClassVar[str] = "robust"
+    facts: ClassVar[Facts] = Facts(kind=key, words="the effort of {}", jumps_with_effort=True)
+    item: int
+    corners: tuple[Corner, ...]
+    corner: int
+    actuator: int
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        corners, n_u = problem.robust.corners, problem.mechanism.n_u
+        return [cls(item, corners, item // n_u, item % n_u) for item in range(len(corners) * n_u)]
+
+    @property
+    def rows(self) -> Rows:
+        def node(at: Instant, _: ca.SX) -> ca.SX:
+            return at.corner_efforts(self.corners)[self.corner][self.actuator] / at.units["effort"][self.actuator]
+
+        return Rows(node=node)
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return tuple(self._limit(problem) / scales.effort[self.actuator])
+
+    def measured(self, at: Samples) -> Measured:
+        values, actuator = at.corner_efforts[:, self.corner, self.actuator], at.problem.mechanism.actuators[self.actuator]
+        return Measured(self._name(at.problem), values, self._limit(at.problem), actuator.unit)
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        yield Claimed(
+            name=f"effort of {self._name(problem)}",
+            unit=problem.mechanism.actuators[self.actuator].unit,
+            bounds=self._limit(problem),
+            value=lambda at: at.efforts(self.corners[self.corner])[self.actuator],
+            slack=share_of(self._limit(problem), INVERSE_DYNAMICS_SHARE),
+        )
+
+    def _limit(self, problem: Problem) -> np.ndarray:
+        return problem.robust.room * problem.limits.effort[self.actuator]
+
+    def _name(self, problem: Problem) -> str:
+        joints = tuple(joint.name for joint in problem.mechanism.joints)
+        return f"{problem.mechanism.actuators[self.actuator].name} with {self.corners[self.corner].description(joints)}"
+
+    @classmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        if not np.isfinite(factor):
+            return replace(problem, robust=Robust())
+        return replace(problem, robust=replace(problem.robust, room=factor * problem.robust.room))

@@ -1,0 +1,92 @@
+"""A user's own expression within bounds."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.planner.limits.limit import (
+    Bounds,
+    Claimed,
+    Facts,
+    Limit,
+    Measured,
+    Poses,
+    Problem,
+    Rows,
+    Samples,
+    Scales,
+    Tightened,
+    Trajectory,
+)
+from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, uses
+from linkplan.planner.problem.instant import free_instant
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraPathLimit(Limit):
+    """One of a problem's extra limits."""
+
+    key: ClassVar[str] = "extra"
+    item: int
+    expression: Expression
+    jumps_with_effort: bool
+    of_position: bool
+    extra: ExtraLimit = field(compare=False)
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
+        return [
+            cls(item, one.expression, of["u"], not of["v"] and not of["u"], one)
+            for item, (one, of) in enumerate(zip(problem.extra_limits, depends, strict=True))
+        ]
+
+    @property
+    def facts(self) -> Facts:
+        return Facts(
+            kind=self.key,
+            row_kind="path",  # the effect of effort on it is unknown
+            words="the extra limit '{}'",
+            tightened=Tightened.IN_UNITS,
+            jumps_with_effort=self.jumps_with_effort,
+            of_position=self.of_position,
+            by_size=True,
+        )
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(
+            node=lambda at, numbers: expressed(self.extra, at) / numbers,
+            n_numbers=1,
+            numbers=lambda problem: (problem.extra_limits[self.item].size,),
+        )
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        limit = problem.extra_limits[self.item]
+        return limit.lower / limit.size, limit.upper / limit.size
+
+    def measured(self, at: Poses) -> Measured:
+        limit = at.problem.extra_limits[self.item]
+        motion = (at.q, at.v, at.a, at.u) if isinstance(at, Samples) else (at.q,)
+        values = extra_along(self.extra, at.problem.mechanism, *motion)
+        return Measured(limit.name, values, (limit.lower, limit.upper), limit.unit, limit.size)
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        at, symbols = free_instant(problem.mechanism)
+        limit = problem.extra_limits[self.item]
+        value = ca.Function("extra", symbols[:4], [ca.densify(expressed(limit, at))])
+        name, bounds = f"extra limit '{limit.name}'", (limit.lower, limit.upper)
+        yield Claimed(name=name, unit=limit.unit, bounds=bounds, value=value)
+
+    @classmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        if not np.isfinite(factor):
+            return replace(problem, extra_limits=())
+        wider = tuple(
+            replace(one, lower=one.lower - (factor - 1) * one.size, upper=one.upper + (factor - 1) * one.size)
+            for one in problem.extra_limits
+        )
+        return replace(problem, extra_limits=wider)

@@ -1,0 +1,353 @@
+"""A limit at every instant of a motion: what the program, the certificate, the proof and the diagnosis need of it.
+
+A limit at nodes is a row of each node. A limit at every instant is a row of each interval, on Bernstein coefficients. A
+limit object holds the structure of a program, and objects of equal structure are equal; numbers come from the problem.
+
+A new kind is one file with a final class that has the members of `Limit`, and one entry in each table of `kinds.py`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.errors import AssemblyError
+from linkplan.planner.limits.samples import Poses, Samples, least_between, samples_of
+from linkplan.planner.problem.extra import as_no_number
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
+
+__all__ = [
+    "Bounds",
+    "Claimed",
+    "Facts",
+    "Instant",
+    "Limit",
+    "Margin",
+    "Measured",
+    "Poses",
+    "Problem",
+    "Rows",
+    "Samples",
+    "Scales",
+    "Tightened",
+    "Trajectory",
+]
+
+Bounds = tuple[float, float]
+MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
+# Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
+BETWEEN_NODES_FACTOR = 1.001
+# Limits that cannot be removed from a problem are widened by this factor.
+RELAXED_FACTOR = 1e3
+
+
+class Tightened(Enum):
+    """The unit in which a row is tightened after an overrun between the nodes."""
+
+    BY_SHARE = "of the bound"
+    SQUARED = "of the bound, whose square the row is"
+    IN_UNITS = "of the row's unit: a place or a length has no natural size"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Facts:
+    """What is true of all instants of a limit.
+
+    Args:
+        kind: of its margin and of its tightening.
+        row_kind: of its row at a node; by default its kind.
+        words: a title with {} for a name.
+        verb: of a sentence on its value at a pose.
+        beyond: the word for an overrun.
+        tightened: how its row is tightened if it is overrun between the nodes; None if its rows hold at every instant.
+        enclosable: whether rows of intervals can impose it at every instant.
+        jumps_with_effort: whether its row jumps when the effort does.
+        of_position: whether its row is a function of the pose only.
+        by_size: whether a factor moves its bounds by a share of its size, in place of multiplying them.
+    """
+
+    kind: str
+    row_kind: str | None = None
+    words: str = "{}"
+    verb: str = "is"
+    beyond: str = "beyond"
+    tightened: Tightened | None = Tightened.BY_SHARE
+    enclosable: bool = False
+    jumps_with_effort: bool = False
+    of_position: bool = False
+    by_size: bool = False
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Rows:
+    """A limit's rows in a program, scaled; without any, the bounds of the unknowns impose it.
+
+    Args:
+        node: the row at a node, of an instant and of the limit's own parameters; None without one.
+        numbers: the values of these parameters, of which there are `n_numbers`.
+        interval: the limit's field of `IntervalRows` and its entry there, of the places of its unknowns.
+        interval_numbers: the values of the parameters of that row.
+        unknowns: the kind of equation of its `n_unknowns` algebraic unknowns, and the expressions that they equal.
+        start_of_unknowns: their values along a motion (n, n_unknowns).
+    """
+
+    node: Callable[[Instant, ca.SX], ca.SX] | None = None
+    n_numbers: int = 0
+    numbers: Callable[[Problem], Sequence[float]] = lambda _: ()
+    interval: Callable[[tuple[int, ...]], tuple[str, Any]] | None = None
+    interval_numbers: Callable[[Problem, Scales], Sequence[float]] = lambda *_: ()
+    n_unknowns: int = 0
+    unknowns: Callable[[Instant, ca.SX], tuple[str, list[ca.SX]]] | None = None
+    start_of_unknowns: Callable[[Problem, Scales, MotionArrays], np.ndarray] | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Measured:
+    """A limited quantity at poses or along a motion: its `values` (n,), their bounds [low, high], and their unit.
+
+    `name` is that of the limit's actuator, joint, closure, tendon or site. Overruns are shares of `size`, by default of the
+    limit itself. Intervals with a `bent` sample (n,) have a kink. `at_times` gives the values at other instants (m,) [s]
+    where samples and parabolas are not fine enough, next to the limit.
+    """
+
+    name: str
+    values: np.ndarray
+    bounds: Sequence[float]
+    unit: str = ""
+    size: float | None = None
+    bent: np.ndarray | None = None
+    at_times: Callable[[np.ndarray], np.ndarray] | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Claimed:
+    """What a proof has to show of a limit: low - slack[0] <= value <= high + slack[1] at every instant, in SI.
+
+    Args:
+        name: of the claim.
+        unit: in which it is shown, `per_unit` times SI.
+        bounds: [low, high].
+        value: in the balls of a `proof.motion.Kinetics` (of a `State` if `of_planned`), or a CasADi function of the pose q,
+            or of q, v, a and u of the independent joints.
+        of_planned: whether the value needs planned positions and efforts only, and no speeds.
+        slack: the allowances of both bounds; those for rounding by default.
+        unknown: why the value cannot be enclosed.
+    """
+
+    name: str
+    unit: str
+    bounds: Sequence[float] | np.ndarray
+    value: Callable[[Any], Any] | ca.Function
+    of_planned: bool = False
+    slack: tuple[float, float] | None = None
+    per_unit: float = 1.0
+    unknown: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Margin:
+    """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative if the limit is overrun.
+
+    `of` is the limit, `name` the name of its actuator, closure, tendon or site.
+    """
+
+    of: Limit
+    name: str
+    value: float
+    limit: float
+    left: float
+    unit: str
+    time_s: float
+    overrun: np.ndarray  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
+    upper: bool  # whether the limit is an upper one
+    size: float  # of which overruns are shares
+
+    @property
+    def what(self) -> str:
+        """The kind of limit."""
+        return self.of.facts.kind
+
+    @property
+    def item(self) -> int:
+        """The number of the limit within its kind."""
+        return self.of.item
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit is kept, except for rounding."""
+        return self.left >= -ROUNDING_SHARE * max(1.0, abs(self.limit))
+
+    @property
+    def title(self) -> str:
+        """The limited quantity in words."""
+        return self.of.facts.words.format(self.name)
+
+    def sentence(self, verb: str = "comes to") -> str:
+        """Return a sentence with the worst value, its time and its limit."""
+        if not np.isfinite(self.value):
+            return f"{self.title} is {as_no_number(self.value)} at t = {self.time_s:.4g} s"
+        amount = f"{self.value:.4g} {self.unit}".rstrip()
+        off = f"{abs(self.left):.3g} {self.unit}".rstrip()
+        at = f"at t = {self.time_s:.4g} s"
+        return f"{self.title} {verb} {amount} {at}, {off} {self.of.facts.beyond} its limit of {self.limit:.4g}"
+
+
+class Limit(ABC):
+    """One limit of one problem; `key` is its key in a problem file, `item` its number within its kind."""
+
+    __slots__ = ()
+    key: ClassVar[str]
+    item: int
+
+    @classmethod
+    @abstractmethod
+    def of(cls, problem: Problem, **options: bool) -> list[Self]:
+        """Return the limits of this kind that a problem has.
+
+        Options: `enclosed` imposes enclosable limits at every instant, `position_rows` the ranges of independent joints.
+        """
+
+    @property
+    @abstractmethod
+    def facts(self) -> Facts:
+        """What is true of it at all instants."""
+
+    @property
+    def rows(self) -> Rows:
+        """Its rows in a program."""
+        return Rows()
+
+    @abstractmethod
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        """Return the scaled bounds of its row, or of its coefficients on an interval."""
+
+    @abstractmethod
+    def measured(self, at: Any) -> Measured:
+        """Return the limited quantity at `Samples` of a motion; `Poses` suffice if it is `of_position`."""
+
+    @abstractmethod
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        """Yield what a proof has to show; at least one claim."""
+
+    @classmethod
+    @abstractmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        """Return a problem with its limits of this kind relaxed by a common factor; infinity removes them."""
+
+
+def with_limits(problem: Problem, **changes: Any) -> Problem:
+    """Return a problem with other values in its limits."""
+    return replace(problem, limits=replace(problem.limits, **changes))
+
+
+def times(values: np.ndarray, factor: float) -> np.ndarray:
+    """Return bounds (n, 2) times a factor; an infinite one removes zeros too."""
+    return values * factor if np.isfinite(factor) else np.broadcast_to([-np.inf, np.inf], np.shape(values)).copy()
+
+
+def limited_rows(bounds: np.ndarray) -> list[int]:
+    """Return the indices of [low, high] rows with a finite bound."""
+    return [int(j) for j in np.flatnonzero(np.isfinite(bounds).any(axis=1))]
+
+
+def overrun_margins(kind: type[Limit], problem: Problem, motion: Trajectory) -> list[Margin]:
+    """Return the margins of one kind that a motion overruns."""
+    samples = samples_of(problem, motion)
+    found = [limit_margin(limit, samples) for limit in kind.of(problem)]
+    return [margin for margin in found if not margin.kept]
+
+
+def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float | None:
+    """Return the factor on the limits of a kind with which a motion keeps them; None if it keeps them, or none does."""
+    over = [margin for margin in overrun_margins(kind, problem, motion) if np.isfinite(margin.value)]
+    if not over:
+        return None
+    if over[0].of.facts.by_size:
+        return 1.0 + BETWEEN_NODES_FACTOR * max(-margin.left / margin.size for margin in over)
+    ratios = [margin.value / margin.limit for margin in over if margin.limit]
+    if not ratios:
+        return None
+    # A lower bound above zero, as that on a distance, is relaxed by a factor below one.
+    fall = min(ratios) if all(not margin.upper and margin.limit > 0 for margin in over) else None
+    return fall / BETWEEN_NODES_FACTOR if fall is not None else BETWEEN_NODES_FACTOR * max(ratios)
+
+
+def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> str | None:
+    """Return a sentence on the worst overrun of the limits of a kind; None if a motion keeps them."""
+    try:
+        over = overrun_margins(kind, problem, motion)
+    except AssemblyError:
+        return None
+    return max(over, key=lambda m: m.overrun.max()).sentence("would have to come to") if over else None
+
+
+def limit_margin(limit: Limit, samples: Samples) -> Margin:
+    """Return the margin of a limit along a motion."""
+    return margin_of(limit, limit.measured(samples), samples)
+
+
+@np.errstate(invalid="ignore")  # infinity less infinity is not kept either
+def margin_of(of: Limit, measured: Measured, samples: Samples) -> Margin:
+    """Return the margin of a quantity along a motion.
+
+    The least margin of an interval with a kink is that of the samples, without interpolation by parabolas.
+    """
+    (low, high), points = measured.bounds, samples.points
+    values, bent = measured.values, measured.bent
+    inside = np.minimum(values - low, high - values)
+    at = int(np.argmin(inside))
+    limit = high if high - values[at] <= values[at] - low else low
+    least = least_between(inside, points)
+    if bent is not None:
+        rows, kinked = inside.reshape(-1, len(points)), bent.reshape(-1, len(points)).any(axis=1)
+        least = np.where(kinked, rows.min(axis=1), least)
+    left = float(least.min())
+    value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
+    size = float(measured.size or abs(limit) or 1.0)
+    margin = Margin(
+        of=of,
+        name=measured.name,
+        value=float(value),
+        limit=float(limit),
+        left=left,
+        unit=measured.unit,
+        time_s=float(samples.time[at]),
+        overrun=np.maximum(0.0, -least) / size,
+        upper=bool(limit == high),
+        size=size,
+    )
+    return margin if measured.at_times is None else _sampled_finely(margin, measured, samples)
+
+
+def _sampled_finely(margin: Margin, measured: Measured, samples: Samples) -> Margin:
+    """Return a margin measured again on finer samples in every interval near the limit."""
+    (low, high), size, n_points = measured.bounds, margin.size, len(samples.points)
+    inside = np.minimum(measured.values - low, high - measured.values).reshape(-1, n_points)
+    worst = inside.argmin(axis=1)
+    near_share = 1e-3  # of the limit's size
+    chosen = np.flatnonzero(inside.min(axis=1) < max(near_share * size, float(inside.min()) + near_share * size))
+    rows, at = np.arange(len(inside))[chosen], samples.time.reshape(-1, n_points)
+    first, last = at[rows, np.maximum(worst[rows] - 1, 0)], at[rows, np.minimum(worst[rows] + 1, n_points - 1)]
+    shares = np.linspace(0.0, 1.0, 33)
+    near = first[:, None] + (last - first)[:, None] * shares
+    assert measured.at_times is not None  # by the caller
+    fine = measured.at_times(near.ravel()).reshape(near.shape)
+    left = np.minimum(fine - low, high - fine)
+    # Only the finest samples and parabolas through them count; coarse parabolas may overestimate.
+    least = np.minimum(least_between(left, shares), inside[rows].min(axis=1))
+    overrun = np.zeros(len(inside))
+    overrun[rows] = np.maximum(0.0, -least) / size
+    row, k = np.unravel_index(int(np.argmin(left)), left.shape)
+    upper = bool(high - fine[row, k] <= fine[row, k] - low)
+    bound, gap = (high if upper else low), float(least.min())
+    value, instant = bound - gap if upper else bound + gap, float(near[row, k])
+    return replace(margin, value=value, limit=float(bound), left=gap, time_s=instant, overrun=overrun, upper=upper)

@@ -1,0 +1,168 @@
+"""Limits on sites: a coordinate or a distance from a wall between bounds, or the distance from a polyline.
+
+A slab's row is n . (p - p_home) / L with the mechanism's extent L. A tube's row is d^2 / r^2 with the distance d from the
+polyline. The least distance over the segments has kinks, so the row uses a mean with the weights exp(-k d_i^2 / r^2), which
+is smooth and never below the least: a motion that satisfies the row stays in the tube.
+"""
+
+import functools
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.planner.limits.limit import (
+    Bounds,
+    Claimed,
+    Facts,
+    Instant,
+    Limit,
+    Measured,
+    Poses,
+    Problem,
+    Rows,
+    Samples,
+    Scales,
+    Tightened,
+    Trajectory,
+    with_limits,
+)
+from linkplan.planner.problem.sites import SiteLimit
+
+# Between two segments at nearly equal distances, the weighted mean exceeds the least squared distance by at most 0.28 / k of
+# r^2. This k reduces a tube's radius there by 0.14 %, and the curvature of its wall stays of the order of 1 / r.
+_TUBE_SHARPNESS = 100.0
+
+
+_SLAB = Facts(kind="site", tightened=Tightened.IN_UNITS, of_position=True, by_size=True)
+_TUBE = replace(_SLAB, kind="tube", tightened=Tightened.SQUARED)
+
+
+@dataclass(frozen=True, slots=True)
+class SitePathLimit(Limit):
+    """One limit on a site, number `item` of limits.site; `shape` is its `SiteLimit.key`, which determines its row."""
+
+    key: ClassVar[str] = "site"
+    item: int
+    shape: tuple
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        return [cls(item, limit.key) for item, limit in enumerate(problem.limits.site)]
+
+    @property
+    def is_tube(self) -> bool:
+        return len(self.shape) == 3
+
+    @property
+    def facts(self) -> Facts:
+        return _TUBE if self.is_tube else _SLAB
+
+    @property
+    def rows(self) -> Rows:
+        def node(at: Instant, _: ca.SX) -> ca.SX:
+            if self.is_tube:
+                return _tube(at.of_pose("site_places")[:, self.shape[0]], np.array(self.shape[1]), self.shape[2])
+            return _way(at, self.shape[0], np.array(self.shape[1]))
+
+        return Rows(node=node)
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        limit, mechanism = problem.limits.site[self.item], problem.mechanism
+        if self.is_tube:
+            return -np.inf, (limit.high / limit.scale) ** 2
+        off = limit.origin - float(limit.normal @ site_at_home(mechanism, limit.index))
+        return (limit.low + off) / mechanism.extent_m, (limit.high + off) / mechanism.extent_m
+
+    def measured(self, at: Poses) -> Measured:
+        mechanism, limit = at.problem.mechanism, at.problem.limits.site[self.item]
+        # A tube's distance has no lower bound. A slab's overruns are shares of the mechanism's extent.
+        bounds, size = ((-np.inf, limit.high), limit.high) if self.is_tube else ((limit.low, limit.high), mechanism.extent_m)
+
+        def values(q: np.ndarray) -> np.ndarray:
+            return limit.value(places_of(mechanism, limit.index, q))
+
+        def at_times(time: np.ndarray) -> np.ndarray:
+            motion, until = at.trajectory, at.problem.solver.judging_deadline
+            return values(follow(mechanism, motion.position_at(time), motion.start_pose, until))
+
+        # Between two segments a tube's distance has a kink, which parabolas do not fit.
+        finer = at_times if isinstance(at, Samples) else None
+        return Measured(site_title(limit), values(at.q), bounds, "m", size, at_times=finer)
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        mechanism, limit = problem.mechanism, problem.limits.site[self.item]
+        q = ca.SX.sym("q", mechanism.n_q)
+        place = mechanism.dynamics.site_places(q)[:, limit.index]
+        bounds, slack = (limit.low, limit.high), None
+        if limit.is_tube:
+            value, squared = functools.reduce(ca.fmin, squared_distances(place, np.asarray(limit.along))), limit.high**2
+            slack = (0.0, (limit.high + ROUNDING_SHARE * max(1.0, limit.high)) ** 2 - squared)
+            name, unit, bounds = f"squared distance from the tube of site {limit.site}", "m2", (-np.inf, squared)
+        else:
+            value = ca.dot(ca.DM(np.asarray(limit.normal)), place) - limit.origin
+            name, unit = f"{limit.what} of site {limit.site}", "m"
+        function = ca.Function("site", [q], [ca.densify(value)])
+        yield Claimed(name=name, unit=unit, bounds=bounds, value=function, of_planned=True, slack=slack)
+
+    @classmethod
+    def relaxed(cls, problem: Problem, factor: float) -> Problem:
+        if not np.isfinite(factor):
+            return with_limits(problem, site=())
+        room_m = (factor - 1) * problem.mechanism.extent_m
+        wider = tuple(
+            replace(one, high=one.high * factor)
+            if one.is_tube
+            else replace(one, low=one.low - room_m, high=one.high + room_m)
+            for one in problem.limits.site
+        )
+        return with_limits(problem, site=wider)
+
+
+def site_coordinate(at: Instant, site: int, axis: int) -> ca.SX:
+    """Return the way of a site from home along an axis of the world, in extents of the mechanism."""
+    return _way(at, site, np.eye(3)[axis])
+
+
+def _way(at: Instant, site: int, normal: np.ndarray) -> ca.SX:
+    """Return the way of a site from home along a direction, in extents of the mechanism."""
+    p, home = at.of_pose("site_places")[:, site], site_at_home(at.mechanism, site)
+    return (ca.dot(ca.DM(normal), p) - float(normal @ home)) / at.mechanism.extent_m
+
+
+def site_title(limit: SiteLimit) -> str:
+    """Return a phrase for the limited quantity of a site."""
+    from_what = {"wall": "its wall", "tube": "its path"}.get(limit.what)
+    return (
+        f"{limit.what} of site {limit.site}" if from_what is None else f"the distance of site {limit.site} from {from_what}"
+    )
+
+
+def site_at_home(mechanism: Mechanism, site: int) -> np.ndarray:
+    """Return the place of a site at home (3,) [m]."""
+    return places_of(mechanism, site, mechanism.home)[0]
+
+
+def _tube(p: ca.SX, along: np.ndarray, radius: float) -> ca.SX:
+    """Return the squared distance of p (3,) from a polyline (n, 3), in squared radii, smooth and never underestimated."""
+    squares = ca.vertcat(*squared_distances(p, along)) / radius**2
+    weights = ca.exp(-_TUBE_SHARPNESS * (squares - ca.mmin(squares)))
+    return ca.dot(weights, squares) / ca.sum1(weights)
+
+
+def squared_distances(p: ca.SX, along: np.ndarray) -> list[ca.SX]:
+    """Return the squared distances [m2] of a place p (3,) from the segments of a polyline (n, 3)."""
+
+    def from_segment(a: np.ndarray, b: np.ndarray) -> ca.SX:
+        way, off = b - a, p - ca.DM(a)
+        share = ca.fmax(0.0, ca.fmin(1.0, ca.dot(off, ca.DM(way)) / float(way @ way)))
+        return ca.sumsqr(off - share * ca.DM(way))
+
+    return [from_segment(a, b) for a, b in itertools.pairwise(along)]
