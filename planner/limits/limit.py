@@ -121,7 +121,7 @@ class Measured:
 
     name: str
     values: np.ndarray
-    bounds: Sequence[float]
+    bounds: Sequence[float] | np.ndarray
     unit: str = ""
     size: float | None = None
     bent: np.ndarray | None = None

@@ -193,15 +193,10 @@ def test_a_program_is_built_anew_where_another_quantity_is_limited():
 def test_a_motion_along_a_wall_is_solved_again_and_keeps_the_wall():
     """A motion to another goal may cross the wall between nodes; the constraints are then tightened."""
     planner = Replanner()
-    motion = {"start_at": {"foot": ABOVE}, "duration_s": "free"}
+    motion = {"start_at": {"foot": ABOVE}, "duration_s": 0.24}
 
     def to(z: float):
-        return site_problem(
-            arm_of(UPPER, LOWER),
-            motion | {"goal_at": {"foot": [0.3, 0.0, z]}},
-            LIMITS["box"],
-            objective={"minimize": "time"},
-        )
+        return site_problem(arm_of(UPPER, LOWER), motion | {"goal_at": {"foot": [0.3, 0.0, z]}}, LIMITS["box"])
 
     planner.plan(to(-0.35))
     again, fresh = planner.plan(to(-0.34)), plan_motion(to(-0.34))
