@@ -6,13 +6,17 @@ STAMP := $(VENV)/.installed
 # Threads of the linear algebra fight the tests' processes for the same cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test quick check bench docs clean
+.PHONY: demo test long quick check bench docs clean
 
 demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto
+
+# The hardest published problems and largest mechanisms, too: five minutes of processor time more.
+long: $(STAMP)
+	$(BIN)/python -m pytest -n auto --long
 
 quick: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not slow"
@@ -22,6 +26,7 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	$(BIN)/python -m pytest tests/test_house.py
+	$(BIN)/python -m tests.bench.source_sizes
 
 # `make bench` runs all parts, `make bench rounding` the part named; the names that follow are no targets of their own.
 ifeq (bench,$(firstword $(MAKECMDGOALS)))

@@ -1,19 +1,17 @@
 """The motion that a tracker follows, sampled at its control instants."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, whole_turns
 from linkplan.models.poses.assembly import follow
-from linkplan.models.renamed import RenamedFields
 from linkplan.planner.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class SampledReference(RenamedFields):
+class SampledReference:
     """A motion at control instants t_k = k T, for k = 0 to n - 1.
 
     `pose_rad` (n, n_q), `position_rad` and `velocity_rad_s` (n, n_s); slides are in m and m/s.
@@ -21,7 +19,6 @@ class SampledReference(RenamedFields):
     acts like its mean. `cycle` is the number of samples after which the motion repeats, or None.
     """
 
-    renamed: ClassVar = {"pose": "pose_rad", "position": "position_rad", "velocity": "velocity_rad_s"}
     period_s: float
     time_s: np.ndarray
     pose_rad: np.ndarray

@@ -6,13 +6,11 @@ Numpy's and MuJoCo's warnings are suppressed in runs that may diverge; the logs 
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 
 from linkplan.models.library import mujoco_warnings
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.renamed import RenamedFields
 
 
 @contextlib.contextmanager
@@ -36,7 +34,7 @@ class ControlLoop:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Rollout(RenamedFields):
+class Rollout:
     """The log of a run at its control instants (n,), and the conditions of the simulation.
 
     Positions are in rad, those of slides in m. `commanded` is the tracker's output and `applied` the mean effort of the
@@ -45,13 +43,6 @@ class Rollout(RenamedFields):
     early, None if it does not. `asked_s` (n,) [s] is the measured computing time of the tracker.
     """
 
-    renamed: ClassVar = {
-        "position": "position_rad",
-        "velocity": "velocity_rad_s",
-        "reference": "reference_rad",
-        "pose": "pose_rad",
-        "error": "error_rad",
-    }
     tracker: str
     time_s: np.ndarray
     position_rad: np.ndarray

@@ -170,11 +170,14 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
         path: of the file.
 
     Raises:
-        ModelError: if a body has its mass from a mesh that is not there.
+        ModelError: if a body has its mass from a mesh that is not there, or a file is a pipe or a device.
     """
     folder, stripped = path.parent, bool(spec.strippath)
     places = {mesh: _place(folder / spec.meshdir, mesh.file, stripped) for mesh in spec.meshes if mesh.file}
     places |= {image: _place(folder / spec.texturedir, image.file, stripped) for image in spec.textures if image.file}
+    for element, place in places.items():
+        if os.path.exists(place) and not os.path.isfile(place):  # MuJoCo would wait for a pipe
+            raise ModelError(f"'{shown(element.file)}' is not a regular file (a folder, a pipe or a device)")
     pointers = {element for element, place in places.items() if is_pointer(place)}
     lost = {element for element, place in places.items() if element in pointers or not os.path.isfile(place)}
     meshes = [mesh for mesh in spec.meshes if mesh in lost]

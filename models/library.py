@@ -326,7 +326,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
 def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str, bytes]:
     """Return the files that a model includes, also by included ones, by name; those that are not there MuJoCo refuses."""
     for name in (word.decode("utf-8", "replace") for word in _INCLUDE.findall(COMMENT.sub(b"", content))):
-        if name not in found and (folder / name).is_file():
+        if name not in found and (folder / name).exists():  # MuJoCo would wait for a pipe
             found[name] = read_file(folder / name, f"'{name}'", MAX_MODEL_BYTES, ModelError)
             refuse_oversized(found[name], f"'{name}'")
             robot_element(found[name].decode("utf-8", "replace"), f"'{name}'")

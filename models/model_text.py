@@ -11,7 +11,7 @@ from linkplan.models.reading import read_file
 
 # Largest model file; the largest model of MuJoCo Menagerie has some hundred kilobytes.
 MAX_MODEL_BYTES = 32_000_000
-_COUNT = re.compile(rb"""\b(count|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
+_COUNT = re.compile(rb"""\b(count|dim|nrow|ncol|nuserdata|njmax|nconmax|nstack)\s*=\s*["']([^"']*)["']""")
 _SDF = re.compile(rb"<sdf[\s>]")
 _XACRO, _ENTITY, COMMENT = re.compile(rb"<xacro:\w"), re.compile(rb"<!ENTITY\s"), re.compile(rb"<!--.*?-->", re.DOTALL)
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}

@@ -6,7 +6,7 @@ A motion is given at any times in the units of files: positions and speeds of al
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from linkplan.models.extras import load_extra
 from linkplan.models.poses.along import joint_rates, whole_turns
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.problem.problem import Problem
@@ -28,14 +27,13 @@ from linkplan.planner.transcription.collocation import Transcribed
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class MotionTable(RenamedFields):
+class MotionTable:
     """A motion at times (n,) [s]: by joint in degrees, or m for slides; by actuator [N.m or N]; by site (n, 3) [m].
 
     `acceleration_deg_s2` covers the independent joints only. `unit` is the unit of positions by joint, `effort_unit` the
     unit by actuator. `site` are the sites that the problem names, in the world's frame.
     """
 
-    renamed: ClassVar = {"position": "position_deg", "speed": "speed_deg_s", "acceleration": "acceleration_deg_s2"}
     time_s: np.ndarray
     position_deg: dict[str, np.ndarray]
     speed_deg_s: dict[str, np.ndarray]

@@ -15,14 +15,13 @@ import contextlib
 import threading
 import time
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
-from linkplan.models.renamed import RenamedFields
 from linkplan.planner.closed_chain.case import case_of, finished
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
+from linkplan.planner.limits.kinds import structure_of
 from linkplan.planner.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
@@ -37,7 +36,7 @@ from linkplan.planner.transcription.program import Program
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class NextMotion(RenamedFields):
+class NextMotion:
     """A nearly optimal motion, a few Newton steps from the last one: not certified, but with bounds on its error.
 
     `position_bound_rad`, `velocity_bound_rad_s` (n_s,) and `effort_bound` (n_u,) [N.m or N] bound the differences
@@ -46,11 +45,6 @@ class NextMotion(RenamedFields):
     of the steps.
     """
 
-    renamed: ClassVar = {
-        "position_bound": "position_bound_rad",
-        "velocity_bound": "velocity_bound_rad_s",
-        "position_error": "position_error_deg",
-    }
     problem: Problem
     trajectory: Trajectory
     position_bound_rad: np.ndarray
@@ -273,9 +267,7 @@ def _is_blocked_by_bounds(problem: Problem, solution: Solution) -> bool:
 
 def structure(problem: Problem) -> tuple:
     """Return the structure of a problem's program: problems with equal structures differ in numbers only."""
-    limits, motion = problem.limits, problem.motion
-    limited = (limits.effort, limits.position, limits.speed, limits.effort_rate, limits.power, limits.closure_force)
-    finite = (*(np.isfinite(limit).tobytes() for limit in limited), limits.singular_margin > 0)
+    motion = problem.motion
     given = tuple(x is None for x in (motion.start, motion.goal, motion.duration_s, motion.max_duration_s))
     given += (None if motion.turns is None else tuple(motion.turns.tolist()),)
     via = tuple(
@@ -285,12 +277,8 @@ def structure(problem: Problem) -> tuple:
         )
         for w in motion.waypoints
     )
-    sites = tuple((limit.key, np.isfinite([limit.low, limit.high]).tobytes()) for limit in limits.site)
     ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
-    lines = tuple(motor is not None and motor.line is not None for motor in problem.motors)
-    corners = problem.robust.corners
-    extra_limits = tuple((one.expression, *np.isfinite([one.lower, one.upper])) for one in problem.extra_limits)
-    extra = extra_limits + tuple(one.expression for one in problem.objective.extra)
+    extra = tuple(one.expression for one in problem.objective.extra)
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
     payload = problem.mechanism.payload
@@ -302,4 +290,5 @@ def structure(problem: Problem) -> tuple:
         terms,
         problem.reference is None,
     )
-    return (*of, finite, corners, extra, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)
+    limits = structure_of(problem)
+    return (*of, limits, extra, ends, given, motion.min_duration_s is None, via, mesh)

@@ -1,5 +1,6 @@
 """The documents: every relative link and picture resolves, the README is short, and every page is linked."""
 
+import csv
 import re
 import tomllib
 from pathlib import Path
@@ -95,6 +96,17 @@ def test_the_citation_names_this_version_and_licence():
     assert (str(cited["version"]), cited["license"]) == (project["version"], project["license"])
 
 
+def test_the_counts_of_robots_on_the_page_of_measurements_follow_from_their_table():
+    with (ROOT / "docs" / "data" / "robots.csv").open(encoding="utf-8", newline="") as file:
+        robots = list(csv.DictReader(file))
+    planned = [robot for robot in robots if robot["plan [s]"]]
+    assert [robot["model"] for robot in robots if not robot["plan [s]"] and not robot["note"]] == []
+    assert all(robot["freedoms"] == robot["by MuJoCo"] for robot in planned)
+    page = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8")
+    assert f"lists {len(robots)} published robots" in page
+    assert f"equal to MuJoCo's for all {len(planned)}" in page
+
+
 def test_terms_of_the_glossary_stand_once_and_in_order():
     terms = re.findall(r"^\*\*([^*]+)\*\*", (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
     assert len(terms) > 40
@@ -104,7 +116,7 @@ def test_terms_of_the_glossary_stand_once_and_in_order():
 def test_recipes_are_shorter_than_thirty_lines():
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     recipes = re.findall(r"^## (Add an? [^\n]*)\n(.*?)(?=^## |\Z)", text, flags=re.MULTILINE | re.DOTALL)
-    assert len(recipes) == 5
+    assert len(recipes) == 7
     for title, body in recipes:
         assert len(body.strip().splitlines()) < 30, title
 

@@ -11,9 +11,9 @@
 # %% [markdown]
 # # A design study
 #
-# Which motor does the knee need? The shank is to swing from -49 to 56 deg. How quick the swing is, what it carries and what
-# torque the motor gives decide one another; a planner answers the question without a prototype, and the exact optimum
-# leaves no doubt whether a motor is too weak or a controller too timid.
+# Which motor does the knee need? The shank must swing from -49 to 56 deg. Duration, payload and motor torque depend on each
+# other. A planner finds the relation without a prototype. Since it is the optimum, a slow motion shows a weak motor and not
+# a poor controller.
 
 # %%
 import numpy as np
@@ -27,7 +27,7 @@ print(swing.to_toml())
 # %% [markdown]
 # ## Torque against time
 #
-# The least time that a motor of each strength needs. `Planner` keeps its program and solves it again from the last answer.
+# This is the least time for each motor torque. `Planner` reuses its program and starts from the last solution.
 
 # %%
 torques = [60.0, 80.0, 100.0, 130.0, 160.0, 200.0]
@@ -47,8 +47,8 @@ axes.grid(alpha=0.3)
 plt.show()
 
 # %% [markdown]
-# Inertia alone would make the time fall with the square root of the torque. Here it nearly does, so weight and the
-# linkage's ratio matter little; twice as quick takes four times the torque.
+# With inertia alone the time would be proportional to the torque to the power -1/2. Here it nearly is, so weight and the
+# linkage's ratio matter little: half the time needs four times the torque.
 
 # %%
 scaled = np.array(least) * np.sqrt(torques)
@@ -57,7 +57,7 @@ print("time x sqrt(torque), relative to the strongest motor:", np.round(scaled /
 # %% [markdown]
 # ## What a little more time is worth
 #
-# At its least time a motor runs at its limit throughout. With more time the same swing takes less of everything.
+# In its least time the motor is always at its limit. More time needs less torque and power, and heats less.
 
 # %%
 fast = least[torques.index(100.0)]
@@ -71,11 +71,11 @@ for factor in (1.05, 1.2, 1.5, 2.0):
     print(f"{1000 * plan.duration_s:6.0f} ms {torque:8.1f} N.m {power:9.0f} W {plan.objective / heat[0]:15.2f}")
 
 # %% [markdown]
-# The objective is the integral of squared torque, to which a motor's copper loss is in proportion.
+# The objective is the integral of squared torque, which is proportional to a motor's copper loss.
 #
 # ## A payload that is not known
 #
-# The same swing in 0.16 s, with a mass that is not known, and the torque that each needs.
+# The same swing in 0.16 s with an uncertain mass, and the torque that each mass needs:
 
 # %%
 body = {"body": "crank", "com_m": [0.0, 0.0, 0.2]}
@@ -88,8 +88,8 @@ for mass in (2.0, 3.0, 4.0):
 # %% [markdown]
 # ## Does the loop hold it?
 #
-# A motor that is just strong enough for the plan has nothing left for the controller. The swing in its least time, and with
-# a little more, each followed with a payload 20 % heavier and a control period of delay:
+# A motor that is just strong enough for the plan has no torque left for the controller. These runs follow the swing in its
+# least time, and in a little more, with a payload 20 % heavier and one control period of delay:
 
 # %%
 for factor in (1.0, 1.15, 1.3):
@@ -105,4 +105,4 @@ for factor in (1.0, 1.15, 1.3):
         )
 
 # %% [markdown]
-# The least time is a bound to design by, not a motion to run.
+# Use the least time as a bound for the design, and plan motions with a reserve.

@@ -11,9 +11,9 @@
 # %% [markdown]
 # # Plan and track
 #
-# A crank-rocker of one's own, in Python alone: its model as text, a problem, a plan with its certificate, a tracker that is
-# ten lines long, and the loop's margins. This page is a Python file, `docs/notebooks/plan_and_track.py`: run it as it
-# stands, or open it as a notebook with Jupyter and jupytext.
+# This page plans and tracks your own crank-rocker in Python: its model as text, a problem, a plan with its certificate, a
+# tracker of ten lines, and the margins of the feedback loop. The page is a Python file,
+# `docs/notebooks/plan_and_track.py`. Run it directly, or open it as a notebook with Jupyter and jupytext.
 
 # %%
 import numpy as np
@@ -26,7 +26,7 @@ plt.switch_backend(plt.get_backend())  # now, so that figures stand in the page 
 # %% [markdown]
 # ## The mechanism
 #
-# Crank 50 mm, frame 200 mm, driven at O. A and C are its other hinges; the pin B is closed by a `connect`.
+# The crank has 50 mm, the frame 200 mm. A motor drives O; A and C are the other hinges. A `connect` closes the pin B.
 
 # %%
 MODEL = """
@@ -66,7 +66,7 @@ found.plot()
 # %% [markdown]
 # ## The problem and its plan
 #
-# Half a turn of the crank in 0.3 s, at rest at both ends, the rocker never faster than 600 deg/s.
+# The crank makes half a turn in 0.3 s, at rest at both ends. The rocker's speed is limited to 600 deg/s.
 
 # %%
 problem = linkplan.Problem.reach(
@@ -83,7 +83,7 @@ print(plan)
 plan.plot()
 
 # %% [markdown]
-# How quick may the half turn be with a fifth of the torque? A problem is varied by `replace`, which returns another one.
+# What is the least time of the half turn with a fifth of the torque? `replace` returns a changed problem.
 
 # %%
 weak = {"effort": {"drive": [-0.2, 0.2]}}
@@ -116,7 +116,7 @@ class ByHand:
 print(linkplan.compare(plan, ["pd", ByHand, "pd+ff", "lqr"]))
 
 # %% [markdown]
-# The runs are there as arrays, at the control instants and in SI units.
+# The runs are arrays in SI units, with one row per control instant.
 
 # %%
 runs = linkplan.compare(plan, [ByHand, "pd+ff", "lqr"]).mismatched

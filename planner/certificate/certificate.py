@@ -6,7 +6,6 @@ model under the planned effort and compares the state with the planned state.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, joint_rates, least_effort, missed_rounding, sampled, whole_turns
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
-from linkplan.models.renamed import RenamedFields
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import (
     BOUNDARY_SHARE,
@@ -49,14 +47,13 @@ DYNAMICS_SHARE = 0.02
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Certificate(RenamedFields):
+class Certificate:
     """Findings on one motion, with a list of failures that is empty if it passes.
 
     Efforts are in the actuators' units. Margins are negative outside a limit and infinite without one. `worst_time_s` is the
     time of each finding's worst value.
     """
 
-    renamed: ClassVar = {"position_margin": "position_margin_rad", "speed_margin": "speed_margin_rad_s"}
     effort_excess: float
     inverse_dynamics_excess: float
     dynamics_residual: float

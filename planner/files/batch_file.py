@@ -44,7 +44,7 @@ def batch_from(tables: dict, folder: Path) -> BatchFile:
     """
     asked = read(BatchFile, tables, "")
     problem = asked.problem
-    if problem not in PROBLEMS:
+    if problem not in PROBLEMS and "\n" not in problem:
         problem = str(path_beside(problem, folder))
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")

@@ -104,8 +104,10 @@ def built_in_text(name: str) -> str:
 
 
 def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
-    """Return a problem's name, its tables and the folder of its file (None for a built-in)."""
+    """Return a problem's name, its tables and the folder of its file (None for a built-in, and for the text of a file)."""
     text = str(source)
+    if "\n" in text:
+        return "problem", parse_toml(text, "the problem"), None
     if text in BUILT_IN:
         return text, tomllib.loads(built_in_text(text)), None
     if not text.strip():

@@ -191,7 +191,7 @@ class RangeLimit(Limit):
         return Rows() if self.column is None else Rows(interval=lambda _: ("position_columns", self.column))
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
-        return tuple(problem.limits.position[self.item] / scales.position[self.column])
+        return tuple(problem.limits.position[self.item] / (1.0 if self.column is None else scales.position[self.column]))
 
     def measured(self, at: Poses) -> Measured:
         joint = at.problem.mechanism.joints[self.item]

@@ -19,6 +19,7 @@ from linkplan.planner.limits.joints import (
 )
 from linkplan.planner.limits.limit import Limit, Margin, Problem, Samples, limit_margin
 from linkplan.planner.limits.site import SitePathLimit
+from linkplan.planner.problem.instant import unit_scales
 
 # In the order of their rows in a program.
 KINDS: tuple[type[Limit], ...] = (
@@ -58,6 +59,12 @@ RELAXED: tuple[type[Limit], ...] = (
 def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: bool = False) -> tuple[Limit, ...]:
     """Return a problem's limits; the arguments are those of `Limit.of`."""
     return tuple(limit for kind in KINDS for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
+
+
+def structure_of(problem: Problem) -> tuple:
+    """Return the structure of a problem's limits: its limits, and which of their ends are finite."""
+    ones = unit_scales(problem.mechanism)
+    return tuple((type(limit), limit, *np.isfinite(limit.bounds(problem, ones))) for limit in limits_of(problem))
 
 
 def relaxed_kinds(problem: Problem) -> list[type[Limit]]:

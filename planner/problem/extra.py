@@ -11,7 +11,6 @@ import numpy as np
 from linkplan.models.errors import ProblemError, choose, one_line, shown
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.models.renamed import RenamedFields
 from linkplan.planner.problem.instant import Instant, free_instant
 
 # Names appear in sentences.
@@ -31,13 +30,12 @@ class _Named:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class NamedInstant(RenamedFields):
+class NamedInstant:
     """One instant of a motion for users' expressions, in SI: `at.position_rad["O"]`, `at.site("foot")[2]`.
 
     Every joint, dependent or not, has a position [rad or m] and a velocity; every actuator has an effort [N.m or N].
     """
 
-    renamed: ClassVar = {"position": "position_rad", "velocity": "velocity_rad_s"}
     instant: Instant
 
     @property

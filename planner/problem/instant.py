@@ -181,6 +181,12 @@ class Scales:
         return np.concatenate([[self.time_s], self.position, self.effort, self.residual, units])
 
 
+def unit_scales(mechanism: Mechanism) -> Scales:
+    """Return the scales of unknowns in SI."""
+    ones, efforts = np.ones(mechanism.dof), np.ones(mechanism.n_u)
+    return Scales(time_s=1.0, position=ones, effort=efforts, residual=ones, length_m=1.0)
+
+
 def position_units(mechanism: Mechanism, positions: np.ndarray) -> np.ndarray:
     """Return the spans (n_s,) of positions (..., n_s); of joints at rest, 1 rad or the mechanism's extent [rad or m]."""
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)

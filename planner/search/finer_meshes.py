@@ -78,10 +78,12 @@ def of_several(problem: Problem) -> bool:
     """True if motions of several motors are refined here: in polynomials, on a mesh and for an objective that allow it.
 
     One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes. Limits on
-    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
+    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh. Efforts
+    at the corners of [robust] are overrun by hundredths of their limits wherever they jump inside an interval.
     """
     mesh, objective = problem.mesh, problem.objective
     free = mesh.effort == "polynomial" and mesh.breaks is None and not np.any(np.isfinite(problem.limits.power))
+    free = free and not problem.robust.corners
     return min(problem.mechanism.dof, problem.mechanism.n_u) > 1 and free and not objective.is_smoothed
 
 

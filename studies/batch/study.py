@@ -1,8 +1,6 @@
 """A complete batch: an engine plans its blocks, each block's results are stored, and the end result is a folder of plans."""
 
-import contextlib
 import functools
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,8 +17,8 @@ from linkplan.planner.plan_folder import versions
 from linkplan.planner.refinement.history import silent
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked
 from linkplan.studies.tasks.engine import Engine, Say, here
-from linkplan.studies.tasks.streaming import Progress, streamed
-from linkplan.studies.tasks.unfinished import done, finish, part, unfinished, working
+from linkplan.studies.tasks.streaming import complete
+from linkplan.studies.tasks.unfinished import finish, part, parts_folder, working
 
 RECORD = "batch.json"
 
@@ -58,22 +56,23 @@ def run_batch(
         PlanFileError: if the folder holds something else, or cannot be written.
     """
     asked = _asked(batch, target, parquet)
-    if target is None:
-        with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
-            folder = Path(place) / "run"
-            with working(folder, asked, "a batch"):
-                _conduct(folder, batch, None, engine, parquet, say)
-                return _outcome(folder, batch, None, keep_records)
-    check_target(target, RECORD)
-    folder, outcomes = unfinished(target), []
+    if target is not None:
+        check_target(target, RECORD)
+    outcomes = []
+    blocks = [cases_of(block, len(batch.case)) for block in range(block_count(len(batch.case)))]
+    work = functools.partial(_work, batch, target, parquet, say if engine is here else None)
+    with parts_folder(target) as folder, working(folder, asked, "a batch"):
 
-    def save(place: Path) -> None:
-        outcome = _outcome(folder, batch, place, True)
-        write_json(place / RECORD, outcome.record)
-        outcomes.append(outcome)
+        def write(block: int, answers: list[Planned]) -> None:
+            replace_file(part(folder, block, "zip"), functools.partial(Path.write_bytes, data=packed(answers)))
 
-    with working(folder, asked, "a batch"):
-        _conduct(folder, batch, target, engine, parquet, say)
+        def save(place: Path) -> None:
+            outcomes.append(_outcome(folder, batch, place, True))
+            write_json(place / RECORD, outcomes[0].record)
+
+        complete(folder, blocks, "cases", engine, work, write, say)
+        if target is None:
+            return _outcome(folder, batch, None, keep_records)
         finish(folder, target, save, RECORD)
     return outcomes[0]
 
@@ -90,17 +89,6 @@ def _asked(batch: BatchFile, target: Path | None, parquet: bool) -> dict:
         "parquet": parquet,
         "versions": versions(),
     }
-
-
-def _conduct(folder: Path, batch: BatchFile, target: Path | None, engine: Engine, parquet: bool, say: Say) -> None:
-    n, there = len(batch.case), done(folder)
-    progress = Progress(n, sum(len(cases_of(block, n)) for block in there), "cases", say)
-    work = functools.partial(_work, batch, target, parquet, say if engine is here else None)
-    todo = [block for block in range(block_count(n)) if block not in there]
-    with contextlib.closing(streamed(engine, work, todo, say)) as results:
-        for block, answers in results:
-            replace_file(part(folder, block, "zip"), functools.partial(Path.write_bytes, data=packed(answers)))
-            progress.more(len(answers))
 
 
 def _work(batch: BatchFile, target: Path | None, parquet: bool, say: Say | None, block: int, threads: int) -> list[Planned]:

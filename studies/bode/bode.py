@@ -71,7 +71,7 @@ class BodeStudy:
     law: SampledLaw
     points: tuple[BodePoint, ...]
     scans: tuple[Scan, ...]
-    method: str | None
+    is_measured: bool
     simulated_steps: int
     conditions: dict
     note: str | None = None  # on the choice of the poses
@@ -236,7 +236,7 @@ def bode_study(
         law=chosen,
         points=tuple(found),
         scans=scans,
-        method=None if setup is None else setup.method,
+        is_measured=setup is not None,
         simulated_steps=steps,
         conditions=conditions,
         note=note,

@@ -67,13 +67,13 @@ def _measured(study: BodeStudy) -> list[tuple[str, str]]:
     deviation, c = study.worst_deviation, study.conditions
     if deviation is not None:
         solref = ", ".join(f"{x[0]:g} {x[1]:g}" for x in c["solref"]) or "none"
-        how = f"{study.method}, {study.simulated_steps} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
+        how = f"sinestream, {study.simulated_steps} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
         differ = f"differ from the prediction by at most {deviation[0]:.2g} dB and {deviation[1]:.2g} deg"
         text = f"{differ} ({how}, {c['integrator']}, closure constraints' solref {solref})"
         if any(frictions_of(study.mechanism.model)):
             text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
         return [("measured closed-loop responses", text)]
-    if study.method is None:
+    if not study.is_measured:
         return []
     why = "an unstable feedback loop holds no operating point"
     if any(point.margins.stable for point in study.points):

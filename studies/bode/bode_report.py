@@ -86,11 +86,11 @@ def _scan_record(study: BodeStudy, scan: Scan) -> dict:
 
 
 def _measurement_record(study: BodeStudy) -> dict | None:
-    if study.method is None or not study.simulated_steps:
+    if not study.is_measured or not study.simulated_steps:
         return None
     deviation = study.worst_deviation
     return {
-        "method": study.method,
+        "method": "sinestream",
         "excitations": list(EXCITATIONS),
         "simulated_steps": study.simulated_steps,
         "closed_loop_deviation_db": None if deviation is None else deviation[0],
@@ -121,7 +121,7 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | Non
     from linkplan.studies.output.figure import figure_of, side_by_side
 
     how = "line: predicted, sampled; dotted: continuous"
-    how += f"; dots: MuJoCo, {study.method}" if any(entry.measured for entry in entries) else ""
+    how += "; dots: MuJoCo, sinestream" if any(entry.measured for entry in entries) else ""
     title = f"{study.mechanism.name}, {study.law.name}: {study.message}; {how}"
     return figure_of(
         side_by_side(*responses(study, entries, "").values()), path, title=title, columns=2, panel_in=(6.0, 2.9)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.kinematics import (
     STIFF_IMPEDANCE,
@@ -27,7 +28,9 @@ from linkplan.models.kinematics import (
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.felt_inertia import equality_rows
 from linkplan.models.reduction.reduced import acceleration_at
+from linkplan.models.tree.passive import simulated_gas_springs
 
 # A gap of more than this share of the model's extent gets a note: 0.05 mm for a model of half a metre.
 NOTED_GAP_SHARE = 1e-4
@@ -62,31 +65,35 @@ class SoftClosure:
 
 def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple[SoftClosure, ...]:
     """Return the closures whose gap exceeds a share of the model's extent, in descending order."""
-    model, loads, found, couplings = mechanism.model, _loads(mechanism), [], soft_couplings(mechanism.model)
-    for name, index, rows, law in _closure_laws(mechanism, mechanism.home):
-        forces = [(who, float(np.linalg.norm(force[rows]))) for who, force in loads]
-        who, most = max(forces[1:], key=lambda item: item[1], default=(None, 0.0))
-        weight, rated = (law.gap_m(force) for force in (forces[0][1], most))
+    model, couplings, found = mechanism.model, soft_couplings(mechanism.model), {}
+    weight, *rated = _loads(mechanism)
+    for k, (name, index, law) in enumerate(weight.laws):
+        forces = [(load.actuator, load.forces[k]) for load in rated]
+        who, most = max(forces, key=lambda item: item[1], default=(None, 0.0))
+        held, pushed = (law.gap_m(force) for force in (weight.forces[k], most))
         least = stiff_time_constant_s(model)
         slope = abs(float(model.eq_data[index, 1])) if index in couplings else 1.0
         # Of a coupling written the other way round, the row's unit is a_1 times as large and the force as much smaller.
         stiff = replace(
-            law, scale=law.scale * slope, stiffness=1 / (STIFF_SOLIMP[1] * least) ** 2, solimp=np.array(STIFF_SOLIMP)
+            law,
+            scale=law.scale * slope,
+            inertia=law.inertia * slope,
+            stiffness=1 / (STIFF_SOLIMP[1] * least) ** 2,
+            solimp=np.array(STIFF_SOLIMP),
         )
-        found.append(
-            SoftClosure(
-                name=name,
-                solref=(float(model.eq_solref[index, 0]), float(model.eq_solref[index, 1])),
-                weight_gap_m=weight,
-                rated_gap_m=rated,
-                rated_by=who,
-                stiff_solref=f"{least:g} 1",
-                stiff_gap_m=stiff.gap_m(max(forces[0][1], most)),
-                turned=_turned(model, index) if index in couplings else None,
-            )
+        soft = SoftClosure(
+            name=name,
+            solref=(float(model.eq_solref[index, 0]), float(model.eq_solref[index, 1])),
+            weight_gap_m=held,
+            rated_gap_m=pushed,
+            rated_by=who,
+            stiff_solref=f"{least:g} 1",
+            stiff_gap_m=stiff.gap_m(max(weight.forces[k], most)),
+            turned=_turned(model, index) if index in couplings else None,
         )
-    soft = [one for one in found if one.gap_m > share * mechanism.extent_m]
-    return tuple(sorted(soft, key=lambda one: -one.gap_m))
+        found[name] = max(found.get(name, soft), soft, key=lambda one: one.gap_m)
+    noted = [one for one in found.values() if one.gap_m > share * mechanism.extent_m]
+    return tuple(sorted(noted, key=lambda one: -one.gap_m))
 
 
 def _turned(model: mujoco.MjModel, index: int) -> str:
@@ -108,50 +115,95 @@ class ClosureLaw:
     scale: float
 
     def gap_m(self, force: float) -> float:
-        """Return the gap [m] under a closure force [N]."""
-        return self.scale * steady_gap(self.scale * force * self.inertia, self.stiffness, self.solimp)
+        """Return the gap [m] under a constraint force, in MuJoCo's unit of the rows."""
+        return self.scale * steady_gap(force * self.inertia, self.stiffness, self.solimp)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LoadedClosures:
+    """The active closures under a load: name, equality and law of each, and the sizes of their constraint forces.
+
+    A weld is two of them: its lengths, and its angles, one radian of which counts as the mechanism's extent. `actuator` is
+    the one that makes the load, if a single one does.
+    """
+
+    laws: list[tuple[str, int, ClosureLaw]]
+    forces: list[float]
+    actuator: str | None = None
+
+    @property
+    def gap_m(self) -> float:
+        """The largest gap."""
+        return max((law.gap_m(force) for (_, _, law), force in zip(self.laws, self.forces, strict=True)), default=0.0)
 
 
 def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
     """Return the largest closure gap [m] in MuJoCo at a pose (n_q,) held at rest by efforts (n_u,)."""
     still = np.zeros(mechanism.dof)
-    force = np.array(mechanism.dynamics.closure_force(pose, still, still, hold)).ravel()
-    laws = _closure_laws(mechanism, pose)
-    return max((law.gap_m(float(np.linalg.norm(force[rows]))) for _, _, rows, law in laws), default=0.0)
+    return loaded_closures(mechanism, pose, still, still, hold).gap_m
 
 
-def _closure_laws(mechanism: Mechanism, pose: np.ndarray) -> Iterator[tuple[str, int, slice, ClosureLaw]]:
-    """Yield name, equality, rows of the forces and law of each active closure at a pose (n_q,)."""
+def loaded_closures(
+    mechanism: Mechanism, pose: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, effort: np.ndarray
+) -> LoadedClosures:
+    """Return the closures and their forces at a pose (n_q,), moving (n_s,) under efforts (n_u,).
+
+    With J the rows of the equality constraints, the forces f follow from J^T f = M q'' + h - tau. The dependent joints'
+    accelerations are those at low speeds, Gamma s''.
+    """
     model = mechanism.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = mechanism.qpos_of(pose)
+    if not mechanism.closures:
+        return LoadedClosures(laws=[], forces=[])
+    data, gamma = mujoco.MjData(model), np.array(mechanism.dynamics.velocity_map(pose))
+    data.qpos[:], data.qvel[:] = mechanism.qpos_of(pose), mechanism.qvel_of(pose, gamma @ speed)
     mujoco.mj_forward(model, data)
-    equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    rows, free = equality_rows(model, data)
+    springs = data.qfrc_passive + simulated_gas_springs(model, data)
+    pushed = rows @ free @ (springs - data.qfrc_bias + _joint_efforts(mechanism, pose, effort))
+    pushed -= rows @ mechanism.qvel_of(pose, gamma @ acceleration)
+    force = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
+    parts = list(_closure_laws(mechanism, data))
+    return LoadedClosures(
+        laws=[(name, index, law) for name, index, _, law in parts],
+        forces=[float(np.linalg.norm(force[of])) for _, _, of, _ in parts],
+    )
+
+
+def _joint_efforts(mechanism: Mechanism, pose: np.ndarray, effort: np.ndarray) -> np.ndarray:
+    """Return the forces (nv,) on MuJoCo's degrees of freedom by the actuators' efforts (n_u,) at a pose (n_q,)."""
+    on_joints = np.array(mechanism.dynamics.effort_matrix(pose)).reshape(mechanism.n_q, -1) @ effort
+    units = np.array([mechanism.qvel_of(pose, unit) for unit in np.eye(mechanism.n_q)])
+    return units.T @ on_joints
+
+
+def _closure_laws(mechanism: Mechanism, data: mujoco.MjData) -> Iterator[tuple[str, int, np.ndarray, ClosureLaw]]:
+    """Yield name, equality, rows among the equality rows, and law of each active closure; a weld's angles apart."""
+    model, owner = mechanism.model, np.array(data.efc_id[: data.ne])
     scales = {closure.index: closure.scale for closure in mechanism.closures if closure.kind in ("joint", "tendon")}
-    for c, (name, index) in enumerate({closure.name: closure.index for closure in mechanism.closures}.items()):
-        of_it = np.flatnonzero(equality & (np.asarray(data.efc_id) == index))
-        if len(of_it):
-            stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[of_it[0]]
-            inertia = float(data.efc_R[of_it[0]]) * impedance / (1 - impedance)
-            solimp, scale = np.array(model.eq_solimp[index]), scales.get(index, 1.0)
-            law = ClosureLaw(inertia=inertia, stiffness=float(stiffness), solimp=solimp, scale=scale)
-            yield name, index, mechanism.closure_slice(c), law
+    for name, index in {closure.name: closure.index for closure in mechanism.closures}.items():
+        of_it = np.flatnonzero(owner == index)
+        is_weld = model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD
+        parts = [(of_it[:3], 1.0), (of_it[3:], mechanism.extent_m)] if is_weld else [(of_it, scales.get(index, 1.0))]
+        for rows, scale in parts:
+            if len(rows):
+                stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[rows[0]]
+                inertia = float(data.efc_R[rows[0]]) * impedance / (1 - impedance)
+                solimp = np.array(model.eq_solimp[index])
+                yield name, index, rows, ClosureLaw(inertia=inertia, stiffness=float(stiffness), solimp=solimp, scale=scale)
 
 
-def _loads(mechanism: Mechanism) -> list[tuple[str | None, np.ndarray]]:
-    """Return the closure forces (n_rows,) at home: while the weight is held, then for each actuator alone at each limit."""
+def _loads(mechanism: Mechanism) -> list[LoadedClosures]:
+    """Return the closures at home: while the weight is held, then under each actuator alone at each limit."""
     dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
     hold, _ = needed_effort(mechanism, home[None], still[None], still[None])
-    loads: list[tuple[str | None, np.ndarray]] = [
-        (None, np.array(dynamics.closure_force(home, still, still, hold[0])).ravel())
-    ]
+    loads = [loaded_closures(mechanism, home, still, still, hold[0])]
     for j, actuator in enumerate(mechanism.actuators):
         for end in (actuator.lower, actuator.upper):
             if np.isfinite(end) and end != 0:
                 effort = np.zeros(mechanism.n_u)
                 effort[j] = end
                 gained = acceleration_at(dynamics, home, still, effort)
-                loads.append((actuator.name, np.array(dynamics.closure_force(home, still, gained, effort)).ravel()))
+                loads.append(replace(loaded_closures(mechanism, home, still, gained, effort), actuator=actuator.name))
     return loads
 
 

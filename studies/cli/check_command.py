@@ -1,93 +1,67 @@
-"""The command `check`."""
+"""The command `check`, which also names the command to go on with."""
 
 import argparse
 import shlex
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.models.selection import floating_bodies
-from linkplan.studies.check.refused_model import REFUSED, RefusedModel
-from linkplan.studies.cli.common import deliver, output_folder, poses_asked, selection_asked, tables_of
+from linkplan.studies.cli.commands import called
+from linkplan.studies.cli.common import output_folder
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.output.document import Facts
+from linkplan.studies.cli.printing import show
 
 if TYPE_CHECKING:
-    from linkplan.studies.check.whole_check import WholeCheck
+    from linkplan.mechanisms import CheckResult
+    from linkplan.studies.output.document import Block
 
 
 def run_check(arguments: argparse.Namespace) -> int:
     """Report on a mechanism and its quantities along a path; 1 if problems are found."""
-    from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
-
     target = output_folder(arguments)
-    name, tables, folder, is_problem = tables_of(arguments.model, arguments.set, selection_asked(arguments))
-    try:
-        sections = tables if is_problem else {"mechanism": tables["mechanism"]}
-        mechanism, problem, notes = mechanism_and_problem(name, sections, folder)
-    except REFUSED as error:
-        refused = RefusedModel(name=Path(name).stem, error=error)
-        blocks = [*refused.blocks(), *_begun_elsewhere(error, arguments)]
-        deliver(arguments, target, refused.record(), blocks, lambda reports: reports.check_report(refused))
-        return NO  # a problem of the model, not bad input
-    whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
-    found = whole.found
+    found = called(arguments, None)
+    if target is not None:
+        found.save(target, report=arguments.report)
 
-    def draw(place: Path) -> None:
-        from linkplan.models.model_text import urdf_root
-        from linkplan.models.selected_model import whole_model_text
-        from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
+    def blocks() -> "list[Block]":
+        summed_up = not (arguments.all or arguments.at_deg or arguments.at_m) or found.mechanism is None
+        return [*found.summary(), *_what_is_next(found, arguments)] if summed_up else found.blocks()
 
-        inspection_figure(found, place / "mechanism.png")
-        for number, path in enumerate(whole.paths if len(whole.along) <= MAX_FIGURES else (), 1):
-            path_figure(path, found.reaches, place / f"loop-{number}.png")
-        if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
-            written = "selected.xml" if mechanism.selection else "model.xml"
-            (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
-
-    summed_up = not (arguments.all or arguments.at_deg)
-    blocks = [*whole.summary(), _what_is_next(whole, arguments, is_problem)] if summed_up else whole.blocks()
-    said = whole.record() if arguments.json or target is not None else {}
-    deliver(arguments, target, said, blocks, lambda reports: reports.check_report(whole), draw)
-    return NO if found.problems else DONE
+    show(arguments, found.to_dict, blocks)
+    return DONE if found.passed else NO
 
 
-def _what_is_next(whole: "WholeCheck", arguments: argparse.Namespace, is_problem: bool) -> Facts:
-    subject = shlex.join([arguments.model, *_selection_options(arguments)])
-    from linkplan.studies.check.drives import joints_to_drive
+def _what_is_next(found: "CheckResult", arguments: argparse.Namespace) -> "list[Block]":
+    from linkplan.studies.output.document import Facts
+    from linkplan.subjects import is_problem
 
-    mechanism = whole.found.mechanism
-    if mechanism.n_u == 0 and not joints_to_drive(mechanism):
+    subject, mechanism = shlex.join([arguments.subject, *_options(arguments)]), found.mechanism
+    of_problem = is_problem(arguments.subject)
+    if mechanism is None:
+        known = bool(found.home) and not of_problem
+        return [Facts(rows=[("next", f"linkplan new {subject} -o problem.toml begins at that pose")])] if known else []
+    if mechanism.n_u == 0 and not found.joints_to_drive:
         further = f"linkplan check {subject}, with an actuator that a plan can use in the model's <actuator>"
     elif mechanism.n_u == 0:
-        drive = ",".join(joints_to_drive(mechanism))
-        driven = f"{subject} --drive {shlex.quote(drive)}"
-        command = f"check {driven}" if is_problem else f"new {driven} -o problem.toml"
+        driven = f"{subject} --drive {shlex.quote(','.join(found.joints_to_drive))}"
+        command = f"check {driven}" if of_problem else f"new {driven} -o problem.toml"
         further = f"linkplan {command} puts motors on these joints"
-    elif is_problem:
+    elif of_problem:
         further = f"linkplan plan {subject} -o planned"
-    elif floating_bodies(mechanism.model)[0]:
+    elif found.floats:
         further = (
             f"linkplan new {subject} -o problem.toml writes a first motion on the fixed base; --keep NAMES --fix-base takes"
             " one chain with its loops out of the robot"
         )
     else:
         further = f"linkplan new {subject} -o problem.toml writes a first motion and names what it changes"
-    return Facts(rows=[("next", further), ("everything", f"linkplan check {subject} --all")])
+    return [Facts(rows=[("next", further), ("everything", f"linkplan check {subject} --all")])]
 
 
-def _begun_elsewhere(error: Exception, arguments: argparse.Namespace) -> list[Facts]:
-    """Return the command to go on with, if a model is refused at its own pose and another one is known."""
-    if not getattr(error, "home", None) or arguments.model.endswith(".toml"):
-        return []
-    subject = shlex.join([arguments.model, *_selection_options(arguments)])
-    return [Facts(rows=[("next", f"linkplan new {subject} -o problem.toml begins at that pose")])]
-
-
-def _selection_options(arguments: argparse.Namespace) -> list[str]:
+def _options(arguments: argparse.Namespace) -> list[str]:
     """Return the options of this command that select a part of the model or set keys; the next command repeats them."""
-    keep = [] if arguments.keep is None else ["--keep", arguments.keep]
-    keep += [] if arguments.drive is None else ["--drive", arguments.drive]
-    base = ["--fix-base"] if arguments.fix_base else []
-    locks = [word for lock in arguments.lock for word in ("--lock", lock)]
-    settings = [word for setting in arguments.set for word in ("--set", setting)]
-    return [*keep, *base, *locks, *([] if arguments.keyframe is None else ["--keyframe", arguments.keyframe]), *settings]
+    words = [
+        word for key in ("keep", "drive") if (names := getattr(arguments, key)) for word in (f"--{key}", ",".join(names))
+    ]
+    words += ["--fix-base"] if arguments.fix_base else []
+    words += [word for joint, value in (arguments.lock or {}).items() for word in ("--lock", f"{joint}={value:g}")]
+    words += [] if arguments.keyframe is None else ["--keyframe", arguments.keyframe]
+    return words + [word for setting in arguments.set for word in ("--set", setting)]

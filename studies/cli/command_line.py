@@ -2,13 +2,17 @@
 
 import argparse
 import sys
+from collections.abc import Callable
 from typing import NoReturn
 
-from linkplan.controllers.controls import keys_said
 from linkplan.models.errors import one_line
+from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, LINEAR, keys_said
+from linkplan.studies.cli import option_values as values
 from linkplan.studies.cli.exit_codes import BAD_INPUT
 from linkplan.studies.cli.printing import put
-from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
+
+# Arguments by place: their names in refusals are words of the sentence.
+POSITIONAL = ("subject", "problem", "plan", "cases", "model", "result", "file", "shell", "command")
 
 # The shells with completion.
 SHELLS = ("bash", "zsh", "fish")
@@ -55,7 +59,7 @@ def build_parser() -> Parser:
     command("list", "list the built-in models, problems, payloads, schemes and trackers", output=False, settings=False)
     text = "report on a mechanism: degrees of freedom, closure, reach, singular poses, ratios, inertias, forces, faults"
     check = command("check", text, report=True)
-    _add(check, "model", "MODEL", "a built-in model or problem, or an MJCF or problem file")
+    _add(check, "subject", "MODEL", "a built-in model or problem, or an MJCF or problem file")
     _flag(check, "--all", "print every finding and table, not a summary of thirty lines")
     _at(check, "report inertia, gravity and effort map at this pose; may be given again")
     _selection(check)
@@ -74,11 +78,11 @@ def build_parser() -> Parser:
     text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
     prove = command("prove", text, output=False)
     _add(prove, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
-    _flag(prove, "--no-existence", "prove the limits alone, and do not look for the model's own motion near the plan")
+    _off(prove, "--no-existence", "prove the limits alone, and do not look for the model's own motion near the plan")
     _all(prove)
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
-    _add(batch, "batch", "BATCH", "a TOML file: problem, set, and [[case]] tables or a [sweep] table")
+    _add(batch, "cases", "BATCH", "a TOML file: problem, set, and [[case]] tables or a [sweep] table")
 
     _parquet(batch, "every trajectory.csv")
     _engine(batch)
@@ -94,8 +98,7 @@ def build_parser() -> Parser:
     compare = command("compare", "run trackers side by side on a plan, nominal and with a mismatch", report=True)
     _add(compare, "plan", "PROBLEM-or-PLAN", "a saved plan's folder, a built-in problem or a TOML file")
     _all(compare)
-    text = "names with commas between them, as track takes them; or all (default: %(default)s)"
-    _add(compare, "--trackers", "NAMES", text, default="pd, pd+ff, lqr")
+    _trackers(compare)
     _mismatch(compare, 1.2, 1)
     _parquet(compare, "every run's .csv")
 
@@ -106,8 +109,7 @@ def build_parser() -> Parser:
     split = command("decompose", text, report=True)
     _add(split, "plan", "PROBLEM-or-PLAN", "a saved plan's folder, a built-in problem or a TOML file")
     _anyway(split)
-    text = "names with commas between them, as compare takes them; or all (default: %(default)s)"
-    _add(split, "--trackers", "NAMES", text, default="pd, pd+ff, lqr")
+    _trackers(split)
     text = "machines that [imperfections] are drawn for; one where nothing is random (default: %(default)s)"
     _add(split, "--samples", "N", text, int, 16)
     _add(split, "--seed", "N", "of all random numbers (default: %(default)s)", int, 0)
@@ -117,10 +119,9 @@ def build_parser() -> Parser:
     _loop(bode)
     _add(bode, "--kp", "KP", "proportional gain [N.m/rad] (default: the problem's, 200)", float)
     _add(bode, "--kd", "KD", "derivative gain [N.m.s/rad] (default: the problem's, 1)", float)
-    _add(bode, "--measure", "HOW", "sinestream, multisine, chirp or none (default: %(default)s)", default="sinestream")
-    _add(bode, "--from-hz", "F", "lowest frequency measured (default: about the crossover)", float)
-    _add(bode, "--to-hz", "F", "highest frequency measured, below half the sampling rate", float)
-    _add(bode, "--frequencies", "N", "how many frequencies are measured (default: 20)", int)
+    _off(bode, "--no-measure", "measure no response in MuJoCo; predict only")
+    text = "frequencies measured, F,F,... or LOW:HIGH:N for N in equal ratios (default: 20 about the crossover)"
+    _add(bode, "--frequency-hz", "F", text, values.frequencies)
     _add(bode, "--amplitude-deg", "A", "of the test signal's motion (default: small)", float)
     _flag(bode, "--map", "map the stable gains over all angles, checked in MuJoCo next to the stability boundary")
     _flag(bode, "--large", "large signals past the effort limit, beside the describing function")
@@ -132,7 +133,7 @@ def build_parser() -> Parser:
     _add(tune, "--phase-margin-deg", "P", "at least (default: %(default)s)", float, 60.0)
     _add(tune, "--sensitivity-peak", "M", "largest |S| allowed (default: any)", float)
     _add(tune, "--settling-s", "T", "longest settling to 2 %% (default: 5 / bandwidth)", float)
-    _add(tune, "--damping-ratio", "Z", "least of the closed loop's poles (default: 0.4)", float)
+    _add(tune, "--damping-ratio", "Z", "least of the closed loop's poles (default: %(default)s)", float, 0.4)
     text = "least stiffness at rest, N.m/rad or N/m (default: a small step settles within 5 %% against weight and springs)"
     _add(tune, "--stiffness", "K", text, float)
 
@@ -151,16 +152,16 @@ def build_parser() -> Parser:
     _render(command("render", text, output=False))
 
     text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
-    command("demo", text, settings=False, report=True).set_defaults(output="linkplan-demo")
+    command("demo", text, settings=False).set_defaults(output="linkplan-demo")
 
     text = "make one HTML file of a saved folder: animation, plots, certificate; it opens offline"
     report = command("report", text, output=False, settings=False)
-    _add(report, "folder", "DIR", "what plan, check, compare, experiment, decompose, bode, tune, batch or demo wrote")
+    _add(report, "result", "DIR", "what plan, check, compare, experiment, decompose, bode, tune, batch or demo wrote")
     _add(report, "-o --output", "FILE", "default: %(default)s", default="report.html")
 
     text = "vary a problem by sliders on a page of this machine: the certified plan and its tracking follow"
     explore = command("explore", text, output=False)
-    _add(explore, "model", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
+    _add(explore, "subject", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
     _selection(explore)
     _file(explore, "the problem file that the page's button writes; it must not be there (default: problem.toml)")
     _add(explore, "--port", "N", "of 127.0.0.1 (default: a free one)", int, 0)
@@ -178,7 +179,7 @@ def build_parser() -> Parser:
     _add(export, "--to", "FORMAT", text, required=True)
     _file(export, "the file to write; it must not be there; for c a folder", required=True)
     text = "for ros, and for a model in c: the output joints as coordinates (default: the independent joints)"
-    _add(export, "--joints", "A,B", text)
+    _add(export, "--joints", "A,B", text, values.names, ())
     text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"
     _add(export, "--tracker", "NAME", text, default="pd+ff")
     _flag(export, "--sizes", "for a model in c: measure flash and stack even if the code is long and compiles for minutes")
@@ -201,23 +202,41 @@ def build_parser() -> Parser:
 
 
 def _add(
-    parser: argparse.ArgumentParser, names: str, metavar: str, text: str, kind: type = str, default: object = None, **further
+    parser: argparse.ArgumentParser,
+    names: str,
+    metavar: str,
+    text: str,
+    kind: Callable[[str], object] = str,
+    default: object = None,
+    **further,
 ) -> None:
     """Add an argument with a value; `names` have blanks between them."""
     parser.add_argument(*names.split(), metavar=metavar, help=text, type=kind, default=default, **further)
 
 
-def _repeated(parser: argparse.ArgumentParser, name: str, metavar: str, text: str) -> None:
+def _repeated(
+    parser: argparse.ArgumentParser, name: str, metavar: str, text: str, kind: Callable[[str], object] = str
+) -> None:
     """Add an option that may be given again."""
-    parser.add_argument(name, action="append", default=[], metavar=metavar, help=text)
+    parser.add_argument(name, action=values.Appended, default=(), metavar=metavar, help=text, type=kind)
+
+
+def _table(parser: argparse.ArgumentParser, name: str, metavar: str, text: str, kind: Callable[[str], object]) -> None:
+    """Add an option that may be given again, once for each joint."""
+    parser.add_argument(name, action=values.Tabled, metavar=metavar, help=text, type=kind)
 
 
 def _flag(parser: argparse.ArgumentParser, name: str, text: str) -> None:
     parser.add_argument(name, action="store_true", help=text)
 
 
+def _off(parser: argparse.ArgumentParser, name: str, text: str) -> None:
+    """Add the option --no-NAME, which sets `name` to False."""
+    parser.add_argument(name, action="store_false", dest=name.removeprefix("--no-").replace("-", "_"), help=text)
+
+
 def _loop(parser: argparse.ArgumentParser) -> None:
-    _add(parser, "model", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
+    _add(parser, "subject", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
     _add(parser, "--tracker", "LAW", "pd, pd+ff or lqr (default: %(default)s)", default="pd")
     _add(parser, "--period-s", "T", "control period [s] (default: the problem's)", float)
     _add(parser, "--delay-periods", "N", "computing delay in control periods (default: 0)", float)
@@ -227,31 +246,37 @@ def _loop(parser: argparse.ArgumentParser) -> None:
 
 def _selection(parser: argparse.ArgumentParser) -> None:
     text = "of a larger robot, read only these bodies or joints (commas between names), what hangs on them and their loops"
-    _add(parser, "--keep", "NAMES", text)
+    _add(parser, "--keep", "NAMES", text, values.names)
     _flag(parser, "--fix-base", "lock what lies between the world and the kept bodies, and a base that no actuator moves")
     text = "lock a joint at an angle [deg], or a slide at a position [m], beside a file's locks; may be given again"
-    _repeated(parser, "--lock", "JOINT=VALUE", text)
+    _table(parser, "--lock", "JOINT=VALUE", text, values.joint_value)
     _add(parser, "--keyframe", "NAME", 'the keyframe of the home pose (default: "home")')
     text = "joints that get a motor within their effort limits (commas between names), where the model has no actuators"
-    _add(parser, "--drive", "NAMES", text)
+    _add(parser, "--drive", "NAMES", text, values.names)
 
 
 def _transfer(parser: argparse.ArgumentParser) -> None:
-    _add(parser, "model", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
+    _add(parser, "subject", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
     _selection(parser)
-    _add(parser, "--joints", "A,B", "output joints, one to three, with commas between them", required=True)
+    _add(parser, "--joints", "A,B", "output joints, one to three, with commas between them", values.names, required=True)
     text = "interpolation error allowed, as a share of each quantity's largest size (default: %(default)s)"
     _add(parser, "--tolerance", "E", text, float, 1e-3)
-    text = "the table's range of an output joint, JOINT=LOW:HIGH in degrees (default: its whole reach); may be given again"
-    _repeated(parser, "--range", "RANGE", text)
+    text = "the table's range of an output hinge, JOINT=LOW:HIGH in degrees (default: its whole reach); may be given again"
+    _table(parser, "--range-deg", "RANGE", text, values.joint_range)
+    _table(parser, "--range-m", "RANGE", "likewise, of a slide in metres", values.joint_range)
     text = "top speeds of the motors [rad/s or m/s], one for all or with commas (default: the problem's motors)"
-    _add(parser, "--motor-speed", "W", text)
+    _add(parser, "--motor-speed", "W", text, values.numbers)
     for side, other in (("joint", "motors"), ("motor", "joints")):
         for letter, what, unit in (("kp", "stiffness", "N.m/rad"), ("kd", "damping", "N.m.s/rad")):
             text = f"{what} of the {side}s [{unit}] to carry to the {other}, one for all or with commas"
-            _add(parser, f"--{side}-{letter}", "K", text)
+            _add(parser, f"--{side}-{letter}", "K", text, values.numbers)
     _add(parser, "--along", "PLAN", "a plan of the same model, along which the errors of models without loops are stated")
     _parquet(parser, "table.csv and inverse.csv")
+
+
+def _trackers(parser: argparse.ArgumentParser) -> None:
+    text = f"names with commas between them, as track takes them; or all (default: {', '.join(LINEAR)})"
+    _add(parser, "--trackers", "NAMES", text, values.trackers, LINEAR)
 
 
 def _tracker(parser: argparse.ArgumentParser) -> None:
@@ -263,8 +288,7 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     _add(parser, "plan", "PROBLEM-or-PLAN", "a built-in problem, a TOML file or a saved plan's folder")
     _anyway(parser)
     _add(parser, "--samples", "N", "machines (default: %(default)s)", int, 200)
-    text = "names with commas between them, your own as module:object; or all (default: %(default)s)"
-    _add(parser, "--trackers", "NAMES", text, default="pd,pd+ff,lqr")
+    _trackers(parser)
     _add(parser, "--seed", "N", "of all random numbers (default: %(default)s)", int, 0)
     text = "distribution of samples: latin-hypercube or grid; sensitivity: one-at-a-time, morris or sobol"
     text += " (default: %(default)s)"
@@ -281,7 +305,7 @@ def _all(parser: argparse.ArgumentParser) -> None:
 
 
 def _engine(parser: argparse.ArgumentParser) -> None:
-    _add(parser, "--workers", "N", "processes of this machine that share the work (default: 1)", int)
+    _add(parser, "--workers", "N", "processes of this machine that share the work (default: %(default)s)", int, 1)
     text = "share the work among the workers of the Dask scheduler at this address, such as tcp://head:8786"
     _add(parser, "--cluster", "ADDRESS", text)
 
@@ -302,7 +326,7 @@ def _render(render: argparse.ArgumentParser) -> None:
     _tracker(render)
     _add(render, "--slow", "X", "times slower than real (default: to last some 4 s)", float)
     _add(render, "--fps", "N", "frames a second (default: %(default)s)", float, 25.0)
-    _add(render, "--size", "WxH", "of the picture in pixels (default: %(default)s)", default="800x600")
+    _add(render, "--size-px", "WxH", "of the picture in pixels (default: 800x600)", values.size, (800, 600))
     text = "a camera of the model by its name, or AZIMUTH/ELEVATION in degrees (default: the mechanism's own side)"
     _add(render, "--camera", "VIEW", text)
     _flag(render, "--there-and-back", "play a film forwards and backwards, so that it repeats without a jump")
@@ -316,8 +340,8 @@ def _anyway(parser: argparse.ArgumentParser) -> None:
 
 
 def _at(parser: argparse.ArgumentParser, text: str) -> None:
-    text += "; degrees, metres for a slide"
-    _repeated(parser, "--at-deg", "JOINT=ANGLE", text)
+    _repeated(parser, "--at-deg", "JOINT=ANGLE", f"{text}; degrees", values.pose)
+    _repeated(parser, "--at-m", "JOINT=POSITION", "likewise, of slides in metres", values.pose)
 
 
 def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: float) -> None:

@@ -5,16 +5,11 @@ The script is static: a completion starts no Python. With argcomplete, every com
 
 import argparse
 
-from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ProblemError, choose
-from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.keys.reading import KEYS
+from linkplan.names import DESIGNS, FILE_KINDS, FOLDER_FORMATS, FORMATS, LINEAR, MODELS, PROBLEMS, TRACKERS, problem_keys
 from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
-from linkplan.studies.export.formats import FOLDER_FORMATS, FORMATS
-from linkplan.studies.frequency.method_names import METHODS
 
 # The words and the file name patterns that an argument accepts, by its name in the help.
 _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -29,16 +24,15 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "FILE": ((), ("*",)),
     "NAME": (TRACKERS, ()),
     "NAMES": ((*TRACKERS, "all"), ()),
-    "LAW": (("pd", "pd+ff", "lqr"), ()),
-    "DESIGN": (("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol"), ()),
-    "KIND": (("problem", "batch"), ()),
-    "HOW": ((*METHODS, "none"), ()),
+    "LAW": (LINEAR, ()),
+    "DESIGN": (DESIGNS, ()),
+    "KIND": (FILE_KINDS, ()),
     "FORMAT": ((*FORMATS, *FOLDER_FORMATS), ()),
     "SHELL": (SHELLS, ()),
 }
-_WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "HOW", "FORMAT", "SHELL")
+_WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "FORMAT", "SHELL")
 # A value follows the "=" of a setting without a space.
-_SETTINGS = tuple(f"{section}.{key}=" for section, keys in KEYS.items() for key in keys)
+_SETTINGS = tuple(f"{key}=" for key in problem_keys())
 _BASH_WITHOUT_BLANK = """
 _linkplan_without_blank() {
   _shtab_linkplan "$@"

@@ -49,12 +49,4 @@ class ExitCode(IntEnum):
     BROKEN_PIPE = 141  # stdout was closed before the result was written: the code that a shell shows for SIGPIPE
 
 
-class NoMotionError(Exception):
-    """A command needs a plan with a motion, and `plan` has none; the plan's message is the reason."""
-
-    def __init__(self, plan) -> None:
-        super().__init__(plan.message)
-        self.plan = plan
-
-
 DONE, NO, BAD_INPUT = ExitCode.DONE, ExitCode.ANSWER_IS_NO, ExitCode.BAD_INPUT

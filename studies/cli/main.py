@@ -7,31 +7,23 @@ that needs them.
 import argparse
 import importlib
 import os
+import re
 import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import cast
 
 from linkplan.models.deadline import check, ended_by, listening
-from linkplan.models.errors import CertificateError, LinkplanError, ProblemError, one_line, shown
-from linkplan.studies.cli.command_line import build_parser
-from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, NoMotionError, is_of_memory, saved_fault_report
+from linkplan.models.errors import CertificateError, InfeasibleError, LinkplanError, ProblemError, one_line, shown
+from linkplan.studies.cli.command_line import POSITIONAL, build_parser
+from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, is_of_memory, saved_fault_report
 from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, put, quiet, refuse, show
 
-# The modules of commands that share one; each other command has a module of its own, loaded when the command runs.
-_SHARED = {
-    "plan": "plan_commands",
-    "batch": "plan_commands",
-    "prove": "plan_commands",
-    "experiment": "experiment_commands",
-    "decompose": "experiment_commands",
-    "track": "tracking_commands",
-    "compare": "tracking_commands",
-    "bode": "feedback_loop_commands",
-    "tune": "feedback_loop_commands",
-}
+# Commands that have a module of their own; the others share one.
+_ALONE = ("check", "completion")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -117,15 +109,16 @@ def _refuse_unusable_date() -> None:
 def _run(arguments: argparse.Namespace) -> int:
     try:
         _refuse_unusable_date()
-        name = _SHARED.get(arguments.command, f"{arguments.command}_command")
+        name = f"{arguments.command}_command" if arguments.command in _ALONE else "commands"
         module = importlib.import_module(f"linkplan.studies.cli.{name}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:
             code = run(arguments)
-        except NoMotionError as none:
-            from linkplan.planner.plan_folder import record
+        except InfeasibleError as none:
+            import linkplan
 
-            show(arguments, record(none.plan), f"{none.plan.problem.name}: {none}")
+            plan = linkplan.Plan.of(cast("linkplan.Plan", none.plan))
+            show(arguments, plan.to_dict, f"{plan.problem.name}: {plan.message}")
             code = NO
         finally:
             quiet(arguments)
@@ -134,7 +127,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return code if saved else delivered(arguments.command, getattr(arguments, "lost", None), code)
     except LinkplanError as error:
         check()
-        refuse(arguments.command, one_line(error))
+        refuse(arguments.command, by_option(arguments, one_line(error)))
         return NO if isinstance(error, CertificateError) else BAD_INPUT
     except OSError as error:
         check()
@@ -165,9 +158,17 @@ def _result_at(target: str | None) -> str | None:
     """Return the identity of the result at a path; None if there is none."""
     if not target or not os.path.isdir(target):
         return None
-    from linkplan.planner.files.manifest import identity_at
+    from linkplan.paths import result_identity
 
-    return identity_at(Path(target))
+    return result_identity(Path(target))
+
+
+def by_option(arguments: argparse.Namespace, text: str) -> str:
+    """Return a refusal that begins with the name of a parameter with the option of that name in its place."""
+    name = re.match(r"(\w+)(?= (?!')|[:,]|$)", text)
+    if name is None or name[1] in POSITIONAL or not hasattr(arguments, name[1]):
+        return text
+    return f"--{name[1].replace('_', '-')}{text[name.end() :]}"
 
 
 def unforeseen(command: str, error: BaseException) -> int:

@@ -7,7 +7,6 @@ the seconds.
 
 import argparse
 import errno
-import json
 import os
 import sys
 import time
@@ -143,16 +142,21 @@ def progress(arguments: argparse.Namespace) -> Progress:
     return arguments.progress
 
 
-def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], result: "str | Sequence[Block]") -> None:
+def show(
+    arguments: argparse.Namespace,
+    said: dict | Callable[[], dict],
+    result: "str | Sequence[Block] | Callable[[], Sequence[Block]]",
+) -> None:
     """Print a result: one JSON object with --json, else its text; on a terminal, a document is drawn in its width."""
     quiet(arguments)
     if arguments.json:
-        from linkplan.planner.files.folders import plain  # loads numpy, which the text does not need
+        from linkplan.paths import plain_json
 
-        text = json.dumps(plain(said() if callable(said) else said), allow_nan=False) + "\n"
+        text = plain_json(said() if callable(said) else said) + "\n"
     elif isinstance(result, str):
         text = f"{result}\n"
     else:
+        result = result() if callable(result) else result
         document = result if getattr(arguments, "all", True) else _in_brief(result)
         if is_terminal(sys.stdout):
             from linkplan.studies.output.terminal import drawn

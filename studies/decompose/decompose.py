@@ -13,7 +13,7 @@ up to the rms error, because errors of different causes can cancel or occur at d
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import whole
 from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.studies.decompose.decomposition import Decomposition, Shares, TrackerShares
 from linkplan.studies.decompose.ladder import RUNGS, run_ladder
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of, imperfections_asked
 
@@ -33,8 +34,8 @@ DEFAULT_SAMPLES, MOST_SAMPLES = 16, 1000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Shares:
-    """The parts of a rms error, in its unit.
+class ErrorParts:
+    """The parts of a rms error, in its unit, as arrays over the causes.
 
     `parts` (K,) add up to `rms`, and so do `of_joints` (K, n_s) over both axes. `alone` (K,) are the rms values of the
     increments; `after` (K,) is the rms error after each cause is switched on.
@@ -46,8 +47,22 @@ class Shares:
     alone: np.ndarray
     after: np.ndarray
 
+    def named(self, joints: Sequence[str]) -> Shares:
+        """Return the parts by the names of the causes and of the joints (n_s,)."""
 
-def shares_of(errors: np.ndarray, increments: np.ndarray) -> Shares:
+        def by_cause(values: np.ndarray) -> dict[str, float]:
+            return dict(zip(RUNGS, values.tolist(), strict=True))
+
+        return Shares(
+            rms_error=self.rms,
+            parts=by_cause(self.parts),
+            parts_of_joints={name: by_cause(column) for name, column in zip(joints, self.of_joints.T, strict=True)},
+            rms_of_increment=by_cause(self.alone),
+            rms_error_on_rung=by_cause(self.after),
+        )
+
+
+def error_parts(errors: np.ndarray, increments: np.ndarray) -> ErrorParts:
     """Return the parts of errors e_K from e_1 to e_K and d_1 to d_K (K, t, n, n_s).
 
     t instants, n machines, n_s joints of one unit.
@@ -60,35 +75,9 @@ def shares_of(errors: np.ndarray, increments: np.ndarray) -> Shares:
     rms = float(rms_of(errors[-1:])[0])
     projected = np.sum(increments * errors[-1], axis=(1, 2)) / instants
     of_joints = projected / rms if rms > 0 else np.zeros_like(projected)
-    return Shares(rms=rms, parts=of_joints.sum(axis=1), of_joints=of_joints, alone=rms_of(increments), after=rms_of(errors))
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class TrackerShares:
-    """The parts of one tracker's error by unit ("deg", "m"), over the machines without a failure, and the failures."""
-
-    name: str
-    shares: Mapping[str, Shares]
-    machines: int
-    failures: Mapping[str, int]
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Decomposition:
-    """The causes of the errors of trackers on one plan."""
-
-    experiment: Experiment
-    trackers: tuple[TrackerShares, ...]
-
-    @property
-    def plan(self) -> Plan:
-        """The tracked plan."""
-        return self.experiment.plan
-
-    @property
-    def found(self) -> bool:
-        """True if every tracker has at least one machine without a failure."""
-        return all(one.machines for one in self.trackers)
+    return ErrorParts(
+        rms=rms, parts=of_joints.sum(axis=1), of_joints=of_joints, alone=rms_of(increments), after=rms_of(errors)
+    )
 
 
 def decompose(
@@ -117,23 +106,32 @@ def decompose(
     experiment = experiment_of(plan, Settings(samples=samples, seed=seed))
     if not any(factor.spread.random or "noise" in factor.key for factor in experiment.section.factors):
         experiment = replace(experiment, values=experiment.values[:1])
-    found: list[TrackerShares] = []
+    found: dict[str, TrackerShares] = {}
     for one in asked:
         ladder = run_ladder(experiment, one)
-        if any(ladder.tracker == other.name for other in found):
+        if ladder.tracker in found:
             raise ProblemError(f"a decomposition needs trackers with different names, got '{ladder.tracker}' twice")
         kept = np.array([failed is None for failed in ladder.failure])
         errors, increments = ladder.errors[:, :, kept], ladder.increments[:, :, kept]
         say(f"{ladder.tracker}: {int(kept.sum())} of {len(kept)} machines")
-        found.append(
-            TrackerShares(
-                name=ladder.tracker,
-                shares=_by_unit(experiment, errors, increments) if np.any(kept) else {},
-                machines=int(kept.sum()),
-                failures=Counter(failed for failed in ladder.failure if failed is not None),
-            )
+        found[ladder.tracker] = TrackerShares(
+            machines=int(kept.sum()),
+            failures=dict(Counter(failed for failed in ladder.failure if failed is not None)),
+            **(_by_unit(experiment, errors, increments) if np.any(kept) else {}),
         )
-    return Decomposition(experiment=experiment, trackers=tuple(found))
+    reference, mechanism = experiment.reference, plan.problem.mechanism
+    return Decomposition(
+        decomposition=plan.problem.name,
+        machines=experiment.n,
+        seed=seed,
+        imperfections=plain_record(imperfections_asked(plan)),
+        control_period_s=reference.period_s,
+        delay_periods=experiment.loop.delay_periods,
+        timestep_s=min(reference.period_s, float(mechanism.model.opt.timestep)),
+        duration_s=reference.period_s * reference.n,
+        parts=dict(RUNGS),
+        trackers=found,
+    )
 
 
 def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
@@ -146,46 +144,11 @@ def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
 
 def _by_unit(experiment: Experiment, errors: np.ndarray, increments: np.ndarray) -> dict[str, Shares]:
     """Return the parts of errors and increments (n_rungs, t, n, n_s) [rad or m], for the joints of each unit."""
-    factor = np.array([joint.shown(1.0) for joint in experiment.plan.problem.mechanism.independent_joints])
+    joints = experiment.plan.problem.mechanism.independent_joints
+    factor = np.array([joint.shown(1.0) for joint in joints])
     errors, increments = factor * errors, factor * increments
-    joints = joints_by_unit(experiment)
-    return {unit: shares_of(errors[..., which], increments[..., which]) for unit, which in joints.items()}
-
-
-def decomposition_record(found: Decomposition) -> dict:
-    """Return the JSON record of `linkplan decompose`: every part by its name, in the unit of its error."""
-    experiment = found.experiment
-    mechanism, joints = experiment.plan.problem.mechanism, joints_by_unit(experiment)
-    names = [joint.name for joint in mechanism.independent_joints]
-
-    def shares_record(unit: str, shares: Shares) -> dict:
-        each = {names[j]: dict(zip(RUNGS, shares.of_joints[:, i], strict=True)) for i, j in enumerate(joints[unit].tolist())}
-        return {
-            "rms_error": shares.rms,
-            "parts": dict(zip(RUNGS, shares.parts, strict=True)),
-            "parts_of_joints": each,
-            "rms_of_increment": dict(zip(RUNGS, shares.alone, strict=True)),
-            "rms_error_on_rung": dict(zip(RUNGS, shares.after, strict=True)),
-        }
-
-    return plain_record(
-        {
-            "decomposition": experiment.plan.problem.name,
-            "machines": experiment.n,
-            "seed": experiment.settings.seed,
-            "imperfections": imperfections_asked(experiment.plan),
-            "control_period_s": experiment.reference.period_s,
-            "delay_periods": experiment.loop.delay_periods,
-            "timestep_s": min(experiment.reference.period_s, float(mechanism.model.opt.timestep)),
-            "duration_s": experiment.reference.period_s * experiment.reference.n,
-            "parts": dict(RUNGS),
-            "trackers": {
-                one.name: {
-                    "machines": one.machines,
-                    "failures": dict(one.failures),
-                    **{unit: shares_record(unit, shares) for unit, shares in one.shares.items()},
-                }
-                for one in found.trackers
-            },
-        }
-    )
+    found = {}
+    for unit, which in joints_by_unit(experiment).items():
+        names = [joints[i].name for i in which.tolist()]
+        found[unit] = error_parts(errors[..., which], increments[..., which]).named(names)
+    return found

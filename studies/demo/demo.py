@@ -16,8 +16,10 @@ from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import bode_record, save_bode
+from linkplan.studies.bode.bode_sections import bode_sections
 from linkplan.studies.bode.loop_blocks import map_blocks
 from linkplan.studies.bode.map_study import map_record, map_study
+from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.inspection import inspection_record
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
@@ -31,16 +33,13 @@ from linkplan.studies.compare.comparison_blocks import (
 )
 from linkplan.studies.compare.comparison_notes import comparison_record
 from linkplan.studies.compare.document import DOCUMENT_KP, document_record, mended_runs, printed_runs
+from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of
 from linkplan.studies.output.draw_plan import save_plan
 from linkplan.studies.output.figure import figure_of, panels_of
-from linkplan.studies.report.check_sections import check_sections
-from linkplan.studies.report.loop_sections import bode_sections
-from linkplan.studies.report.plan_sections import plan_sections
-from linkplan.studies.report.render import PAGE, save_report
-from linkplan.studies.report.reports import report_of
-from linkplan.studies.report.tracking_sections import comparison_sections
+from linkplan.studies.output.plan_sections import plan_sections
+from linkplan.studies.output.report_file import PAGE, report_of, save_report
 
 PLANNED = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
 COMPARED = ("knee-sine", "knee-reach", "knee-sine-shank")

@@ -1,6 +1,5 @@
 """The execution of an experiment: an engine runs its blocks, and each block's results are a part of the result file."""
 
-import contextlib
 import functools
 import hashlib
 import socket
@@ -24,8 +23,8 @@ from linkplan.studies.experiment.experiment import Experiment, Settings, experim
 from linkplan.studies.experiment.laws import unbatched_notes
 from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.tasks.engine import Engine, Say
-from linkplan.studies.tasks.streaming import Progress, streamed
-from linkplan.studies.tasks.unfinished import PLAN, done, part
+from linkplan.studies.tasks.streaming import complete
+from linkplan.studies.tasks.unfinished import PLAN, part
 
 
 def conduct(
@@ -63,14 +62,10 @@ def conduct(
     experiment = replace(_opened(folder, settings, written), own=own)
     for line in unbatched_notes(experiment):
         say(line)
-    there = done(folder)
-    progress = Progress(experiment.n, sum(len(samples_of(block, experiment)) for block in there), "samples", say)
+    blocks = [samples_of(block, experiment) for block in range(block_count(experiment))]
     work = functools.partial(_work, folder, settings, written, sources, own, threads)
-    todo = [block for block in range(block_count(experiment)) if block not in there]
-    with contextlib.closing(streamed(engine, work, todo, say)) as results:
-        for block, columns in results:
-            write_part(folder, block, columns, experiment)
-            progress.more(len(samples_of(block, experiment)))
+    write = functools.partial(write_part, folder, experiment)
+    complete(folder, blocks, "samples", engine, work, write, say)
     return experiment
 
 
@@ -121,7 +116,7 @@ def column_kinds(experiment: Experiment) -> dict[str, Kind]:
     return kinds
 
 
-def write_part(folder: Path, block: int, columns: Mapping[str, list], experiment: Experiment) -> None:
+def write_part(folder: Path, experiment: Experiment, block: int, columns: Mapping[str, list]) -> None:
     """Write a block's results as a part, completely or not at all."""
     import pyarrow as pa
     import pyarrow.parquet as parquet

@@ -1,6 +1,5 @@
 """A complete experiment: from a plan to a folder with results, or to a summary only."""
 
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +35,7 @@ from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of,
 from linkplan.studies.experiment.summary import Summary, chatter_notes, summarise, summary_record
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.tasks.engine import Engine, Say, here
-from linkplan.studies.tasks.unfinished import PLAN, finish, refuse_other, remove_left, unfinished, working
+from linkplan.studies.tasks.unfinished import PLAN, finish, parts_folder, refuse_other, remove_left, unfinished, working
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,27 +101,21 @@ def run_experiment(
     sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS and name not in objects}
     written = {name: object_hash(given) for name, given in objects.items()}
     asked = asked_record(source, digest, settings, sources | written)
-
-    def carried_out(folder: Path) -> Outcome:
-        with working(folder, asked, "an experiment"):
-            experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads)
-            write_results(folder, folder / RESULTS, experiment)
-            outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
-            (folder / RESULTS).unlink()
-            if target is not None:
-                finish(folder, target, lambda place: _save(outcome, folder, place), RECORD)
-        return outcome
-
-    if target is None:
-        with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
-            return carried_out(Path(place) / "run")
-    check_target(target, RECORD)
-    if (target / RECORD).is_file():
-        refuse_other(target / RECORD, asked, f"'{target}' holds another experiment's results")
-        say(f"'{target}' holds these results already")
-        remove_left(unfinished(target), asked)
-        return saved_outcome(target)
-    return carried_out(unfinished(target))
+    if target is not None:
+        check_target(target, RECORD)
+        if (target / RECORD).is_file():
+            refuse_other(target / RECORD, asked, f"'{target}' holds another experiment's results")
+            say(f"'{target}' holds these results already")
+            remove_left(unfinished(target), asked)
+            return saved_outcome(target)
+    with parts_folder(target) as folder, working(folder, asked, "an experiment"):
+        experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads)
+        write_results(folder, folder / RESULTS, experiment)
+        outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
+        (folder / RESULTS).unlink()
+        if target is not None:
+            finish(folder, target, lambda place: _save(outcome, folder, place), RECORD)
+    return outcome
 
 
 def experiment_figure(outcome: Outcome, path: Path | None) -> "Figure":

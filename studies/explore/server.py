@@ -9,7 +9,7 @@ from importlib import resources
 
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.studies.explore.session import Save, Session
-from linkplan.studies.report.render import document_json, report_html
+from linkplan.studies.output.report_file import document_json, report_html
 
 # Largest body of a request [bytes]: the values of some hundred sliders.
 _MAX_BODY_BYTES = 100_000

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from msgspec.structs import replace
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
@@ -16,8 +17,11 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number
 from linkplan.planner.replan import Replanner
 from linkplan.studies.compare.compare import Comparison, compare
-from linkplan.studies.output.document import Report
-from linkplan.studies.report.reports import explored_report, plan_report
+from linkplan.studies.compare.tracking_sections import comparison_sections
+from linkplan.studies.output.document import Animation, Report, Section
+from linkplan.studies.output.lead import verdict_sentence
+from linkplan.studies.output.plan_sections import plan_report, plan_sections
+from linkplan.studies.output.report_file import report_of
 
 # The objectives of the page, those that need neither a reference nor motors.
 OBJECTIVES = ("effort", "time", "work")
@@ -163,3 +167,13 @@ def _range(mechanism: Mechanism, column: int, value: float) -> tuple[float, floa
 
 def _about(key: str, label: str, unit: str, value: float) -> Slider:
     return Slider(key=key, label=label, unit=unit, low=value / _SLIDER_FACTOR, high=value * _SLIDER_FACTOR, value=value)
+
+
+def explored_report(plan: Plan, comparison: Comparison) -> Report:
+    """Return the report of an explored plan: its tracked motion with the facts of the plan, then the plan's sections."""
+    first, *rest = plan_sections(plan, verdict=False)
+    moving, *tables = comparison_sections(comparison)[0].blocks
+    blocks = [moving if isinstance(block, Animation) else block for block in first.blocks]
+    tracked = Section(title="Tracking", blocks=tables, depth=2)
+    title, verdict = f"Plan {plan.problem.name}", verdict_sentence(plan)
+    return report_of(title, verdict, plan.passed, [replace(first, blocks=blocks), rest[0], tracked, *rest[1:]])

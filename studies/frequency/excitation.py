@@ -15,7 +15,6 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort, quantity_unit, refuse_above_nyquist
-from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.frequency.response import Response
 
 EXCITATIONS = {
@@ -57,7 +56,6 @@ class Setup:
     averaged. `longest_s` [s] ends the measurement; an estimate that has not settled by then has a large uncertainty.
     """
 
-    method: str = "sinestream"
     amplitude: float | None = None
     ramp_cycles: int = 2
     windows: int = 3
@@ -65,8 +63,6 @@ class Setup:
     longest_s: float = 10.0
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise LinkplanError(f"unknown measurement method '{self.method}'; methods are {', '.join(METHODS)}")
         if self.amplitude is not None and not (np.isfinite(self.amplitude) and self.amplitude > 0):
             raise LinkplanError(f"the amplitude of a test signal is a positive number, got {self.amplitude:g}")
         if self.ramp_cycles < 0 or self.windows < 2 or not 0 < self.tolerance < 1 or not self.longest_s > 0:
@@ -79,14 +75,14 @@ class Setup:
 class Measurement:
     """The measured responses of each loop by quantity, the number of simulated steps, and the simulation settings.
 
-    `actuated` (sinestream only): for each excitation, the phasors (n,) of the commanded and of the applied effort, relative
+    `actuated`: for each excitation, the phasors (n,) of the commanded and of the applied effort, relative
     to the holding effort [N.m or N].
     """
 
     responses: tuple[dict[str, Response], ...]
     simulated_steps: int
     conditions: dict
-    actuated: tuple[dict[str, tuple[np.ndarray, np.ndarray]], ...] = ()
+    actuated: tuple[dict[str, tuple[np.ndarray, np.ndarray]], ...]
 
 
 def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -149,7 +145,6 @@ def quantities(
     frequency_hz: np.ndarray,
     signals: np.ndarray,
     quality: dict[str, np.ndarray],
-    method: str,
 ) -> dict[str, Response]:
     """Return the responses that follow from one excitation.
 
@@ -160,7 +155,6 @@ def quantities(
         frequency_hz: (n,).
         signals: phasors (windows, n, 3 or more) of the added signal, the command and the position.
         quality: coherence, distortion, residual and saturated (n,) of the same signals.
-        method: of the measurement, stored in the responses.
     """
     W, U, Y = (signals[:, :, i] for i in range(3))
     by_quantity = {
@@ -180,7 +174,7 @@ def quantities(
             frequency_hz=frequency_hz,
             gain=estimates.mean(axis=0),
             unit=quantity_unit(loop.point, name, channel),
-            origin=f"measured in MuJoCo, {method}, {excitation}",
+            origin=f"measured in MuJoCo, sinestream, {excitation}",
             uncertainty=spread,
             **quality,
         )

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
-from linkplan.studies.frequency import broadband, sinestream
+from linkplan.studies.frequency import sinestream
 from linkplan.studies.frequency.excitation import EXCITATIONS, Measurement, Setup
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 
@@ -38,8 +38,7 @@ def measure(
     """
     setup = Setup() if setup is None else setup
     refuse_unstable(loops)
-    run = sinestream.run if setup.method == "sinestream" else broadband.run
-    return run(loops, frequency_hz, effort_limit, setup, tuple(excitations), channel, say)
+    return sinestream.run(loops, frequency_hz, effort_limit, setup, tuple(excitations), channel, say)
 
 
 def refuse_unstable(loops: Sequence[FeedbackLoop]) -> None:

@@ -72,7 +72,7 @@ def run(
         signals = phasors[at].swapaxes(0, 1)
         names = ("coherence", "distortion", "residual", "saturated")
         quality: dict[str, np.ndarray] = dict(zip(names, columns[at].T, strict=True))
-        responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, quality, "sinestream")
+        responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, quality)
         actuated[place][excitation] = signals[-1, :, 1], signals[-1, :, 3]
     return Measurement(
         responses=tuple(responses),

@@ -39,7 +39,7 @@ from linkplan.studies.new.locks import (
     rods_on_balls,
     spins,
 )
-from linkplan.studies.new.loop_gap import SOFT_GAP, held_gap
+from linkplan.studies.new.loop_gap import SOFT_GAP, home_gap
 from linkplan.studies.new.pace import is_large
 
 # Keys of the [mechanism] table that a change sets, and the sentence on it.
@@ -67,12 +67,12 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             mechanism = _assembled(table, mechanism)
             notes.append(note)
     # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
-    if "solref" not in table and held_gap(mechanism) > SOFT_GAP:
+    if "solref" not in table and home_gap(mechanism) > SOFT_GAP:
         mechanism = _assembled({**table, "solref": STIFF}, mechanism)
         notes.append(
             "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
             f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
-            f" leaves {held_gap(mechanism):.1g} of its size or rad"
+            f" leaves {home_gap(mechanism):.1g} of its size or rad"
         )
     if moved := sorted(mechanism.source.keys() & {"home_deg", "home_m"} - table.keys()):
         notes.append(

@@ -21,18 +21,22 @@ if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same 
     from linkplan.controllers.trackers.tracker import Tracker
     from linkplan.decompositions import decompose
     from linkplan.experiments import experiment
-    from linkplan.loops import bode, tune
+    from linkplan.gains import tune
+    from linkplan.loops import bode
     from linkplan.many import batch
     from linkplan.mechanisms import check, load_mechanism
     from linkplan.models.errors import LinkplanError
     from linkplan.models.mechanism import Mechanism
+    from linkplan.names import schema
+    from linkplan.ode_plans import solve_ocp
     from linkplan.planner.ode.problem import OdeProblem
     from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
     from linkplan.planner.problem.problem import Problem
-    from linkplan.plans import Plan, Planner, plan, read_plan, solve_ocp
+    from linkplan.plans import Plan, Planner, plan, prove, read_plan
     from linkplan.starting import new
     from linkplan.tracking import compare, track
     from linkplan.transfers import transfer
+    from linkplan.viewing import demo, explore, view
     from linkplan.writing import export, render, report
 
     __version__: str
@@ -52,18 +56,23 @@ __all__ = [
     "check",
     "compare",
     "decompose",
+    "demo",
     "experiment",
+    "explore",
     "export",
     "load_mechanism",
     "new",
     "plan",
+    "prove",
     "read_plan",
     "render",
     "report",
+    "schema",
     "solve_ocp",
     "track",
     "transfer",
     "tune",
+    "view",
 ]
 
 # The public names by their modules, loaded when a name is first used (PEP 562). No module of this package has a public name,
@@ -72,18 +81,22 @@ _MODULES = {
     "linkplan.controllers.trackers.tracker": ("Tracker",),
     "linkplan.decompositions": ("decompose",),
     "linkplan.experiments": ("experiment",),
-    "linkplan.loops": ("bode", "tune"),
+    "linkplan.gains": ("tune",),
+    "linkplan.loops": ("bode",),
     "linkplan.many": ("batch",),
     "linkplan.mechanisms": ("check", "load_mechanism"),
     "linkplan.models.errors": ("LinkplanError",),
     "linkplan.models.mechanism": ("Mechanism",),
+    "linkplan.names": ("schema",),
+    "linkplan.ode_plans": ("solve_ocp",),
     "linkplan.planner.ode.problem": ("OdeProblem",),
     "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
     "linkplan.planner.problem.problem": ("Problem",),
-    "linkplan.plans": ("Plan", "Planner", "plan", "read_plan", "solve_ocp"),
+    "linkplan.plans": ("Plan", "Planner", "plan", "prove", "read_plan"),
     "linkplan.starting": ("new",),
     "linkplan.tracking": ("compare", "track"),
     "linkplan.transfers": ("transfer",),
+    "linkplan.viewing": ("demo", "explore", "view"),
     "linkplan.writing": ("export", "render", "report"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

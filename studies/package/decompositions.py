@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import to_builtins
 
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.paths import drawn
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
-from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.results import Result
+from linkplan.studies.compare.user_tracker import TrackerLike, tracker_named
 from linkplan.studies.decompose import decompose as study
+from linkplan.studies.decompose.decomposition import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
-from linkplan.studies.output.text import html_of, text_of
-from linkplan.subjects import listed, with_imperfections, with_motion
+from linkplan.studies.output.document import Block, Report
+from linkplan.subjects import PlanLike, listed, plan_of, with_imperfections
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def decompose(
-    plan: Plan,
+    plan: PlanLike,
     trackers: Sequence[TrackerLike] = LINEAR,
     *,
     imperfections: Mapping | None = None,
@@ -38,7 +42,7 @@ def decompose(
     (docs/choose-a-tracker.md).
 
     Args:
-        plan: with a motion.
+        plan: with a motion; or its problem, or the name or path of either.
         trackers: built-in names, or functions of the sampled reference that return a law.
         imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
             default table (docs/experiments.md).
@@ -53,22 +57,32 @@ def decompose(
 
         print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], samples=4))
     """
-    with_motion(plan, "track")
-    listed(trackers, "names or functions")
+    say = listener(progress)
+    names = listed(trackers, "names or functions")
+    asked = [tracker_named(one) if isinstance(one, str) else one for one in names]
     whole(seed, "seed", 0, 2**63 - 1)
-    given = with_imperfections(plan, imperfections)
-    return DecompositionResult(decomposition=study.decompose(given, trackers, samples, seed, listener(progress)))
+    answer = plan_of(plan, say, "track")
+    given = replace(answer, problem=with_imperfections(answer.problem, imperfections))
+    return DecompositionResult(decomposition=study.decompose(given, asked, samples, seed, say), plan=given)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class DecompositionResult:
+class DecompositionResult(Result):
     """The causes of errors. `str(result)` is the table; `to_dict()` has every part, by cause and by joint."""
 
-    decomposition: study.Decomposition
+    record_name = "decompose"
+
+    decomposition: Decomposition
+    plan: Plan
+
+    @property
+    def passed(self) -> bool:
+        """Whether the plan passes and every tracker's error is split."""
+        return self.plan.passed and self.decomposition.found
 
     def to_dict(self) -> dict:
         """Return all parts by name, in JSON types: the sum of "parts" is "rms_error", in deg or m."""
-        return study.decomposition_record(self.decomposition)
+        return to_builtins(self.decomposition)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""
@@ -76,12 +90,19 @@ class DecompositionResult:
 
         return drawn(path, lambda place: decomposition_figure(self.decomposition, place))
 
-    def _repr_html_(self) -> str:
-        return html_of(decomposition_blocks(self.decomposition))
+    def blocks(self) -> list[Block]:
+        """Return the table and the charts of the parts."""
+        return decomposition_blocks(self.decomposition)
 
-    def __str__(self) -> str:
-        return text_of(decomposition_blocks(self.decomposition))
+    def document(self) -> Report:
+        """Return the report."""
+        from linkplan.studies.decompose.decomposition_blocks import decomposition_report
+
+        return decomposition_report(self.decomposition, self.plan)
+
+    def draw(self, place: Path) -> None:
+        """Write decompose.png."""
+        self.plot(place / "decompose.png")
 
     def __repr__(self) -> str:
-        names = ", ".join(one.name for one in self.decomposition.trackers)
-        return f"DecompositionResult({self.decomposition.plan.problem.name!r}: {names})"
+        return f"DecompositionResult({self.decomposition.decomposition!r}: {', '.join(self.decomposition.trackers)})"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from linkplan.paths import drawn, path_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
+from linkplan.results import Result
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
 from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings, plan_digest
@@ -24,16 +26,18 @@ from linkplan.studies.experiment.experiment_blocks import outcome_blocks, sensit
 from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, experiment_figure, run_experiment
-from linkplan.studies.output.text import html_of, text_of
+from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.text import text_of
 from linkplan.studies.tasks.cluster import engine_of
-from linkplan.subjects import listed, with_imperfections, with_motion
+from linkplan.subjects import PlanLike, listed, plan_of, problem_of, with_imperfections
+from linkplan.typed_commands import sample_again
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def experiment(
-    plan: Plan,
+    plan: PlanLike,
     trackers: Sequence[TrackerLike] = LINEAR,
     *,
     samples: int = 200,
@@ -52,7 +56,7 @@ def experiment(
     """Return trackers' metrics on many imperfect machines in MuJoCo, with 95 % confidence intervals.
 
     Args:
-        plan: with a motion.
+        plan: with a motion; or its problem, which is planned when results are missing, or the name or path of either.
         trackers: built-in names, and your own: as objects, classes or functions as for `track`, as "module:object", or by
             the name that an installed package gives them. The results call an object "own:" and its name. With several
             workers an object must be picklable.
@@ -78,7 +82,7 @@ def experiment(
 
         print(linkplan.experiment(linkplan.plan("knee-reach"), ["pd+ff"], samples=8))
     """
-    with_motion(plan, "track")
+    say = listener(progress)
     listed(trackers, "names, objects, classes or functions")
     own = {name_of(one): one for one in trackers if not isinstance(one, str)}
     names = tuple(one if isinstance(one, str) else name_of(one) for one in trackers)
@@ -86,7 +90,6 @@ def experiment(
     whole(threads, "threads", 0, 10_000)
     if own and (workers > 1 or cluster is not None):
         refuse_unpicklable(own)
-    given = with_imperfections(plan, imperfections)
     settings = Settings(
         trackers=names,
         samples=samples,
@@ -96,20 +99,39 @@ def experiment(
         tube_deg=tube_deg,
         tube_m=tube_m,
     )
-    source = {"name": given.problem.name, **given.problem.source}
     target = None if folder is None else path_of(folder, "folder")
-    say = listener(progress)
-    outcome = run_experiment(
-        source, plan_digest(given), lambda: given, settings, target, say, engine=engine, threads=threads, own=own
-    )
-    return ExperimentResult(outcome=outcome)
+    problem, answer = problem_of(plan), None
+    if problem is None:
+        answer = plan_of(plan, say, "track")
+        problem = answer.problem
+    problem = with_imperfections(problem, imperfections)
+    source: dict = {"name": problem.name, **problem.source}
+    digest = None
+    if answer is None:
+        source["model_hash"] = problem.mechanism.fingerprint()
+    else:
+        answer = replace(answer, problem=problem)
+        digest = plan_digest(answer)
+
+    def made() -> Plan:
+        return plan_of(problem, say, "track") if answer is None else answer
+
+    outcome = run_experiment(source, digest, made, settings, target, say, engine=engine, threads=threads, own=own)
+    return ExperimentResult(outcome=outcome, folder=target)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class ExperimentResult:
+class ExperimentResult(Result):
     """An experiment's results. `str(result)` is the table; `to_dict()` has every figure with its unit and direction."""
 
     outcome: Outcome
+    folder: Path | None = None
+    """The folder with the results, if one was given."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the plan passes."""
+        return self.outcome.experiment.plan.passed
 
     @property
     def results(self) -> dict[str, np.ndarray]:
@@ -134,11 +156,19 @@ class ExperimentResult:
         """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
         return drawn(path, lambda place: experiment_figure(self.outcome, place))
 
-    def _repr_html_(self) -> str:
-        return html_of(outcome_blocks(self.outcome))
+    def blocks(self) -> list[Block]:
+        """Return the trackers' metrics, or the influence of every imperfection."""
+        return outcome_blocks(self.outcome)
 
-    def __str__(self) -> str:
-        return text_of(outcome_blocks(self.outcome))
+    def document(self) -> Report:
+        """Return the report; with a folder, it has the commands that run samples again."""
+        from linkplan.studies.experiment.experiment_sections import experiment_report
+
+        return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))
+
+    def draw(self, place: Path) -> None:
+        """Write experiment.png."""
+        self.plot(place / "experiment.png")
 
     def __repr__(self) -> str:
         one = self.outcome.experiment

@@ -1,4 +1,4 @@
-"""`bode` and `tune`: a tracker's feedback loop over the mechanism's poses, and gains for requirements."""
+"""`bode`: a tracker's feedback loop over the mechanism's poses."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import tracking_from_tables
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
 from linkplan.reporting import Progress, listener
+from linkplan.results import Result
+from linkplan.studies.bode.along_motion import AlongMotion, along_motion, along_record
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, bode_study
 from linkplan.studies.bode.bode_blocks import summary
+from linkplan.studies.bode.bode_report import bode_figure, bode_record, save_bode
+from linkplan.studies.bode.large_study import LargeStudy, large_study, large_study_record
+from linkplan.studies.bode.loop_blocks import along_blocks, large_blocks, map_blocks
+from linkplan.studies.bode.map_study import MapStudy, map_record, map_study
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
-from linkplan.studies.frequency.feedback_loops import QUANTITIES, operating_point, sampled_law
+from linkplan.studies.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
 from linkplan.studies.frequency.margins import frequency_grid
-from linkplan.studies.frequency.method_names import METHODS
-from linkplan.studies.output.text import html_of, text_of
-from linkplan.studies.tune import tune as tuning
-from linkplan.studies.tune import tune_report
-from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
-from linkplan.subjects import Subject, numbers, poses_of, subject_of, tracking_table
+from linkplan.studies.output.document import Block, Report, Section
+from linkplan.subjects import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
 
 if TYPE_CHECKING:
     import control
@@ -39,12 +42,19 @@ def bode(
     subject: Subject,
     *,
     tracker: str = "pd",
+    kp: float | None = None,
+    kd: float | None = None,
+    period_s: float | None = None,
+    delay_periods: float | None = None,
     tracking: Mapping[str, float | Mapping[str, float]] | None = None,
-    at_deg: Sequence[Mapping[str, float]] = (),
-    at_m: Sequence[Mapping[str, float]] = (),
-    measure: str | None = "sinestream",
+    at_deg: Poses = (),
+    at_m: Poses = (),
+    measure: bool = True,
     frequency_hz: Sequence[float] | None = None,
     amplitude_deg: float | None = None,
+    map: bool = False,  # noqa: A002 (the option's name)
+    large: bool = False,
+    along: bool = False,
     progress: Progress | None = None,
 ) -> BodeResult:
     """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
@@ -52,14 +62,21 @@ def bode(
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either; every degree of freedom has an actuator.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
-        tracking: settings that replace the problem's, by the keys of its [tracking] table: kp [N.m/rad], kd [N.m.s/rad],
-            period_s, delay_periods (here it may be a fraction), lqr_position_deg, ...
-        at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name; by default five over the problem's
-            motion, seven over the reach, or home with several degrees of freedom.
+        kp: proportional gain of every joint [N.m/rad or N/m]; by default that of `tracking`. Likewise the next three.
+        kd: derivative gain [N.m.s/rad or N.s/m].
+        period_s: control period [s].
+        delay_periods: computing delay in control periods, which may be a fraction.
+        tracking: settings that replace the problem's, by the keys of its [tracking] table: kp, kd, period_s,
+            lqr_position_deg, ...
+        at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name, or a number for the only joint; by
+            default five over the problem's motion, seven over the reach, or home with several degrees of freedom.
         at_m: likewise, for slides [m].
-        measure: "sinestream", "multisine" or "chirp"; None for no measurement.
+        measure: whether responses are measured in MuJoCo, by a sinestream.
         frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover.
         amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
+        map: whether the stable gains are mapped over all positions and tried in MuJoCo next to the stability boundary.
+        large: whether signals past the effort limit are measured, beside the describing function.
+        along: whether the tracked motion of the problem is analysed: margins at frozen instants, Floquet multipliers.
         progress: called with lines on the progress.
 
     Raises:
@@ -67,18 +84,20 @@ def bode(
 
     Example::
 
-        loop = linkplan.bode("optimus-knee", at_deg=[{"O": 0.0}], measure=None)
+        loop = linkplan.bode("optimus-knee", at_deg=[{"O": 0.0}], measure=False)
         print(loop.stable, loop.message)
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
-    mechanism, problem, settings, limit = _loop_of(subject, tracking)
-    setup = None
-    if measure is not None:
-        method = choose("way to measure", str(measure), METHODS, ProblemError)
-        amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
-        joint = mechanism.independent_joints[0]
-        setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
+    given = {"kp": kp, "kd": kd, "period_s": period_s, "delay_periods": delay_periods}
+    mechanism, problem, settings, limit = loop_of(subject, tracking, given)
+    if along and problem is None:
+        raise ProblemError("along needs a problem, for its motion; a model has none")
+    for name, is_asked in (("map", map), ("large", large)):
+        if is_asked:
+            refuse_several_freedoms(mechanism, name)
+    amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
+    joint = mechanism.independent_joints[0]
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     study = bode_study(
         mechanism,
@@ -87,98 +106,54 @@ def bode(
         limit,
         say,
         law=tracker,
-        setup=setup,
+        setup=Setup(amplitude=None if amplitude is None else joint.read(amplitude)) if measure else None,
         frequency_hz=None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True)),
         line=looked.line,
         note=looked.note,
     )
-    return BodeResult(study=study)
-
-
-def tune(
-    subject: Subject,
-    *,
-    bandwidth_hz: float,
-    phase_margin_deg: float = 60.0,
-    sensitivity_peak: float | None = None,
-    settling_s: float | None = None,
-    damping_ratio: float = LEAST_DAMPING_RATIO,
-    stiffness: float | None = None,
-    tracker: str = "pd",
-    tracking: Mapping[str, float | Mapping[str, float]] | None = None,
-    at_deg: Sequence[Mapping[str, float]] = (),
-    at_m: Sequence[Mapping[str, float]] = (),
-    progress: Progress | None = None,
-) -> TuneResult:
-    """Return gains that meet the requirements at the worst pose, or the nearest ones with the reason why none do.
-
-    With several degrees of freedom every joint has PD gains of its own, found one loop at a time with the others closed.
-
-    Args:
-        subject: a mechanism with one actuator for each degree of freedom, a `Problem` of one, or the name or path of either.
-        bandwidth_hz: least bandwidth of every joint's loop [Hz]: the first frequency at which the complementary
-            sensitivity is below -3 dB.
-        phase_margin_deg: least phase margin [deg].
-        sensitivity_peak: the largest sensitivity; by default any.
-        settling_s: the longest time [s] in which an error settles to 2 %; by default 5 over the bandwidth.
-        damping_ratio: the least damping ratio of the closed loop's poles.
-        stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default a joint settles within 5 %
-            of a small step of its reference, although weight and springs pull it away.
-        tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
-        tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
-        at_deg: poses, as for `bode`.
-        at_m: likewise, for slides [m].
-        progress: called with lines on the progress.
-
-    Raises:
-        LinkplanError: for a bandwidth above half the sampling rate, LQR with several degrees of freedom, or an
-            invalid argument.
-
-    Example::
-
-        gains = linkplan.tune("optimus-knee", bandwidth_hz=10.0)
-        print(gains.tracking)
-    """
-    choose("tracker", str(tracker), LINEAR, ProblemError)
-    say = listener(progress)
-    peak = np.inf if sensitivity_peak is None else number(sensitivity_peak, "sensitivity_peak", positive=True)
-    wanted = Wanted(
-        bandwidth_hz=number(bandwidth_hz, "bandwidth_hz", positive=True),
-        phase_margin_deg=number(phase_margin_deg, "phase_margin_deg", at_least_zero=True),
-        sensitivity_peak=peak,
-        settling_s=None if settling_s is None else number(settling_s, "settling_s", positive=True),
-        damping_ratio=number(damping_ratio, "damping_ratio", at_least_zero=True),
-        stiffness=None if stiffness is None else number(stiffness, "stiffness", positive=True),
+    return BodeResult(
+        study=study,
+        map=map_study(study, say) if map else None,
+        large=large_study(study, None if problem is None else problem.limits, say) if large else None,
+        along=along_motion(plan_of(problem, say, "analyse"), tracker, study.law.settings, say)
+        if along and problem
+        else None,
     )
-    mechanism, problem, settings, limit = _loop_of(subject, tracking)
-    looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
-    points = [operating_point(mechanism, position, limit) for position in looked.positions]
-    law = sampled_law(mechanism, tracker, settings, limit)
-    return TuneResult(tuning=tuning.tune(points, wanted, law, say=say, line=looked.line, note=looked.note))
 
 
-def _loop_of(subject: Subject, tracking: object):
+def loop_of(
+    subject: Subject, tracking: object, given: Mapping[str, float | None]
+) -> tuple[Mechanism, Problem | None, Tracking, np.ndarray]:
     """Return the mechanism, its problem or None, the tracking settings and the effort limits (n_u, 2)."""
-    mechanism, problem = subject_of(subject)
-    settings = _settings(tracking_table(problem, tracking), mechanism)
-    if problem is None:
-        return mechanism, None, settings, mechanism.effort_limit
-    return mechanism, problem, settings, problem.limits.actuators_effort
-
-
-def _settings(table: dict, mechanism: Mechanism) -> Tracking:
-    """Return the tracking settings of a table; its delay may be a fraction of a period."""
+    mechanism, problem, own = read_subject(subject)
+    table = tracking_table(own, tracking)
     settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}}, mechanism)
+    asked = {"delay_periods": table.get("delay_periods", 0)} | {key: x for key, x in given.items() if x is not None}
+    for key, value in asked.items():
+        number(
+            value, key if given.get(key) is not None else f"tracking.{key}", positive=key == "period_s", at_least_zero=True
+        )
+    settings = replace(settings, **asked)
     if not settings.acts:
-        raise ProblemError("tracking.kp and tracking.kd are both 0: there is no loop to look at")
-    return replace(settings, delay_periods=table.get("delay_periods", 0))
+        raise ProblemError("kp and kd are both 0: there is no feedback")
+    limit = mechanism.effort_limit if problem is None else problem.limits.actuators_effort
+    return mechanism, problem, settings, limit
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class BodeResult:
-    """A loop's frequency response. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
+class BodeResult(Result):
+    """A loop's frequency response; `map`, `large` and `along` are the further studies that were asked for, else None."""
 
+    record_name = "bode"
     study: BodeStudy
+    map: MapStudy | None = None
+    large: LargeStudy | None = None
+    along: AlongMotion | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the sampled loop is stable at every analysed pose."""
+        return self.study.stable
 
     @property
     def stable(self) -> bool:
@@ -250,9 +225,40 @@ class BodeResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        from linkplan.studies.bode.bode_report import bode_record
+        said = bode_record(self.study)
+        said |= {} if self.map is None else {"map": map_record(self.map)}
+        said |= {} if self.large is None else {"large": large_study_record(self.large)}
+        said |= {} if self.along is None else {"along": along_record(self.along)}
+        return plain_record(said)
 
-        return plain_record(bode_record(self.study))
+    def blocks(self) -> list[Block]:
+        """Return the margins at every pose, and the further studies."""
+        return [*summary(self.study), *(block for section in self._further.values() for block in section.blocks)]
+
+    @property
+    def _further(self) -> dict[str, Section]:
+        found: dict[str, Section] = {}
+        if self.map is not None:
+            found["map"] = Section(title="Stability map", blocks=map_blocks(self.map), depth=2)
+        if self.large is not None:
+            found["large"] = Section(title="Large signals", blocks=large_blocks(self.large), depth=2)
+        if self.along is not None:
+            found["along"] = Section(title="Along the motion", blocks=along_blocks(self.along), depth=2)
+        return found
+
+    def document(self) -> Report:
+        """Return the report."""
+        from linkplan.studies.bode.bode_sections import bode_report
+
+        return bode_report(self.study, list(self._further.values()))
+
+    def draw(self, place: Path) -> None:
+        """Write bode.png, nyquist.png, sensitivity.png, margins.png and the figures of further studies."""
+        from linkplan.studies.output.figure import figure_of, panels_of
+
+        save_bode(self.study, place)
+        for name, section in self._further.items():
+            figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3, panel_in=(6.0, 4.6))
 
     def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
         """Return the figure of open and closed loop at every pose, saved at `path` if it is given.
@@ -264,53 +270,9 @@ class BodeResult:
         Raises:
             LinkplanError: if the joint is not independent.
         """
-        from linkplan.studies.bode.bode_report import bode_figure
-
         channel = self._channel(joint)
         entries = [entry for entry in self.study.points if entry.channel == channel]
         return drawn(path, lambda place: bode_figure(self.study, entries, place))
 
-    def _repr_html_(self) -> str:
-        return html_of(summary(self.study))
-
-    def __str__(self) -> str:
-        return text_of(summary(self.study))
-
     def __repr__(self) -> str:
         return f"BodeResult({self.study.mechanism.name!r}: {self.message})"
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class TuneResult:
-    """Gains for requirements. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
-
-    tuning: tuning.Tuning
-
-    @property
-    def found(self) -> bool:
-        """Whether the gains meet the requirements at every pose; if not, they are the nearest ones."""
-        return self.tuning.found
-
-    @property
-    def message(self) -> str:
-        """The verdict in a sentence."""
-        return self.tuning.message
-
-    @property
-    def tracking(self) -> dict[str, float | dict[str, float]]:
-        """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
-        return tune_report.tracking_values(self.tuning)
-
-    def to_dict(self) -> dict:
-        """Return all values by name, in JSON types."""
-        return plain_record(tune_report.tune_record(self.tuning))
-
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""
-        return drawn(path, lambda place: tune_report.tune_figure(self.tuning, place))
-
-    def __str__(self) -> str:
-        return text_of(tune_report.tune_blocks(self.tuning))
-
-    def __repr__(self) -> str:
-        return f"TuneResult({self.tuning.mechanism.name!r}: {self.message})"

@@ -6,13 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from linkplan.models.errors import ProblemError
 from linkplan.paths import path_of
 from linkplan.planner.files.folders import plain_record
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import plain
 from linkplan.reporting import Progress, listener
+from linkplan.results import Result
 from linkplan.studies.batch.study import Outcome, run_batch
 from linkplan.studies.output.batch_table import batch_blocks
-from linkplan.studies.output.text import html_of, text_of
+from linkplan.studies.output.document import Block, Report, Section
 from linkplan.studies.tasks.cluster import engine_of
 
 
@@ -30,7 +33,7 @@ def batch(
     Args:
         cases: the path of a batch file, or its table: `problem` (a built-in name or a problem file), `set` (settings for all
             cases), and either `sweep`, lists of values by dotted key whose combinations are the cases, or `case`, a list of
-            tables with `name` and `set`. Keys have their units in their names.
+            tables with `name` and `set`. Keys have their units in their names. `problem` may be a `Problem`.
         folder: for the plans, written whole. Finished parts are kept next to it, and the same call continues from them.
         workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
         cluster: the address of a Dask scheduler, whose workers share the work.
@@ -47,13 +50,28 @@ def batch(
     from linkplan.planner.files.batch_file import batch_from, read_batch
 
     engine = engine_of(workers, cluster)
-    asked = batch_from(plain(cases), Path()) if isinstance(cases, Mapping) else read_batch(path_of(cases, "cases"))
+    if isinstance(cases, Mapping):
+        problem = cases.get("problem")
+        asked = batch_from(plain({**cases, "problem": _text_of(problem)} if isinstance(problem, Problem) else cases), Path())
+    else:
+        asked = read_batch(path_of(cases, "cases"))
     target = None if folder is None else path_of(folder, "folder")
     return BatchResult(outcome=run_batch(asked, target, listener(progress), engine=engine, parquet=parquet))
 
 
+def _text_of(problem: Problem) -> str:
+    """Return a problem as the text of its file, which workers can read.
+
+    Raises:
+        ProblemError: for a problem with costs or limits as expressions, which no file has.
+    """
+    if problem.extras:
+        raise ProblemError(f"a batch plans problems as files have them, and '{problem.name}' has costs or limits of its own")
+    return problem.to_toml()
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class BatchResult:
+class BatchResult(Result):
     """The plans of a batch. `str(result)` is the table; `to_dict()` has every case's record, with units in the names."""
 
     outcome: Outcome
@@ -72,11 +90,18 @@ class BatchResult:
         """Return the settings and the record of every case by name, in JSON types."""
         return plain_record(self.outcome.record)
 
-    def _repr_html_(self) -> str:
-        return html_of(batch_blocks(self.outcome.rows, self.outcome.failures))
+    def blocks(self) -> list[Block]:
+        """Return the table of the cases."""
+        return batch_blocks(self.outcome.rows, self.outcome.failures)
 
-    def __str__(self) -> str:
-        return text_of(batch_blocks(self.outcome.rows, self.outcome.failures))
+    def document(self) -> Report:
+        """Return the report."""
+        from linkplan.studies.output.report_file import report_of
+
+        n, lost = len(self.outcome.rows), len(self.outcome.failures)
+        return report_of(
+            "Batch", f"{n - lost} of {n} cases planned", self.passed, [Section(title="Cases", blocks=self.blocks())]
+        )
 
     def __repr__(self) -> str:
         return f"BatchResult({len(self.outcome.rows)} cases, {len(self.outcome.failures)} without a plan)"

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.selection import floating_bodies
 from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.tables import read_tables
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.settings import plain
-from linkplan.subjects import Subject, is_problem, poses_of, subject_of
+from linkplan.results import Result
+from linkplan.studies.output.document import Block, Report
+from linkplan.subjects import Poses, Source, Subject, poses_of, source_of, subject_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,9 +92,7 @@ def load_mechanism(
     return mechanism_from_tables({"mechanism": plain(table)})
 
 
-def check(
-    subject: Subject, *, at_deg: Sequence[Mapping[str, float]] = (), at_m: Sequence[Mapping[str, float]] = ()
-) -> CheckResult:
+def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> CheckResult:
     """Return the report on a mechanism before planning, along the motion of a problem if one is given.
 
     A model that is locked or not assembled has a report, too, with the reason in `problems`. For a problem file that cannot
@@ -100,7 +100,8 @@ def check(
 
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either.
-        at_deg: further poses for the report, each the independent hinges' angles [deg] by joint name.
+        at_deg: further poses for the report, each the independent hinges' angles [deg] by joint name, or a number for the
+            only joint.
         at_m: likewise, for slides [m].
 
     Raises:
@@ -116,20 +117,21 @@ def check(
 
     notes: tuple[str, ...] = ()
     try:
-        if isinstance(subject, str | Path) and is_problem(subject):
-            mechanism, problem, notes = mechanism_and_problem(*read_tables(subject))
+        if isinstance(subject, Source | str | Path) and source_of(subject).is_problem:
+            mechanism, problem, notes = mechanism_and_problem(*source_of(subject).tables())
         else:
             mechanism, problem = subject_of(subject)
     except REFUSED as error:
-        text = str(subject)
+        text = source_of(subject).name if isinstance(subject, Source | str | Path) else str(subject)
         return CheckResult(found=RefusedModel(name="the model" if "<" in text else Path(text).stem, error=error))
     return CheckResult(found=check_whole(mechanism, problem, poses_of(mechanism, at_deg, at_m), notes))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class CheckResult:
+class CheckResult(Result):
     """The findings of `check`. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
+    record_name = "check"
     found: WholeCheck | RefusedModel
 
     @property
@@ -142,9 +144,69 @@ class CheckResult:
         """Further facts that are no faults, each a sentence."""
         return self.found.notes
 
+    @property
+    def passed(self) -> bool:
+        """Whether there are no faults."""
+        return not self.problems
+
+    @property
+    def mechanism(self) -> Mechanism | None:
+        """The mechanism; None for a model that is refused."""
+        return getattr(getattr(self.found, "found", None), "mechanism", None)
+
+    @property
+    def home(self) -> dict:
+        """The nearest closed pose of a refused model whose own pose does not close, as tables home_deg and home_m."""
+        return getattr(getattr(self.found, "error", None), "home", {})
+
+    @property
+    def joints_to_drive(self) -> tuple[str, ...]:
+        """The joints that motors could drive, of a mechanism without an actuator."""
+        from linkplan.studies.check.drives import joints_to_drive
+
+        return () if self.mechanism is None or self.mechanism.n_u else tuple(joints_to_drive(self.mechanism))
+
+    @property
+    def floats(self) -> bool:
+        """Whether a body of the model floats freely."""
+        return self.mechanism is not None and bool(floating_bodies(self.mechanism.model)[0])
+
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
         return plain_record(self.found.record())
+
+    def blocks(self) -> list[Block]:
+        """Return every finding and table."""
+        return self.found.blocks()
+
+    def summary(self) -> list[Block]:
+        """Return the findings in less than thirty lines."""
+        from linkplan.studies.check.refused_model import RefusedModel
+
+        return self.found.blocks() if isinstance(self.found, RefusedModel) else self.found.summary()
+
+    def document(self) -> Report:
+        """Return the report."""
+        from linkplan.studies.check.check_sections import check_report
+
+        return check_report(self.found)
+
+    def draw(self, place: Path) -> None:
+        """Write the figures, and the model as it was read if it is not the file's."""
+        from linkplan.models.model_text import urdf_root
+        from linkplan.models.selected_model import whole_model_text
+        from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
+        from linkplan.studies.check.refused_model import RefusedModel
+
+        if isinstance(self.found, RefusedModel):
+            return
+        whole, mechanism = self.found, self.found.found.mechanism
+        inspection_figure(whole.found, place / "mechanism.png")
+        for number, path in enumerate(whole.paths if len(whole.along) <= MAX_FIGURES else (), 1):
+            path_figure(path, whole.found.reaches, place / f"loop-{number}.png")
+        if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
+            written = "selected.xml" if mechanism.selection else "model.xml"
+            (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the mechanism over its reach, saved at `path` if it is given.
@@ -159,16 +221,6 @@ class CheckResult:
             raise LinkplanError(f"nothing to draw: {self.found.error}")
         found = self.found.found
         return drawn(path, lambda place: inspection_figure(found, place))
-
-    def _repr_html_(self) -> str:
-        from linkplan.studies.output.text import html_of
-
-        return html_of(self.found.blocks())
-
-    def __str__(self) -> str:
-        from linkplan.studies.output.text import text_of
-
-        return text_of(self.found.blocks())
 
     def __repr__(self) -> str:
         return f"CheckResult({self.found.name!r}, {len(self.problems)} problems, {len(self.notes)} notes)"

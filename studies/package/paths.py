@@ -1,5 +1,6 @@
 """Checks of paths and times given by callers."""
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +28,84 @@ def path_of(value: object, key: str) -> Path:
     if not text or "\0" in text or any(len(part) > 255 for part in parts):
         raise ProblemError(f"{key} is a path whose names have 1 to 255 bytes, none of them zero, got {text!r}")
     return Path(text)
+
+
+def folder_to_write(value: object, record: str) -> Path:
+    """Return a folder for a result with a record of a name, which could be written now.
+
+    Raises:
+        LinkplanError: if it cannot be written, or holds something else.
+    """
+    from linkplan.planner.files.folders import check_target
+
+    target = path_of(value, "folder")
+    check_target(target, record)
+    return target
+
+
+def file_to_write(value: object) -> Path:
+    """Return a path at which a new file could be written now.
+
+    Raises:
+        LinkplanError: if it cannot be written, or there is a file.
+    """
+    from linkplan.planner.files.single_file import check_new
+
+    target = path_of(value, "path")
+    check_new(target)
+    return target
+
+
+def require_parquet(what: str) -> None:
+    """Refuse what needs Parquet, if its package is not installed."""
+    from linkplan.models.extras import load_extra
+
+    load_extra("pyarrow.parquet", what)
+
+
+def write_schema(path: str, text: str) -> None:
+    """Write a JSON Schema into a file; an older schema of linkplan's is replaced.
+
+    Raises:
+        LinkplanError: if another file exists at the path.
+    """
+    from linkplan.planner.files.single_file import write_over
+
+    place = path_of(path, "path")
+    if place.is_dir():
+        raise ProblemError(f"a schema is a file, got the folder '{path}'")
+    if place.exists() and not _is_a_schema(place):
+        raise ProblemError(f"'{place}' is there and not linkplan's; move it or name another file")
+    write_over(place, f"{text}\n".encode())
+
+
+def _is_a_schema(place: Path) -> bool:
+    """Tell if a file is empty or a schema that linkplan wrote, which may be replaced."""
+    from linkplan.models.errors import LinkplanError
+    from linkplan.models.reading import MOST_TOML_BYTES, read_file
+    from linkplan.planner.keys.key_table import DIALECT, FILES
+
+    try:
+        text = read_file(place, f"'{place}'", MOST_TOML_BYTES).decode("utf-8")  # refuses devices, whose content never ends
+        said = json.loads(text) if text else {"$schema": DIALECT, "title": "linkplan problem file"}
+    except (LinkplanError, ValueError, RecursionError):
+        return False
+    titles = [f"linkplan {name} file" for name in FILES]
+    return isinstance(said, dict) and said.get("$schema") == DIALECT and said.get("title") in titles
+
+
+def plain_json(record: object) -> str:
+    """Return a record as one line of JSON."""
+    from linkplan.planner.files.folders import plain
+
+    return json.dumps(plain(record), allow_nan=False)
+
+
+def result_identity(folder: Path) -> str | None:
+    """Return the identity of the result in a folder; None if there is none."""
+    from linkplan.planner.files.manifest import identity_at
+
+    return identity_at(folder)
 
 
 def drawn(path: object, draw: Callable[[Path | None], "Figure"]) -> "Figure":

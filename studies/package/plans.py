@@ -1,42 +1,49 @@
-"""`plan`, `Plan`, `read_plan`, `Planner`, `solve_ocp`: from a problem to a certified motion, or the reason for none."""
+"""`plan`, `prove`, `Plan`, `read_plan`, `Planner`: from a problem to a certified motion, or the reason for none."""
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.models.extras import load_extra
+from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
+from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn, path_of
 from linkplan.planner import plan as planned
 from linkplan.planner import plan_folder
-from linkplan.planner.files.columns import csv_bytes
-from linkplan.planner.files.folders import plain_record, write_json, write_whole
-from linkplan.planner.ode import plan as ode_planned
-from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import plan_ode
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.files.folders import plain_record, write_whole
+from linkplan.planner.planning import plan_motion, price_of, saved_price, with_price
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.replan import NextMotion, Replanner
-from linkplan.reporting import LOG, Progress, listener
+from linkplan.reporting import LOG, Listener, Progress, listener
+from linkplan.results import Result
+from linkplan.subjects import PlanLike, Source, plan_of, source_of, with_motion
 
 if TYPE_CHECKING:
-    import pandas
     from matplotlib.figure import Figure
 
+    from linkplan.planner.proof.prove import Proof
+    from linkplan.studies.output.document import Block, Report
 
-def plan(problem: Problem | str | Path, progress: Progress | None = None, *, prove: bool = False) -> Plan:
+# A plan is proved without being asked if that takes at most this share of the plan's time, or this many seconds.
+_PROOF_SHARE, _PROOF_SECONDS = 0.25, 1.0
+PROVING = "proving the limits, then looking for the model's own motion for at most a minute"
+
+
+def plan(problem: Problem | Source | str | Path, progress: Progress | None = None, *, prove: bool = False) -> Plan:
     """Return the plan of a problem; without a motion, its `message` has the reason.
+
+    With a reserve or ranges the nominal machine is planned too, for the price of robustness. The motion is proved if that
+    takes little time beside planning; the result is the plan's `proof`.
 
     Args:
         problem: a `Problem`, a built-in name or the path of a problem file.
         progress: called with lines on the progress.
-        prove: whether its motion is proved; the result is the plan's `proof`.
+        prove: whether its motion is proved, whatever it takes.
 
     Raises:
         LinkplanError: if the problem is invalid.
@@ -45,8 +52,84 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None, *, pro
 
         print(linkplan.plan("knee-reach"))
     """
-    found = Plan.of(plan_motion(_problem(problem), listener(progress)))
-    return found.with_proof() if prove and found.trajectory is not None else found
+    say, begun = listener(progress), time.process_time()
+    found = plan_motion(_problem(problem), say)
+    found = with_price(found, price_of(found, say))
+    return Plan.of(_proved(found, prove, time.process_time() - begun, say))
+
+
+def _proved(plan: planned.Plan, asked: bool, seconds: float, say: Listener) -> planned.Plan:
+    """Return a plan with its proof, if it is asked for or costs little beside the plan's own processor time [s]."""
+    if plan.trajectory is None or not (plan.passed or asked):
+        return plan
+    if asked:
+        say(PROVING)
+        return plan.with_proof()
+    until = NO_DEADLINE.within(max(_PROOF_SHARE * seconds, _PROOF_SECONDS))
+    with contextlib.suppress(OutOfTimeError):
+        return plan.with_proof(until, existence=False)
+    say.keep("not proved: the proof takes long beside the plan; `linkplan prove` makes it")
+    return plan
+
+
+def prove(plan: PlanLike, *, existence: bool = True, progress: Progress | None = None) -> ProofResult:
+    """Return the proof of a plan's limits at every instant, in ball arithmetic, from its polynomials.
+
+    Args:
+        plan: with a motion; or its problem, or the name or path of either. A saved motion need not pass its certificate.
+        existence: whether a motion of the model near the plan is looked for, too, for at most a minute.
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: if the plan has no motion.
+
+    Example::
+
+        print(linkplan.prove("knee-reach", existence=False))
+    """
+    say = listener(progress)
+    if isinstance(plan, Source | str | Path) and Path(source_of(plan).name).is_dir():
+        source = source_of(plan)
+        if source.settings:
+            raise ProblemError(f"set {source.settings[0]}: a saved plan is fixed; it is proved as it is")
+        answer = with_motion(plan_folder.read_to_prove(source.name), "prove")
+    else:
+        answer = plan_of(plan, say, "prove")
+    say(PROVING if existence else "proving the limits")
+    return ProofResult(plan=answer, proof=answer.prove(existence=existence))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class ProofResult(Result):
+    """The proof of a plan's limits. `str(result)` is the list of claims; `to_dict()` has every one."""
+
+    plan: planned.Plan
+    proof: Proof
+
+    @property
+    def passed(self) -> bool:
+        """Whether no limit is refuted."""
+        return self.proof.passed
+
+    def to_dict(self) -> dict:
+        """Return the claims that are proved, refuted, undecided or sampled, in JSON types."""
+        return plain_record({"plan": self.plan.problem.name, "verdict": self.proof.verdict} | self.proof.record())
+
+    def blocks(self) -> list[Block]:
+        """Return the claims as a document."""
+        from linkplan.studies.output.document import Text
+        from linkplan.studies.output.plan_blocks import names_in, proof_blocks
+
+        return [Text(text=self.plan.problem.name), *proof_blocks(self.proof, names_in(self.plan))]
+
+    def document(self) -> Report:
+        """Return the report of the plan with its proof."""
+        from linkplan.studies.output.plan_sections import plan_report
+
+        return plan_report(replace(self.plan, proof=self.proof))
+
+    def __repr__(self) -> str:
+        return f"ProofResult({self.plan.problem.name!r}: {self.proof.verdict})"
 
 
 def read_plan(
@@ -80,39 +163,6 @@ def read_plan(
     if note is not None:
         LOG.warning("%s: %s", folder, note)
     return Plan.of(answer)
-
-
-def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
-    """Return the solution of an optimal-control problem over any ordinary differential equation.
-
-    Args:
-        problem: dynamics, cost, boundary values and limits, in CasADi's SX.
-        progress: called with lines on the progress.
-
-    Returns:
-        A plan with `status`, `message`, `objective`, `objective_error` (its estimated error), `duration_s` [s],
-        `certificate`, `require()`, `plot()`, `to_frame()`, `save()` and `trajectory`. The methods `state_at(t)` and
-        `effort_at(t)` of the trajectory return states (n, n_x) and efforts (n, n_u) at times (n,), in the problem's units.
-
-    Raises:
-        LinkplanError: if `problem` is not an `OdeProblem`.
-
-    Example::
-
-        cart = linkplan.OdeProblem(
-            name="cart",
-            rate=lambda x, u, p, t: [x[1], u[0]],
-            start=[0, 0],
-            goal=[1, 0],
-            effort_limit=[[-1, 1]],
-            duration_s=2.5,
-            running_cost=lambda x, u, p, t: u[0] ** 2,
-        )
-        print(linkplan.solve_ocp(cart))
-    """
-    if not isinstance(problem, OdeProblem):
-        raise ProblemError(f"solve_ocp takes an OdeProblem, got {problem!r}")
-    return OdePlan.of(plan_ode(problem, listener(progress)))
 
 
 class Planner:
@@ -190,10 +240,14 @@ class Plan(planned.Plan):
 
         return drawn(path, lambda place: plan_figure(self, place))
 
-    def save(self, folder: str | Path, *, jumps: bool = False) -> Path:
+    def save(self, folder: str | Path, *, jumps: bool = False, parquet: bool = False, report: bool = False) -> Path:
         """Write the plan as a folder, whole or not at all, and return its path: plan.json, trajectory.npz, .csv, plan.png.
 
-        A folder that holds an older plan is replaced. With `jumps`, trajectory.csv has both sides of a jump in effort.
+        Args:
+            folder: an older plan in it is replaced.
+            jumps: whether trajectory.csv has both sides of a jump in effort.
+            parquet: whether trajectory.parquet is written too.
+            report: whether report.html, an animated page, is written too.
 
         Raises:
             LinkplanError: if the plan has no motion, the folder has other files, or it cannot be written.
@@ -202,7 +256,13 @@ class Plan(planned.Plan):
         from linkplan.studies.output.draw_plan import save_plan
 
         target = path_of(folder, "folder")
-        write_whole(target, lambda place: save_plan(self, place, target, jumps=jumps))
+
+        def write(place: Path) -> None:
+            save_plan(self, place, target, jumps=jumps, parquet=parquet)
+            if report:
+                self.report(place / "report.html")
+
+        write_whole(target, write)
         return target
 
     def report(self, path: str | Path) -> Path:
@@ -211,120 +271,48 @@ class Plan(planned.Plan):
         Raises:
             LinkplanError: if another file exists at the path.
         """
-        from linkplan.studies.report.render import write_report
-        from linkplan.studies.report.reports import plan_report
+        from linkplan.studies.output.report_file import write_report
 
         place = path_of(path, "path")
-        write_report(plan_report(self), place)
+        write_report(self.document(), place)
         return place
 
+    def document(self) -> Report:
+        """Return the report as a document."""
+        from linkplan.studies.output.plan_sections import plan_report
+
+        return plan_report(self)
+
+    def blocks(self) -> list[Block]:
+        """Return the plan as a document's blocks: motion, certificate, proof and price."""
+        from linkplan.studies.output.document import Text
+        from linkplan.studies.output.plan_blocks import plan_blocks
+
+        price = saved_price(self)
+        return [*plan_blocks(self), *([] if price is None else [Text(text=price.sentence())])]
+
     def to_dict(self) -> dict:
-        """Return the record of plan.json: status, message, certificate, history, problem, versions; units in names."""
-        return plan_folder.record(self)
+        """Return the record of plan.json: status, message, certificate, history, problem, versions; units in names.
+
+        With a reserve or ranges it has the price of robustness, too.
+        """
+        price = saved_price(self)
+        return plan_folder.record(self) | ({} if price is None else {"price": asdict(price)})
 
     def _repr_html_(self) -> str:
-        from linkplan.studies.output.plan_blocks import plan_blocks
         from linkplan.studies.output.text import html_of, in_brief
 
-        return html_of(in_brief(plan_blocks(self)))
+        return html_of(in_brief(self.blocks()))
 
     def __str__(self) -> str:
-        from linkplan.studies.output.plan_blocks import plan_blocks
         from linkplan.studies.output.text import in_brief, text_of
 
-        return text_of(in_brief(plan_blocks(self)))
-
-
-class OdePlan(ode_planned.OdePlan):
-    """The solution of an `OdeProblem`, or the reason why there is none; states and efforts are in the problem's units."""
-
-    __slots__ = ()
-
-    @classmethod
-    def of(cls, plan: ode_planned.OdePlan) -> OdePlan:
-        """Return the planner's solution with these members."""
-        return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
-
-    def sample(self, time_s: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Return columns (n,) by name: time [s], states and efforts, at times (n,) [s] or ten in each interval.
-
-        Raises:
-            LinkplanError: if there is no motion, or a time is not within it.
-        """
-        if self.trajectory is None:
-            raise LinkplanError(f"no motion to sample: {self.message}")
-        time = self.trajectory.dense_times(10) if time_s is None else np.atleast_1d(planned.asked_times(time_s))
-        end = self.trajectory.duration_s
-        if np.any(np.abs(2 * time - end) > end * (1 + 1e-9)):
-            raise ProblemError(f"times are from 0 to {end:.7g} s, where the motion ends, got {time_s!r}")
-        columns = {"time [s]": time}
-        for names, values in (
-            (self.problem.states, self.trajectory.state_at(time)),
-            (self.problem.efforts, self.trajectory.effort_at(time)),
-        ):
-            columns |= {str(name): values[:, k] for k, name in enumerate(names)}
-        return columns
-
-    def to_frame(self, time_s: np.ndarray | None = None) -> pandas.DataFrame:
-        """Return `sample` as a pandas table, with a row for each time.
-
-        Raises:
-            MissingPackageError: if pandas is not installed.
-            LinkplanError: if there is no motion.
-        """
-        return load_extra("pandas", "OdePlan.to_frame").DataFrame(self.sample(time_s))
-
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of states and efforts over time, saved at `path` if it is given.
-
-        Raises:
-            LinkplanError: if there is no motion.
-        """
-        from linkplan.studies.output.figure import figure_of
-        from linkplan.studies.output.lines import TIME, Line, plots
-
-        (_, time), *columns = self.sample().items()
-        limits = [*self.problem.state_limit, *self.problem.effort_limit]
-        lines = [
-            Line(name=name, values=values, unit="1", limits=tuple(ends))
-            for (name, values), ends in zip(columns, limits, strict=True)
-        ]
-        states, efforts = lines[: self.problem.n_x], lines[self.problem.n_x :]
-        panels = [*plots("States", "state", TIME, time, states), *plots("Efforts", "effort", TIME, time, efforts)]
-        title = f"{self.problem.name}: {self.message}"
-        return drawn(path, lambda place: figure_of(panels, place, title=title, panel_in=(7.0, 2.7)))
-
-    def save(self, folder: str | Path) -> Path:
-        """Write the solution as a folder, whole or not at all, and return its path: ode.json, trajectory.csv, plan.png.
-
-        Raises:
-            LinkplanError: if there is no motion, the folder has other files, or it cannot be written.
-        """
-        target, columns = path_of(folder, "folder"), self.sample()
-
-        def write(place: Path) -> None:
-            write_json(place / "ode.json", self.to_dict())
-            (place / "trajectory.csv").write_bytes(csv_bytes(columns))
-            self.plot(place / "plan.png")
-
-        write_whole(target, write, "ode.json")
-        return target
-
-    def to_dict(self) -> dict:
-        """Return name, status, message, objective, its estimated error and duration [s], in JSON types."""
-        values = {"status": self.status, "message": self.message, "objective": self.objective}
-        return plain_record(
-            {"name": self.problem.name, **values, "objective_error": self.objective_error, "duration_s": self.duration_s}
-        )
-
-    def _repr_html_(self) -> str:
-        from linkplan.studies.output.document import Facts
-        from linkplan.studies.output.text import html_of
-
-        return html_of([Facts(rows=[(key, f"{value}") for key, value in self.to_dict().items()])])
+        return text_of(in_brief(self.blocks()))
 
 
 def _problem(problem: object) -> Problem:
+    if isinstance(problem, Source):
+        return problem.problem()
     if isinstance(problem, str | Path):
         return Problem.from_file(problem)
     if not isinstance(problem, Problem):

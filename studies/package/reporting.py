@@ -11,18 +11,33 @@ LOG.addHandler(logging.NullHandler())
 Progress = Callable[[str], None]
 
 
-def listener(progress: Progress | None) -> Progress:
-    """Return the function that passes lines of progress to the log at INFO, and to `progress` if it is given.
+class Listener:
+    """Passes lines of progress to the log at INFO and notes at WARNING, and both to the caller's function."""
+
+    __slots__ = ("_progress",)
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+
+    def __call__(self, text: str) -> None:
+        """Pass a line on the present work."""
+        LOG.info(text)
+        if self._progress is not None:
+            self._progress(text)
+
+    def keep(self, text: str) -> None:
+        """Pass a note, which a terminal keeps: by the caller's own `keep`, if it has one."""
+        LOG.warning(text)
+        if self._progress is not None:
+            getattr(self._progress, "keep", self._progress)(text)
+
+
+def listener(progress: Progress | None) -> Listener:
+    """Return the function that passes lines of progress to the log, and to `progress` if it is given.
 
     Raises:
         ProblemError: if `progress` is not callable.
     """
     if progress is not None and not callable(progress):
         raise ProblemError(f"progress is a function of one line of text, got {progress!r}")
-
-    def say(text: str) -> None:
-        LOG.info(text)
-        if progress is not None:
-            progress(text)
-
-    return say
+    return progress if isinstance(progress, Listener) else Listener(progress)

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from linkplan.models.errors import ProblemError
-from linkplan.paths import path_of
-from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.paths import file_to_write
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import plain
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
+from linkplan.subjects import Source, source_of
+from linkplan.typed_commands import first_steps
 
 
 def new(
-    model: str | Path,
+    model: str | Path | Source,
     path: str | Path | None = None,
     *,
     keep: Sequence[str] | None = None,
@@ -46,46 +48,67 @@ def new(
         first = linkplan.new("five-bar", "problem.toml")
         print(first.text)
     """
-    from linkplan.planner.files.single_file import check_new, write_new
+    from linkplan.planner.files.single_file import write_new
     from linkplan.studies.new.first_motion import first_motion
     from linkplan.studies.new.problem_text import file_tables, first_text
 
-    name = str(model)
-    target = None if path is None else path_of(path, "path")
-    if name in PROBLEMS or name.endswith(".toml"):
-        raise ProblemError(f"'{name}' is already a problem; new takes the model of a mechanism")
-    if target is not None:
-        check_new(target)
+    source = source_of(model)
+    target = None if path is None else file_to_write(path)
+    if source.is_problem:
+        raise ProblemError(f"'{source.name}' is already a problem; new takes the model of a mechanism")
     asked = {"keep": keep, "fix_base": fix_base, "lock": lock, "keyframe": keyframe, "drive": drive}
     selected = {key: plain(value) for key, value in asked.items() if value}
-    found = first_motion({"model": name} | selected, listener(progress))
-    tables = file_tables(found, name, target)
-    file = "problem.toml" if target is None else target.name
-    text = first_text(found, tables, (f'plan = linkplan.plan("{file}")', "linkplan.compare(plan)"))
+    _, sections, _ = replace(source, selection={**source.selection, **selected}).tables()
+    if further := sections.keys() - {"mechanism"}:
+        raise ProblemError(f"new takes settings of mechanism and writes the other sections, got {', '.join(further)}")
+    found = first_motion(sections["mechanism"], listener(progress))
+    tables = file_tables(found, source.name, target)
+    text = first_text(found, tables, first_steps("problem.toml" if target is None else target.name))
     if target is not None:
         write_new(target, text.encode("utf-8"))
     folder = None if target is None else target.parent
-    problem = Problem.from_tables(f"{found.mechanism.name}-first", tables, folder)
-    plan = None if found.plan is None else Plan.of(found.plan)
     return NewProblem(
-        problem=problem, plan=plan, text=text, message=found.why or found.description, notes=tuple(found.notes)
+        problem=Problem.from_tables(f"{found.mechanism.name}-first", tables, folder),
+        plan=None if found.plan is None else Plan.of(found.plan),
+        text=text,
+        description=found.description,
+        why=found.why,
+        notes=tuple(found.notes),
+        tables=tables,
+        file=target,
     )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class NewProblem:
-    """A first problem: `problem`, its `plan` or None, the `text` of its file, a `message`, and `notes` on the model."""
+    """A first problem: `problem`, its `plan` or None, the `text` of its file, and `notes` on the model.
+
+    `why` is the reason if no motion was found, else empty; `tables` are those of the file.
+    """
 
     problem: Problem
     plan: Plan | None
     text: str
-    message: str
+    description: str
+    why: str
     notes: tuple[str, ...]
+    tables: dict
+    file: Path | None
 
     @property
     def planned(self) -> bool:
         """Whether a certified motion was found."""
         return self.plan is not None and self.plan.passed
+
+    @property
+    def message(self) -> str:
+        """The reason if no motion was found, else what the mechanism does."""
+        return self.why or self.description
+
+    def to_dict(self) -> dict:
+        """Return what was found and the file's tables, in JSON types."""
+        said = {"file": None if self.file is None else str(self.file), "planned": self.planned, "why": self.why}
+        return plain_record(said | {"tables": self.tables, "notes": self.notes})
 
     def __str__(self) -> str:
         return self.text

@@ -1,21 +1,83 @@
 """The subject of a study: a mechanism, a problem, or the name or path of either, with poses to analyse; or a plan."""
 
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.catalogue import MODELS, nearest_source
+from linkplan.models.errors import InfeasibleError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
 from linkplan.planner.keys.motion_and_limits import WaypointSection
 from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
+from linkplan.planner.plan_folder import read_plan, unchecked
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import joint_values, number, plain
+from linkplan.reporting import Listener
 
-Subject = Mechanism | Problem | str | Path
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Source:
+    """A mechanism, a problem or a saved plan by its name or path, and how it is read.
+
+    `settings` are "section.key=value"; `selection` are keys of [mechanism], which replace those of a file; with `anyway` a
+    saved plan is read that does not pass its certificate. A command line makes it from its options.
+    """
+
+    name: str
+    settings: tuple[str, ...] = ()
+    selection: Mapping[str, object] = field(default_factory=dict)
+    anyway: bool = False
+
+    @property
+    def is_problem(self) -> bool:
+        """True for a problem, False for a model."""
+        return is_problem(self.name)
+
+    def tables(self) -> tuple[str, Tables, Path | None]:
+        """Return the name, the tables and the folder of the problem or, with [mechanism] alone, of the model.
+
+        Raises:
+            LinkplanError: if there is no such model or problem, or a setting is invalid.
+        """
+        if self.is_problem:
+            return self._with_settings(*read_tables(self.name))
+        _refuse_no_model(self.name)
+        return self._with_settings(self.name, {"mechanism": {"model": self.name}}, None)
+
+    def _with_settings(self, name: str, tables: Tables, folder: Path | None) -> tuple[str, Tables, Path | None]:
+        _set_all(tables, self.settings)
+        section, asked = tables.get("mechanism", {}), dict(self.selection)
+        if not asked:
+            return name, tables, folder
+        if isinstance(section.get("lock"), dict) and isinstance(asked.get("lock"), dict):
+            asked["lock"] = section["lock"] | asked["lock"]  # the locks of a selection come beside those of a file
+        tables["mechanism"] = {**section, **asked}
+        return name, tables, folder
+
+    def problem(self) -> Problem:
+        """Return the problem.
+
+        Raises:
+            LinkplanError: if it cannot be read, or is invalid.
+        """
+        return Problem.from_tables(*self._with_settings(*read_tables(self.name)))
+
+
+Subject = Mechanism | Problem | Source | str | Path
+PlanLike = Plan | Problem | Source | str | Path
+Poses = Sequence[Mapping[str, float] | float]
+
+
+def source_of(subject: Source | str | Path) -> Source:
+    """Return a name or path as a source without settings."""
+    return subject if isinstance(subject, Source) else Source(name=str(subject))
 
 
 def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
@@ -24,45 +86,127 @@ def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
     Raises:
         LinkplanError: if it is neither a mechanism nor a problem, or its file cannot be used.
     """
-    if isinstance(subject, str | Path):
-        if not is_problem(subject):
-            return mechanism_from_tables({"mechanism": {"model": str(subject)}}), None
-        subject = Problem.from_file(subject)
+    return read_subject(subject)[:2]
+
+
+def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
+    """Return the mechanism of a subject, its problem or None, and its table [tracking].
+
+    Raises:
+        LinkplanError: if it is neither a mechanism nor a problem, or its file cannot be used.
+    """
+    if isinstance(subject, Source | str | Path):
+        source = source_of(subject)
+        name, tables, folder = source.tables()
+        if not source.is_problem:
+            return mechanism_from_tables(tables, folder), None, tables.get("tracking", {})
+        subject = Problem.from_tables(name, tables, folder)
     if isinstance(subject, Problem):
-        return subject.mechanism, subject
+        return subject.mechanism, subject, subject.to_dict().get("tracking", {})
     if isinstance(subject, Mechanism):
-        return subject, None
+        return subject, None, {}
     raise ProblemError(f"a study is asked about a mechanism, a Problem, or the name or path of either, got {subject!r}")
+
+
+def plan_of(plan: PlanLike, say: Listener, doing: str) -> Plan:
+    """Return a plan with a motion: a plan, a saved one by its folder, or that of a problem, made now; `doing` says what for.
+
+    Raises:
+        InfeasibleError: if it has no motion; the error has the plan.
+        LinkplanError: if it is none of these, or cannot be read.
+    """
+    problem = problem_of(plan)
+    if problem is not None:
+        return with_motion(plan_motion(problem, say), doing)
+    return with_motion(_saved_plan(source_of(plan), say) if isinstance(plan, Source | str | Path) else plan, doing)
+
+
+def problem_of(plan: PlanLike) -> Problem | None:
+    """Return the problem that is to be planned; None for a plan, also a saved one.
+
+    Raises:
+        LinkplanError: if the problem cannot be read, or there is neither a problem nor a folder.
+    """
+    if not isinstance(plan, Source | str | Path):
+        return plan if isinstance(plan, Problem) else None
+    source = source_of(plan)
+    path = Path(source.name)
+    if os.path.isfile(path):
+        refuse_saved_plan(source.name, "plan", "name its folder")
+    elif source.name not in PROBLEMS:
+        if os.path.exists(path):
+            return None
+        raise ProblemError(
+            f"unknown plan or problem '{source.name}'{nearest_source(source.name, PROBLEMS)}: neither a plan's folder, nor a"
+            f" problem file, nor built-in ({', '.join(PROBLEMS)})"
+        )
+    return source.problem()
+
+
+def _saved_plan(source: Source, say: Listener) -> Plan:
+    for setting in source.settings:
+        if not setting.startswith(("tracking.", "imperfections.")):
+            raise ProblemError(f"set {setting}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it")
+    plan, note = read_plan(source.name, source.settings, anyway=source.anyway), unchecked(source.name)
+    if note is not None:
+        say.keep(note)
+    if not plan.passed:
+        say.keep(f"run anyway: {plan.message}")
+    return plan
+
+
+def _set_all(tables: Tables, settings: Sequence[str]) -> None:
+    for setting in settings:
+        try:
+            apply_override(tables, setting)
+        except ProblemError as error:
+            raise ProblemError(f"set: {error}") from error
+
+
+def _refuse_no_model(source: str) -> None:
+    """Refuse a source that is neither a built-in name nor a file nor MJCF text, and a saved plan."""
+    if source in MODELS or "<" in source:
+        return
+    refuse_saved_plan(source, "model", "give the file of its problem, an MJCF file, or a built-in name (linkplan list)")
+    if not os.path.exists(Path(source)):
+        names = (*MODELS, *PROBLEMS)
+        raise ModelError(
+            f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name ({', '.join(names)})"
+            " nor a file"
+        )
 
 
 def is_problem(name: str | Path) -> bool:
     """Tell if a name or path is that of a problem, not of a model."""
-    return str(name) in PROBLEMS or Path(str(name)[:255]).suffix == ".toml"
+    text = str(name)
+    return text in PROBLEMS or (text not in MODELS and Path(text[:255]).suffix == ".toml")
 
 
 def with_motion(plan: object, doing: str) -> Plan:
     """Return a plan if it has a motion; `doing` says what for.
 
     Raises:
-        LinkplanError: if it is no plan, or has no motion.
+        InfeasibleError: if it has no motion; the error has the plan.
+        ProblemError: if it is no plan.
     """
     if not isinstance(plan, Plan):
-        raise ProblemError(f"a Plan is needed to {doing}, got {plan!r}")
-    plan.require_motion(doing)
+        raise ProblemError(f"a Plan is needed to {doing}, or a problem or the name of one, got {plan!r}")
+    if plan.trajectory is None:
+        raise InfeasibleError(f"nothing to {doing}, the plan has no motion: {plan.message}", plan)
     return plan
 
 
-def with_imperfections(plan: Plan, imperfections: Mapping | None) -> Plan:
-    """Return a plan whose problem has another table [imperfections], if one is given.
+def with_imperfections(problem: Problem, imperfections: Mapping | None) -> Problem:
+    """Return a problem with another table [imperfections], if one is given.
 
     Raises:
         ProblemError: for a key, name, or value that cannot be used.
     """
     if imperfections is None:
-        return plan
-    problem, table = plan.problem, plain(imperfections)
+        return problem
+    table = plain(imperfections)
     imperfections_of(table, problem.mechanism)
-    return replace(plan, problem=replace(problem, source={**problem.source, "imperfections": table}))
+    return replace(problem, source={**problem.source, "imperfections": table})
 
 
 def listed(trackers: object, legal: str) -> Sequence:
@@ -72,26 +216,28 @@ def listed(trackers: object, legal: str) -> Sequence:
     return trackers
 
 
-def tracking_table(problem: Problem | None, tracking: object) -> dict:
-    """Return the table [tracking] of a problem, with other settings in place of its own.
+def tracking_table(own: Mapping, tracking: object) -> dict:
+    """Return a table [tracking] with other settings in place of its own.
 
     Raises:
         ProblemError: if the settings are no table.
     """
     if tracking is not None and not isinstance(tracking, Mapping):
         raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
-    return ({} if problem is None else problem.to_dict().get("tracking", {})) | plain(tracking or {})
+    return {**own, **plain(tracking or {})}
 
 
 def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:
     """Return poses as positions [rad or m] by joint name; `at_deg` and `at_m` are lists of tables of joint = value.
+
+    For one degree of freedom a pose may be a number alone.
 
     If both are given, tables at the same index belong to one pose.
 
     Raises:
         ProblemError: for an invalid value, or a joint that the mechanism does not have.
     """
-    lists = {key: _tables(key, value) for key, value in (("at_deg", at_deg), ("at_m", at_m))}
+    lists = {key: _tables(key, value, mechanism) for key, value in (("at_deg", at_deg), ("at_m", at_m))}
     if lists["at_deg"] and lists["at_m"] and len(lists["at_deg"]) != len(lists["at_m"]):
         raise ProblemError(
             f"at_deg and at_m have a table each for every pose, got {len(lists['at_deg'])} and {len(lists['at_m'])}"
@@ -115,10 +261,13 @@ def numbers(values: object, key: str, *, positive: bool = False) -> list[float]:
     return [number(value, key, positive=positive) for value in (given if isinstance(given, list) else [given])]
 
 
-def _tables(key: str, value: object) -> list[dict]:
-    """Return a list of tables; a single table counts as a list of one."""
+def _tables(key: str, value: object, mechanism: Mechanism) -> list[dict]:
+    """Return a list of tables; a single table counts as a list of one, a number as the only independent joint's."""
     value = [value] if isinstance(value, Mapping) else value
     value = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+    if isinstance(value, list) and mechanism.dof == 1:
+        joint = mechanism.independent_joints[0]
+        value = [{joint.name: item} if isinstance(item, int | float) else item for item in value]
     if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
         raise ProblemError(f"{key} is a list of poses, each a table of joint = value, got {value!r}")
     return [plain(item) for item in value]

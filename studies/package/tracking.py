@@ -3,46 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from linkplan.controllers.rollout import Rollout
-from linkplan.paths import drawn, path_of
+from linkplan.models.errors import ProblemError
+from linkplan.paths import drawn
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
-from linkplan.reporting import Progress, listener
+from linkplan.planner.problem.settings import number, whole
+from linkplan.reporting import Listener, Progress, listener
+from linkplan.results import Result, saved
 from linkplan.studies.compare import compare as study
-from linkplan.studies.compare.comparison_blocks import comparison_blocks
+from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_blocks, document_figure
 from linkplan.studies.compare.comparison_notes import comparison_record
-from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.output.text import html_of, in_brief, text_of
-from linkplan.subjects import listed, tracking_table, with_motion
+from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
+from linkplan.studies.compare.time_series import save_time_series
+from linkplan.studies.compare.user_tracker import TrackerLike, tracker_named
+from linkplan.studies.output.document import Block, Report, Section, Text
+from linkplan.subjects import PlanLike, listed, plan_of, source_of, tracking_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def track(
-    plan: Plan,
-    tracker: TrackerLike = "lqr",
+    plan: PlanLike,
+    tracker: TrackerLike = "pd+ff",
     *,
+    sample: int | None = None,
     mass_factor: float = 1.0,
     delay_periods: float = 0,
     tracking: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> TrackingResult:
-    """Return one tracker's run on a plan in MuJoCo.
+    """Return one tracker's run on a plan in MuJoCo, or on a machine of an experiment.
 
     Args:
-        plan: with a motion.
+        plan: with a motion; or its problem, or the name or path of either. With `sample`, an experiment's folder.
         tracker: "pd", "pd+ff", "lqr", "lqi", "gs-pd+ff", "ct" or "mpc"; or a `Tracker`: an object with a `name` and
             `effort(k, position_rad, velocity_rad_s)`; or a function of the sampled reference that returns a tracker. The
             reference has `period_s`, and at the control instants `time_s` (n,), `position_rad`, `velocity_rad_s` (n, n_s),
             `pose_rad` (n, n_q) and the needed `effort` (n, n_u) [N.m or N]; slides are in m and m/s. `effort` of a tracker
             returns efforts (n_u,) at instant k for the measured position and velocity (n_s,) of the independent joints;
-            the loop adds saturation, sampling and delay.
+            the loop adds saturation, sampling and delay. Or "module:object", or an installed package's name of one.
+        sample: the sample of the experiment whose machine runs again as it was.
         mass_factor: on mass and inertia of the payload in the simulator, or of all moving bodies without a payload.
         delay_periods: further control periods (also a fraction) before a command acts, in addition to those of the problem.
         tracking: settings that replace the problem's: kp, kd, period_s, delay_periods, duration_s, lqr_position_deg, ...
@@ -55,16 +62,46 @@ def track(
 
         print(linkplan.track(linkplan.plan("knee-reach"), "lqr"))
     """
-    answer, say = _to_track(plan, tracking), listener(progress)
-    mismatch = study.mismatch_of(answer, mass_factor, delay_periods)
+    say = listener(progress)
+    if sample is not None:
+        source = source_of(cast(Path, plan))
+        given = {
+            "set": source.settings,
+            "anyway": source.anyway,
+            "mass_factor": mass_factor != 1.0,
+            "delay_periods": delay_periods != 0,
+            "tracking": tracking is not None,
+        }
+        if named := [name for name, is_given in given.items() if is_given]:
+            raise ProblemError(f"{', '.join(named)}: not with sample, which runs a machine of an experiment again as it was")
+        return _replayed(source.name, tracker, sample)
+    factor, delay = _checked(mass_factor, delay_periods)
+    asked = _loaded([tracker])[0]
+    answer = _to_track(plan, tracking, say)
+    mismatch = study.mismatch_of(answer, factor, delay)
     say(f"{answer.problem.name}: one tracker")
-    run = study.track(answer, tracker, mismatch)
-    title = "nominal" if mismatch is None else mismatch.name
-    return TrackingResult(comparison=study.Comparison(plan=answer, nominal={run.tracker: run}, title=title))
+    run = study.track(answer, asked, mismatch)
+    title, stem = ("nominal", "nominal") if mismatch is None else (mismatch.name, "mismatch")
+    comparison = study.Comparison(plan=answer, nominal={run.tracker: run}, title=title, stem=stem)
+    return TrackingResult(comparison=comparison, record_name="track", tracker=run.tracker)
+
+
+def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
+    """Return the run of a tracker on a machine of an experiment's folder."""
+    from linkplan.studies.experiment.block import replay
+    from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
+
+    folder, name = Path(place), str(tracker)
+    experiment = saved_experiment(folder)
+    refuse_changed_tracker(folder, name)
+    run, said = replay(experiment, name, whole(sample, "sample", 0, 2**31))
+    title, stem = f"sample {sample}", f"sample-{sample}"
+    comparison = study.Comparison(plan=experiment.plan, nominal={name: run}, title=title, stem=stem)
+    return TrackingResult(comparison=comparison, record_name="track", tracker=name, sample=said)
 
 
 def compare(
-    plan: Plan,
+    plan: PlanLike,
     trackers: Sequence[TrackerLike] = study.LINEAR,
     *,
     mass_factor: float = 1.2,
@@ -75,7 +112,7 @@ def compare(
     """Return trackers' runs on a plan in MuJoCo, with the nominal model and with a mismatch.
 
     Args:
-        plan: with a motion.
+        plan: with a motion; or its problem, or the name or path of either.
         trackers: each as for `track`, with different names.
         mass_factor: of the mismatch, on mass and inertia of the payload, or of all moving bodies without a payload.
         delay_periods: of the mismatch, further control periods of delay. With a factor of 1 and no delay there is none.
@@ -89,26 +126,55 @@ def compare(
 
         print(linkplan.compare(linkplan.plan("knee-reach"), ["pd", "lqr"]))
     """
-    answer = _to_track(plan, tracking)
-    listed(trackers, "names, objects or functions")
-    mismatch = study.mismatch_of(answer, mass_factor, delay_periods)
-    return TrackingResult(comparison=study.compare(answer, mismatch, listener(progress), trackers))
+    say = listener(progress)
+    asked = _loaded(listed(trackers, "names, objects or functions"))
+    factor, delay = _checked(mass_factor, delay_periods)
+    answer = _to_track(plan, tracking, say)
+    comparison = study.compare(answer, study.mismatch_of(answer, factor, delay), say, asked)
+    printed = mended_runs(answer, say) if is_the_documents(answer) else {}
+    return TrackingResult(comparison=comparison, printed=printed)
 
 
-def _to_track(plan: Plan, tracking: object) -> Plan:
+def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
+    """Return the numbers of a mismatch, checked before a plan is made."""
+    return number(mass_factor, "mass_factor", positive=True), study.delay_of(delay_periods, "delay_periods")
+
+
+def _loaded(trackers: Sequence[TrackerLike]) -> list[TrackerLike]:
+    """Return trackers with those that text names as "module:object" or by an installed package loaded."""
+    return [tracker_named(one) if isinstance(one, str) else one for one in trackers]
+
+
+def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
     """Return a plan with a motion, with new tracking settings if any are given."""
-    problem = with_motion(plan, "track").problem
-    table = tracking_table(problem, tracking)
+    answer = plan_of(plan, say, "track")
+    problem = answer.problem
+    table = tracking_table(problem.to_dict().get("tracking", {}), tracking)
     if tracking is None:
-        return plan
-    return replace(plan, problem=replace(problem, tracking=tracking_from_tables({"tracking": table}, problem.mechanism)))
+        return answer
+    return replace(answer, problem=replace(problem, tracking=tracking_from_tables({"tracking": table}, problem.mechanism)))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class TrackingResult:
-    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
+class TrackingResult(Result):
+    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names.
+
+    `printed` are the runs of the source document's experiment, if the plan is that; `sample` is the record of an
+    experiment's machine, if it ran again.
+    """
 
     comparison: study.Comparison
+    record_name: str = "compare"
+    tracker: str | None = None
+    printed: Mapping[tuple[str, float], Rollout] = field(default_factory=dict)
+    sample: Mapping | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the plan passes and the run of `track`, or one of the nominal runs of `compare`, is stable."""
+        lost = self.sample is not None and self.sample["failure"] is not None
+        plan = self.comparison.plan.passed or self.sample is not None
+        return plan and not lost and any(run.stable for run in self.comparison.nominal.values())
 
     @property
     def runs(self) -> dict[str, Rollout]:
@@ -127,61 +193,62 @@ class TrackingResult:
 
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types: errors in deg or m, efforts, share at the limits, loop gap."""
-        return plain_record(comparison_record(self.comparison))
+        said = comparison_record(self.comparison)
+        said |= {} if self.tracker is None else {"tracker": self.tracker}
+        said |= {} if self.sample is None else {"sample": dict(self.sample)}
+        said |= {"document": document_record(self.printed)} if self.printed else {}
+        return plain_record(said)
 
-    def save(self, folder: str | Path) -> Path:
+    def blocks(self) -> list[Block]:
+        """Return the table of errors and efforts, and the machine of an experiment's sample."""
+        if self.sample is None:
+            return comparison_blocks(self.comparison)
+        from linkplan.studies.experiment.experiment_sections import machine_section
+
+        failure = self.sample["failure"]
+        lost = [Text(text=failure, tone="bad")] if failure else []
+        return [*comparison_blocks(self.comparison), *lost, *machine_section(self.sample).blocks]
+
+    def document(self) -> Report:
+        """Return the report."""
+        from linkplan.studies.compare.tracking_sections import comparison_report
+        from linkplan.studies.experiment.experiment_sections import replay_report
+
+        if self.sample is not None:
+            return replay_report(self.comparison, self.sample)
+        title = "The source document, as printed and mended"
+        section = Section(title=title, blocks=document_blocks(self.printed)) if self.printed else None
+        return comparison_report(self.comparison, section)
+
+    def draw(self, place: Path, *, parquet: bool = False) -> None:
+        """Write every run's time series and the figures."""
+        save_time_series(self.comparison, place, parquet=parquet)
+        comparison_figure(self.comparison, place / f"{self.record_name}.png")
+        if self.printed:
+            document_figure(document_blocks(self.printed), place / "desired_and_actual.png")
+
+    def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
         """Write every run's time series into a folder, whole or not at all, with the record and the figure; return its path.
 
         `nominal-pd.csv` and `.npz` have a row for each control instant, with units in the heads; `mismatch-pd.csv` has the
         same for the mismatch.
 
+        Args:
+            folder: an older result of the same kind in it is replaced.
+            report: whether report.html, an animated page, is written too.
+            parquet: whether every time series is written as Parquet too.
+
         Raises:
             LinkplanError: if the folder has other files, or cannot be written.
         """
-        from linkplan.planner.files.folders import write_json, write_whole
-        from linkplan.studies.compare.comparison_blocks import comparison_figure
-        from linkplan.studies.compare.time_series import save_time_series
-        from linkplan.studies.report.render import save_report
-        from linkplan.studies.report.reports import comparison_report
-
-        target = path_of(folder, "folder")
-
-        def write(place: Path) -> None:
-            write_json(place / "compare.json", self.to_dict())
-            save_report(comparison_report(self.comparison), place, page=False)
-            save_time_series(self.comparison, place)
-            comparison_figure(self.comparison, place / "compare.png")
-
-        write_whole(target, write, "compare.json")
-        return target
-
-    def report(self, path: str | Path) -> Path:
-        """Write the runs' report, one HTML file that opens offline, and return its path.
-
-        Raises:
-            LinkplanError: if another file exists at the path.
-        """
-        from linkplan.studies.report.render import write_report
-        from linkplan.studies.report.reports import comparison_report
-
-        place = path_of(path, "path")
-        write_report(comparison_report(self.comparison), place)
-        return place
+        return saved(self, folder, lambda place: self.draw(place, parquet=parquet), report=report)
 
     def plot(self, path: str | Path | None = None, *, every_joint: bool = False) -> Figure:
         """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given.
 
         It is at most one screen high; with `every_joint` it has all joints, dependent ones too, and all actuators.
         """
-        from linkplan.studies.compare.comparison_blocks import comparison_figure
-
         return drawn(path, lambda place: comparison_figure(self.comparison, place, every_joint=every_joint))
-
-    def _repr_html_(self) -> str:
-        return html_of(in_brief(comparison_blocks(self.comparison)))
-
-    def __str__(self) -> str:
-        return text_of(in_brief(comparison_blocks(self.comparison)))
 
     def __repr__(self) -> str:
         names = ", ".join(self.comparison.nominal)

@@ -11,18 +11,20 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
-from linkplan.paths import drawn, path_of
-from linkplan.planner.files.folders import plain_record, write_json, write_whole
-from linkplan.planner.plan import Plan
+from linkplan.paths import drawn
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.settings import plain
 from linkplan.reporting import Progress, listener
+from linkplan.results import Result, saved
 from linkplan.studies.transfer.columns import arrays_of
 from linkplan.studies.transfer.serial_study import Serial
 from linkplan.studies.transfer.study import Transfer, transfer_study
-from linkplan.subjects import Subject, numbers, subject_of, with_motion
+from linkplan.subjects import PlanLike, Subject, numbers, plan_of, subject_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from linkplan.studies.output.document import Block, Report
 
 Gains = float | Sequence[float]
 Rows = Sequence[Sequence[float]] | np.ndarray
@@ -40,7 +42,7 @@ def transfer(
     joint_kd: Gains | None = None,
     motor_kp: Gains | None = None,
     motor_kd: Gains | None = None,
-    along: Plan | None = None,
+    along: PlanLike | None = None,
     progress: Progress | None = None,
 ) -> TransferResult:
     """Return the transfer table of output joints: what the motors and the joints are to each other across the linkage.
@@ -60,7 +62,7 @@ def transfer(
         joint_kd: joints' damping [N.m.s/rad or N.s/m], likewise.
         motor_kp: motors' stiffness to be carried to the joints.
         motor_kd: motors' damping, likewise.
-        along: a plan of the same model, along whose motion the errors of models without loops are stated.
+        along: a plan of the same model, or its path, along whose motion the errors of models without loops are stated.
         progress: called with lines on the progress.
 
     Raises:
@@ -74,6 +76,7 @@ def transfer(
     if isinstance(joints, str) or not isinstance(joints, Sequence) or not all(isinstance(name, str) for name in joints):
         raise ProblemError(f"joints are a list of names, got {joints!r}")
     mechanism, problem = subject_of(subject)
+    say = listener(progress)
     gains = {"joint_kp": joint_kp, "joint_kd": joint_kd, "motor_kp": motor_kp, "motor_kd": motor_kd}
     ends = {}
     for key, table in (("range_deg", range_deg), ("range_m", range_m)):
@@ -90,23 +93,29 @@ def transfer(
         ends=ends,
         problem=problem,
         motor_speeds=() if motor_speed is None else numbers(motor_speed, "motor_speed"),
-        along=None if along is None else with_motion(along, "compare with"),
+        along=None if along is None else plan_of(along, say, "compare with"),
         gains={name: numbers(values, name) for name, values in gains.items() if values is not None},
-        say=listener(progress),
+        say=say,
     )
     return TransferResult(found=found)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class TransferResult:
+class TransferResult(Result):
     """A transfer table. `str(result)` is the report; `to_dict()` has the linkage at home, the ends of the map and errors."""
 
+    record_name = "transfer"
     found: Transfer
 
     @property
     def kept(self) -> bool:
         """Whether the table keeps the interpolation error that was asked for."""
         return self.found.kept
+
+    @property
+    def passed(self) -> bool:
+        """Whether the table keeps the interpolation error."""
+        return self.kept
 
     @property
     def message(self) -> str:
@@ -204,31 +213,42 @@ class TransferResult:
 
         return plain_record(transfer_record(self.found))
 
-    def save(self, folder: str | Path, *, parquet: bool = False) -> None:
-        """Write the tables (CSV, NPZ, with `parquet` Parquet too), the figure and the record into a folder, whole.
+    def blocks(self) -> list[Block]:
+        """Return the table and the curves."""
+        from linkplan.studies.transfer.transfer_blocks import transfer_blocks
+
+        return transfer_blocks(self.found)
+
+    def document(self) -> Report:
+        """Return the report."""
+        from linkplan.studies.transfer.transfer_blocks import transfer_report
+
+        return transfer_report(self.found)
+
+    def draw(self, place: Path, *, parquet: bool = False) -> None:
+        """Write the tables (CSV, NPZ, with `parquet` Parquet too), the serial equivalent and the figure."""
+        from linkplan.studies.transfer.files import write_files
+
+        write_files(self.found, place, parquet=parquet)
+
+    def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
+        """Write the tables, the figure and the record into a folder, whole or not at all, and return its path.
+
+        Args:
+            folder: an older result of the same kind in it is replaced.
+            report: whether report.html, a page, is written too.
+            parquet: whether the tables are written as Parquet too.
 
         Raises:
             LinkplanError: if the folder cannot be written, or holds what linkplan did not write.
         """
-        from linkplan.studies.transfer.files import write_files
-
-        def write(place: Path) -> None:
-            write_json(place / "transfer.json", self.to_dict())
-            write_files(self.found, place, parquet=parquet)
-
-        write_whole(path_of(folder, "folder"), write, "transfer.json")
+        return saved(self, folder, lambda place: self.draw(place, parquet=parquet), report=report)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the curves over each joint's range, saved at `path` if it is given."""
         from linkplan.studies.transfer.files import transfer_figure
 
         return drawn(path, lambda place: transfer_figure(self.found, place))
-
-    def __str__(self) -> str:
-        from linkplan.studies.output.text import text_of
-        from linkplan.studies.transfer.transfer_blocks import transfer_blocks
-
-        return text_of(transfer_blocks(self.found))
 
     def __repr__(self) -> str:
         return f"TransferResult({self.found.outputs.mechanism.name!r}: {self.message})"

@@ -2,38 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
-from linkplan.decompositions import DecompositionResult
-from linkplan.experiments import ExperimentResult
-from linkplan.loops import BodeResult, TuneResult
-from linkplan.mechanisms import CheckResult
-from linkplan.models.errors import ProblemError
-from linkplan.paths import path_of
+from linkplan.models.errors import ProblemError, choose
+from linkplan.models.mechanism import Mechanism
+from linkplan.paths import file_to_write, path_of
 from linkplan.planner.plan import Plan
-from linkplan.reporting import Progress, listener
-from linkplan.subjects import with_motion
-from linkplan.tracking import TrackingResult
-from linkplan.transfers import TransferResult
+from linkplan.reporting import Listener, Progress, listener
+from linkplan.results import Result
+from linkplan.subjects import PlanLike, Source, Subject, plan_of, source_of, subject_of
+from linkplan.typed_commands import sample_again
 
 if TYPE_CHECKING:
-    from linkplan.studies.output.document import Report
+    from linkplan.studies.output.document import Block, Report
     from linkplan.studies.render.render import Rendered
 
-Result = (
-    Plan | TrackingResult | BodeResult | TuneResult | ExperimentResult | DecompositionResult | CheckResult | TransferResult
-)
 
-
-def report(result: Result | str | Path, path: str | Path) -> Path:
+def report(
+    result: Result | Plan | str | Path, path: str | Path = "report.html", *, progress: Progress | None = None
+) -> Path:
     """Write a result's report, one HTML file that opens offline, and return its path.
 
     Args:
-        result: of `plan`, `track`, `compare`, `bode`, `tune`, `experiment`, `decompose`, `check` or `transfer`; or a folder
-            in which a command or `save` wrote one.
+        result: of `plan`, `prove`, `track`, `compare`, `bode`, `tune`, `experiment`, `decompose`, `batch`, `check` or
+            `transfer`; or a folder in which a command or `save` wrote one.
         path: of the file. An older report is replaced, any other file is refused.
+        progress: called with lines on the progress.
 
     Raises:
         LinkplanError: for anything else, or if the file cannot be written.
@@ -42,36 +40,30 @@ def report(result: Result | str | Path, path: str | Path) -> Path:
 
         linkplan.report(linkplan.plan("knee-reach"), "reach.html")
     """
-    from linkplan.studies.report.render import write_report
+    from linkplan.studies.output.report_file import refuse_other_files, write_report
 
-    place = path_of(path, "path")
+    place, say = path_of(path, "path"), listener(progress)
+    refuse_other_files(place)
+    say(f"reading {result}" if isinstance(result, str | Path) else "writing the report")
     write_report(_document(result), place)
     return place
 
 
 def _document(result: object) -> Report:
-    from linkplan.studies.report import reading, reports
+    from linkplan.studies.output.plan_sections import plan_report
+    from linkplan.studies.report import reading
 
     if isinstance(result, str | Path):
-        return reading.folder_report(path_of(result, "result"))
-    kinds: list[tuple[type, Callable]] = [
-        (Plan, reports.plan_report),
-        (TrackingResult, lambda one: reports.comparison_report(one.comparison)),
-        (BodeResult, lambda one: reports.bode_report(one.study)),
-        (TuneResult, lambda one: reports.tune_report(one.tuning)),
-        (ExperimentResult, lambda one: reports.experiment_report(one.outcome)),
-        (DecompositionResult, lambda one: reports.decomposition_report(one.decomposition)),
-        (CheckResult, lambda one: reports.check_report(one.found)),
-        (TransferResult, lambda one: reports.transfer_report(one.found)),
-    ]
-    for kind, document in kinds:
-        if isinstance(result, kind):
-            return document(result)
+        return reading.folder_report(path_of(result, "result"), sample_again)
+    if isinstance(result, Result):
+        return result.document()
+    if isinstance(result, Plan):
+        return plan_report(result)
     raise ProblemError(f"a report is on a result of linkplan's, or on the folder of one, got {result!r}")
 
 
 def render(
-    plan: Plan,
+    plan: PlanLike,
     path: str | Path,
     *,
     tracker: str = "pd+ff",
@@ -88,7 +80,7 @@ def render(
     """Write a film or picture of a plan's motion as tracked in MuJoCo, with the plan as a ghost; return what was written.
 
     Args:
-        plan: with a motion.
+        plan: with a motion; or its problem, or the name or path of either.
         path: of the file: .mp4, .gif or .png.
         tracker: a built-in name.
         slow: how many times slower than real; by default a film of a few seconds.
@@ -108,13 +100,17 @@ def render(
 
         linkplan.render(linkplan.plan("knee-reach"), "reach.png", at_s=0.08)
     """
+    from linkplan.controllers.trackers.names import TRACKERS
+    from linkplan.planner.files.single_file import check_file_target
     from linkplan.studies.render.gl import find_gl
     from linkplan.studies.render.render import render as drawn
     from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 
-    place = path_of(path, "path")
+    choose("tracker", tracker, TRACKERS, ProblemError)
+    place, say = path_of(path, "path"), listener(progress)
     if place.suffix.lower() not in SUFFIXES:
         raise ProblemError(f"path ends in {', '.join(SUFFIXES)}, got '{place}'")
+    check_file_target(place, SUFFIXES)
     settings = RenderSettings(
         suffix=place.suffix.lower(),
         tracker=tracker,
@@ -126,18 +122,36 @@ def render(
         instants=instants,
         there_and_back=there_and_back,
     )
-    return drawn(with_motion(plan, "draw"), place, settings, find_gl(mujoco_gl), listener(progress))
+    gl = find_gl(mujoco_gl)
+    return drawn(plan_of(plan, say, "draw"), place, settings, gl, say)
 
 
-def export(plan: Plan, path: str | Path, to: str, *, every_s: float | None = None) -> Path:
-    """Write a plan's motion for another program, and return the path.
+def export(
+    plan: PlanLike | Subject,
+    path: str | Path,
+    to: str,
+    *,
+    joints: Sequence[str] = (),
+    tracker: str = "pd+ff",
+    sizes: bool = False,
+    tolerance: float | None = None,
+    every_s: float | None = None,
+    progress: Progress | None = None,
+) -> Exported:
+    """Write a plan, or a model in C, for other programs.
 
     Args:
-        plan: with a motion.
-        path: of the new file.
-        to: "keyframes", "mjcf", "ros", "mat", "csv" or "parquet". Angles are in radians, except in "csv" and "parquet",
+        plan: with a motion; or its problem, or the name or path of either; for "c" also a model.
+        path: of the new file; for "c" of a folder, whose older code is replaced.
+        to: "keyframes", "mjcf", "ros", "mat", "csv", "parquet" or "c". Angles are in radians, except in "csv" and "parquet",
             whose columns have their units in their heads.
+        joints: for "ros", and for a model in C: the output joints as coordinates; by default the independent joints.
+        tracker: for "c": the law of a plan: "pd", "pd+ff", "lqr" or "gs-pd+ff".
+        sizes: for a model in C: whether flash and stack are measured even if the code is long and compiles for minutes.
+        tolerance: for the law of a plan in C: rows of its tables are left out while efforts and gains stay within this share
+            of their largest values; by default there is a row at every control instant.
         every_s: the time between samples [s]; by default ten in each interval of the mesh.
+        progress: called with lines on the progress.
 
     Raises:
         LinkplanError: if the plan has no motion, the format is unknown, or a file exists at the path.
@@ -146,9 +160,104 @@ def export(plan: Plan, path: str | Path, to: str, *, every_s: float | None = Non
 
         linkplan.export(linkplan.plan("knee-reach"), "reach.yaml", "ros", every_s=0.001)
     """
+    from linkplan.studies.export.formats import FOLDER_FORMATS, FORMATS
+
+    choose("format", str(to), (*FORMATS, *FOLDER_FORMATS), ProblemError)
+    say, names = listener(progress), list(joints)
+    if to in FOLDER_FORMATS:
+        if every_s is not None:
+            raise ProblemError("every_s is for files of samples; a law in C has the instants of tracking.period_s")
+        return _exported_c(plan, path, names, tracker, sizes, tolerance, say)
+    for key, given in (("tolerance", tolerance), ("sizes", sizes)):
+        if given:
+            raise ProblemError(f"{key} is for code in C, got to = '{to}'")
     from linkplan.planner.files.single_file import write_new
     from linkplan.studies.export.export import exported
 
-    place = path_of(path, "path")
-    write_new(place, exported(with_motion(plan, "export"), str(to), every_s))
-    return place
+    place = file_to_write(path)
+    if isinstance(plan, Mechanism):
+        raise ProblemError(f"a plan is written as '{to}'; a model only as 'c'")
+    answer = plan_of(plan, say, "export")
+    content = exported(answer, str(to), every_s, names)
+    write_new(place, content)
+    said = {"file": str(place), "format": to, "bytes": len(content), "plan": answer.problem.name}
+    return Exported(path=place, passed=answer.passed, said=said, text=f"{place}: {answer.problem.name}, {FORMATS[to]}")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Exported:
+    """What `export` wrote: its path, whether the plan passes, and a description."""
+
+    path: Path
+    passed: bool
+    said: dict
+    text: str = ""
+
+    def to_dict(self) -> dict:
+        """Return the description by name."""
+        return self.said
+
+    def blocks(self) -> list[Block]:
+        """Return the description as a document."""
+        from linkplan.studies.export.c_files import cost_blocks
+        from linkplan.studies.output.document import Text
+
+        return [Text(text=self.text)] if self.text else cost_blocks(self.said, self.path)
+
+
+def _exported_c(
+    subject: PlanLike | Subject,
+    path: str | Path,
+    joints: Sequence[str],
+    tracker: str,
+    sizes: bool,
+    tolerance: float | None,
+    say: Listener,
+) -> Exported:
+    """Write a model's dynamics or a plan's control law as C into a folder."""
+    from linkplan.paths import folder_to_write
+    from linkplan.planner.files.folders import write_json, write_whole
+    from linkplan.studies.export.formats import C_TRACKERS
+
+    choose("tracker for C", tracker, C_TRACKERS, ProblemError)
+    target, said, passed = folder_to_write(path, "export.json"), {}, True
+    asked = _plan_in(subject)
+    if asked is not None:
+        from linkplan.studies.export.c_law import write_law
+        from linkplan.studies.export.law_tables import law_tables
+
+        if joints:
+            raise ProblemError("joints is for ros, and for a model in C; a plan's law has the plan's own coordinates")
+        if sizes:
+            raise ProblemError("sizes is for a model in C; a law's flash and stack are measured anyway")
+        plan = plan_of(asked, say, "export")
+        tables, passed = law_tables(plan, tracker, tolerance or 0.0), plan.passed
+
+        def write(place: Path) -> None:
+            said.update(write_law(tables, place) | {"plan": plan.problem.name})
+            write_json(place / "export.json", said)
+    else:
+        from linkplan.studies.export.c_files import write_model
+        from linkplan.studies.export.c_model import model_code
+        from linkplan.studies.export.output_joints import with_outputs
+
+        if tolerance is not None:
+            raise ProblemError("tolerance is for the tables of a plan's law in C; a model's code has none")
+        mechanism, _ = subject_of(cast(Subject, subject))
+        code = model_code(with_outputs(mechanism, joints) if joints else mechanism)
+        say(f"{code.mechanism.name}: C code")
+
+        def write(place: Path) -> None:
+            said.update(write_model(code, place, compiled=sizes or None))
+            write_json(place / "export.json", said)
+
+    write_whole(target, write, "export.json")
+    return Exported(path=target, passed=passed, said=said)
+
+
+def _plan_in(subject: PlanLike | Subject) -> PlanLike | None:
+    """Return a subject that is a plan, saved or to be made; None for a model."""
+    if isinstance(subject, Source | str | Path):
+        source = source_of(subject)
+        return source if source.is_problem or os.path.isdir(source.name) else None
+    return None if isinstance(subject, Mechanism) else subject

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,24 @@ class Rendered:
     drawn_by: str
     tracker: str
     stable: bool
+    plan: str  # its problem's name
+    passed: bool  # the plan passes its certificate
+
+    def to_dict(self) -> dict:
+        """Return all values by name."""
+        return asdict(self)
+
+    @property
+    def sentence(self) -> str:
+        """What was written, as a sentence."""
+        width, height = self.size
+        text = f"{self.file}: {width}x{height}, drawn by {self.drawn_by}"
+        if self.length_s is not None:
+            text = (
+                f"{self.file}: {self.frames} frames of {width}x{height}, {self.length_s:.3g} s at {self.fps:g} frames/s, the"
+                f" motion's {self.motion_s:.4g} s {self.slow:g} times slower, drawn by {self.drawn_by}"
+            )
+        return text if self.stable else f"{text}; the run with {self.tracker} is unstable"
 
 
 def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent) -> Rendered:
@@ -80,6 +98,8 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
         drawn_by="Matplotlib" if gl.name is None else f"MuJoCo ({gl.name})",
         tracker=motion.tracker,
         stable=motion.stable,
+        plan=plan.problem.name,
+        passed=plan.passed,
     )
 
 

@@ -57,12 +57,3 @@ class RenderSettings:
             raise ProblemError(f"the instant of a picture is a time from 0 on in seconds, got {self.at_s:g}")
         if not 1 <= self.instants <= 40:
             raise ProblemError(f"instants in one picture are 1 to 40, got {self.instants}")
-
-
-def size_from(text: str) -> tuple[int, int]:
-    """Return width and height [px] of "WxH"."""
-    try:
-        width, height = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise ProblemError(f"size is WIDTHxHEIGHT in pixels, as 800x600, got '{text}'") from None
-    return width, height

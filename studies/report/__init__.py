@@ -1,4 +1,4 @@
-"""Results as one page: a document of sections and blocks, and the self-contained HTML file that shows it.
+"""The report of a folder that linkplan wrote.
 
-In: plans, comparisons, loops, checks; or the folders that they were saved in. Out: `report.html`, which opens offline.
+In: a folder. Out: its saved document, or one made from its plan or record.
 """

@@ -15,11 +15,12 @@ from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.proof.finding import OWN_MOTION
 from linkplan.studies.batch.study import RECORD as BATCH
 from linkplan.studies.batch.study import read_batch_record
+from linkplan.studies.experiment.experiment_sections import experiment_report
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.experiment.study import saved_outcome
 from linkplan.studies.output.document import Block, Facts, Report, Section, Table, Text
-from linkplan.studies.report.render import DOCUMENT, read_document
-from linkplan.studies.report.reports import experiment_report, plan_report, report_of
+from linkplan.studies.output.plan_sections import plan_report
+from linkplan.studies.output.report_file import DOCUMENT, read_document, report_of
 
 
 def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = None) -> Report:

@@ -1,9 +1,11 @@
 """Tasks on an engine: every result once, as soon as it is available, even if workers are lost; and their progress."""
 
 import concurrent.futures
+import contextlib
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 from linkplan.models.deadline import check
@@ -11,6 +13,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.plan_folder import versions
 from linkplan.studies.tasks.engine import Engine, Pool, Say
 from linkplan.studies.tasks.site import Refused, at_site
+from linkplan.studies.tasks.unfinished import done
 
 # After more losses of workers, the cause is assumed to be permanent.
 _MOST_DEATHS = 3
@@ -67,6 +70,35 @@ def _once(pool: Pool, work: Callable[[int, int], Result], tasks: Sequence[int]) 
             if isinstance(result, Refused):
                 raise LinkplanError(result.text)
             yield asked.pop(future), result
+
+
+def complete(
+    folder: Path,
+    tasks: Sequence[range],
+    things: str,
+    engine: Engine,
+    work: Callable[[int, int], Result],
+    write: Callable[[int, Result], None],
+    say: Say,
+) -> None:
+    """Run the tasks of a folder of parts that have no part yet, and report the progress.
+
+    Args:
+        folder: the folder of parts, locked by this process.
+        tasks: the things that each task does.
+        things: their name.
+        engine: runs the tasks.
+        work: as for `streamed`.
+        write: writes a task's result as its part.
+        say: receives progress messages.
+    """
+    there = done(folder)
+    progress = Progress(sum(map(len, tasks)), sum(len(tasks[task]) for task in there), things, say)
+    todo = [task for task in range(len(tasks)) if task not in there]
+    with contextlib.closing(streamed(engine, work, todo, say)) as results:
+        for task, result in results:
+            write(task, result)
+            progress.more(len(tasks[task]))
 
 
 class Progress:

@@ -8,6 +8,7 @@ flushed to disk, and renamed. The next run of the same command continues from th
 import contextlib
 import json
 import os
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,16 @@ ASKED, PLAN, PARTS, _LOCK = "asked.json", "plan", "parts", "lock"
 def unfinished(target: Path) -> Path:
     """Return the folder of an unfinished result's parts."""
     return target.with_name(f"{target.name}.unfinished")
+
+
+@contextlib.contextmanager
+def parts_folder(target: Path | None) -> Iterator[Path]:
+    """Open the folder of a result's parts; without a folder for the result it is a temporary one."""
+    if target is not None:
+        yield unfinished(target)
+        return
+    with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
+        yield Path(place) / "run"
 
 
 @contextlib.contextmanager

@@ -1,15 +1,12 @@
-"""Commands ended at random moments: `python -m tests.bench.kills N SEED` ends each of them N times in each of five ways.
+"""Commands ended at random moments: `python -m tests.bench.kills N SEED [NAME ...]` ends each N times in each of five ways.
 
 The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, a disk that is
-full from there on, and one on which no file may grow beyond a random size; `python -m tests.bench.kills N SEED late` sends
-the signals after a random time, to processes of their own; names of commands and ways choose among them. What must hold: the
-earlier result or the new one stands there whole, nothing of the user's is lost, after the next run there is no litter, the
-exit code is that of the way, no traceback, and what is said of the result is true. An experiment and a batch are taken up
-where they ended: the same command again must then end well, make what a run that was left alone makes (an experiment's files
-byte by byte), and leave nothing beside it.
+full from there on, and one on which no file may grow beyond a random size. What must hold: the earlier result or the new one
+is there whole, nothing of the user's is lost, after the next run there is no litter, the exit code is that of the way, and
+what is said of the result is true. An experiment and a batch go on where they ended: the same command again makes what a run
+that was left alone makes, byte by byte where nothing is timed.
 """
 
-import contextlib
 import errno
 import json
 import os
@@ -17,11 +14,11 @@ import random
 import resource
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,7 +28,6 @@ from linkplan.planner.files.folders import check_target
 from linkplan.planner.files.manifest import MANIFEST
 
 WAYS = ("kill", "term", "int", "full", "size")
-LATE = ("kill", "term", "int")
 SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM, "int": signal.SIGINT}
 LEGAL = {"kill": {-signal.SIGKILL}, "term": {143}, "int": {130}, "full": {2}, "size": {2}}
 # Beyond this a command hangs [s].
@@ -40,8 +36,6 @@ LIMIT_S = 300.0
 _EVENTS = {"open", "os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.chmod", "os.scandir", "os.listdir"}
 _NEEDS_ROOM = {"open", "os.mkdir", "os.link"}
 _LARGEST_FILE = 120_000
-# Before this the interpreter is starting, and signals end it as they do any program [ms].
-_STARTED_MS = 400
 BATCH = """problem = "knee-reach"
 [[case]]
 name = "near"
@@ -82,14 +76,9 @@ class Command:
 
 
 # Three blocks of samples and a beginning, each of them short.
-_LINE = "experiment planned --set tracking.duration_s=0.005 --samples 392 --trackers pd --threads 1 -o out"
-_STUDY = tuple(_LINE.split())
+STUDY = "experiment planned --set tracking.duration_s=0.005 --samples 392 --trackers pd --threads 1 -o out"
 COMMANDS = {
     "plan": Command(words=("plan", "knee-reach", "-o", "out"), record="plan.json"),
-    "compiled": Command(
-        words=("plan", "knee-reach", "--set", "solver.compile=always", "--set", "mesh.intervals=10", "-o", "out"),
-        record="plan.json",
-    ),
     "batch": Command(
         words=("batch", "batch.toml", "-o", "out"),
         record="batch.json",
@@ -98,42 +87,20 @@ COMMANDS = {
         same=("near/trajectory.npz", "far/trajectory.npz"),
     ),
     "experiment": Command(
-        words=_STUDY, record="experiment.json", resumes=True, keeps=True, same=("experiment.json", "results.parquet")
-    ),
-    "experiment-2": Command(
-        words=(*_STUDY, "--workers", "2"),
+        words=tuple(STUDY.split()),
         record="experiment.json",
         resumes=True,
         keeps=True,
         same=("experiment.json", "results.parquet"),
     ),
     "compare": Command(words=("compare", "planned", "-o", "out"), record="compare.json"),
-    "bode": Command(words=("bode", "optimus-knee", "--at-deg", "3.6", "--measure", "none", "-o", "out"), record="bode.json"),
-    "demo": Command(words=("demo", "-o", "out"), record="demo.json", inside="plans/knee-sine/"),
 }
-
-
-def run(words: tuple[str, ...]) -> int:
-    """Run a command as a process of its own does, with a demo that is as short as it can be."""
-    import warnings
-
-    from linkplan.studies.cli import main as program
-    from linkplan.studies.demo import demo
-
-    warnings.simplefilter("ignore")
-    demo.PLANNED = demo.COMPARED = ("knee-sine",)
-    demo.LOOPS, demo.ANGLES_DEG = demo.LOOPS[:1], demo.ANGLES_DEG[2:3]
-    demo.map_study = demo.map_record = demo.map_figure = lambda *_: {}
-    demo.map_text = lambda _: ""
-    demo.map_section = lambda *_: demo.Section(title="", blocks=[])
-    demo.Setup = lambda: None
-    demo.printed_runs = lambda *_: {}
-    sys.argv = ["linkplan", *words]
-    return program.main()
 
 
 def forked(root: Path, words: tuple[str, ...], before: Callable[[], None]) -> tuple[int | None, str]:
     """Return exit code and stderr of a command in a child of this process; None where it hangs."""
+    from linkplan.studies.cli.main import main as program
+
     child = os.fork()
     if child == 0:
         code = 70
@@ -142,8 +109,10 @@ def forked(root: Path, words: tuple[str, ...], before: Callable[[], None]) -> tu
             os.environ["LINKPLAN_CACHE"] = str(root / "cache")
             for number, name in ((1, "../stdout"), (2, "../stderr")):
                 os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+            warnings.simplefilter("ignore")
+            sys.argv = ["linkplan", *words]
             before()
-            code = run(words)
+            code = program(list(words))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -289,23 +258,7 @@ def prepared(root: Path, name: str, earlier: Path | None) -> dict[str, bytes]:
     return content(root / "out")
 
 
-def late(root: Path, words: tuple[str, ...], way: str, moment: int) -> tuple[int | None, str]:
-    """Return exit code and stderr of a command in a process of its own that is sent a signal after some milliseconds."""
-    given, argv = os.environ | {"LINKPLAN_CACHE": str(root / "cache")}, [sys.executable, "-m", "linkplan", *words]
-    with subprocess.Popen(argv, cwd=root, env=given, stdout=-3, stderr=-1, text=True) as process:
-        try:
-            process.wait(moment / 1000)
-        except subprocess.TimeoutExpired:
-            process.send_signal(SIGNALS[way])
-        try:
-            said = process.communicate(timeout=LIMIT_S)[1]
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return None, ""
-    return process.returncode, said
-
-
-def ended(name: str, ways: tuple[str, ...], count: int, seed: int, *, by_time: bool = False) -> list[Outcome]:
+def ended(name: str, ways: tuple[str, ...], count: int, seed: int) -> list[Outcome]:
     """Return what became of a command that was ended `count` times in each of some ways."""
     rng, command, found = random.Random(f"{seed}/{name}"), COMMANDS[name], []
     with tempfile.TemporaryDirectory() as place:
@@ -314,44 +267,24 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int, *, by_time: b
         if command.words[1] == "planned" and forked(base / "first", ("plan", "knee-reach", "-o", "../planned"), int)[0]:
             raise RuntimeError("the plan to compare cannot be made")
         prepared(base / "run", name, None)
-        begin = time.monotonic()
         last = moments(base / "run", command.words)
-        longest_ms = int(1e3 * (time.monotonic() - begin)) + 2000
         earlier = base / "earlier"
         shutil.move(base / "run" / "out", earlier)
         shutil.rmtree(base / "run")
         for number in range(count * len(ways)):
             way, root = ways[number % len(ways)], base / "run"
             before = prepared(root, name, earlier if rng.random() < 0.8 and not command.keeps else None)
-            if by_time:
-                moment = rng.randint(_STARTED_MS, longest_ms)
-                code, said = late(root, command.words, way, moment)
-            else:
-                # With an earlier result there is more to do than without.
-                moment = rng.randint(0, _LARGEST_FILE) if way == "size" else rng.randint(1, last + 10)
-                code, said = forked(root, command.words, ending(root, way, moment))
+            # With an earlier result there is more to do than without.
+            moment = rng.randint(0, _LARGEST_FILE) if way == "size" else rng.randint(1, last + 10)
+            code, said = forked(root, command.words, ending(root, way, moment))
             new, wrong = judged(root, way, code, said, before, command)
-            if name == "compiled" and not wrong:
-                wrong = _cache_faults(root, command, rng.random() < 0.2)
             if command.resumes and not wrong:
                 wrong = _unlike(root, command, earlier)
             found.append(Outcome(command=name, way=way, moment=moment, code=code, new=new, wrong=wrong))
-            print(
-                f"{name} {number + 1}/{count * len(ways)}: {way} at {moment}, exit code {code}", file=sys.stderr, flush=True
-            )
             if wrong:
                 print(found[-1], flush=True)
-            shutil.rmtree(root, ignore_errors=True)  # a compiler beside may still write there
+            shutil.rmtree(root, ignore_errors=True)
     return found
-
-
-def _cache_faults(root: Path, command: Command, look: bool) -> str:
-    """Return what is wrong with the cache after the next run."""
-    if not look:
-        return ""
-    code, said = forked(root, command.words, int)
-    left = [path.name for path in (root / "cache").iterdir() if path.suffix not in (".so", ".json")]
-    return f"the next run: exit code {code}, {left} in the cache, {said[-300:]}" if code or left else ""
 
 
 def _unlike(root: Path, command: Command, alone: Path) -> str:
@@ -364,29 +297,19 @@ def _unlike(root: Path, command: Command, alone: Path) -> str:
     return "; ".join([f"{name} is another than without an ending" for name in wrong] + [f"{name} is left" for name in left])
 
 
-def main() -> int:
+def main(count: int, seed: int, names: list[str]) -> int:
     """End each command N times in each way and print what came of it; 1 where something was wrong."""
-    if {"-h", "--help"} & set(sys.argv) or len(sys.argv) < 3 or not all(word.isdecimal() for word in sys.argv[1:3]):
-        print(f"{__doc__}\ncommands: {', '.join(COMMANDS)}\nways: {', '.join(WAYS)}")
-        return 0 if {"-h", "--help"} & set(sys.argv) else 2
-    count, seed, by_time = int(sys.argv[1]), int(sys.argv[2]), "late" in sys.argv[3:]
-    names = [name for name in sys.argv[3:] if name in COMMANDS] or list(COMMANDS)
     wrong = 0
-    for name in names:
-        begin, asked = time.monotonic(), [way for way in sys.argv[3:] if way in WAYS]
-        ways = tuple(asked) or (LATE if by_time else WAYS)
-        found = ended(name, ways, count, seed, by_time=by_time)
-        for way in ways:
+    for name in names or COMMANDS:
+        found = ended(name, WAYS, count, seed)
+        for way in WAYS:
             of = [outcome for outcome in found if outcome.way == way]
             codes = dict(sorted(Counter(str(outcome.code) for outcome in of).items()))
             bad, new = sum(bool(o.wrong) for o in of), sum(o.new for o in of)
             print(f"{name}, {way}: {len(of)} times, exit codes {codes}, the new result {new}, wrong {bad}", flush=True)
             wrong += bad
-        print(f"{name}: {time.monotonic() - begin:.0f} s", flush=True)
     return 1 if wrong else 0
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(ImportError):
-        import linkplan.studies.compare.comparison_blocks  # noqa: F401  (loaded once, not in every child)
-    sys.exit(main())
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:]))

@@ -6,7 +6,6 @@ from mujoco.batch import Batch
 from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.measure import measure
 from linkplan.studies.output.text import table
@@ -21,15 +20,12 @@ def bench_measurement() -> str:
     points = [operating_point(mechanism, np.radians([angle])) for angle in (-20.0, 20.0)]
     limit = mechanism.effort_limit
     loops = [feedback_loop(point, law_gain(point, "pd", settings, limit), timing) for point in points]
-    rows = []
-    for method in ("sinestream", "multisine"):
-        frequency, setup = np.geomspace(20.0, 2000.0, 20), Setup(method=method)
-        taken = measure(loops, frequency, limit, setup)
-        spent = median_s(lambda setup=setup, frequency=frequency: measure(loops, frequency, limit, setup), 2)
-        n = 120 if method == "sinestream" else 6
-        batch = Batch(mechanism.model, nsim=n)
-        calls = max(1, taken.simulated_steps // n)
-        raw = median_s(lambda batch=batch, calls=calls: [batch.step() for _ in range(calls)], 2)
-        rate, most = taken.simulated_steps / spent, n * calls / raw
-        rows.append([f"{method}, {n} simulations", taken.simulated_steps, rate, most, rate / most])
-    return table(["measurement", "steps", "steps/s", "raw batch steps/s", "ratio"], rows)
+    frequency, n = np.geomspace(20.0, 2000.0, 20), 120
+    taken = measure(loops, frequency, limit)
+    spent = median_s(lambda: measure(loops, frequency, limit), 2)
+    batch = Batch(mechanism.model, nsim=n)
+    calls = max(1, taken.simulated_steps // n)
+    raw = median_s(lambda: [batch.step() for _ in range(calls)], 2)
+    rate, most = taken.simulated_steps / spent, n * calls / raw
+    row = [f"sinestream, {n} simulations", taken.simulated_steps, rate, most, rate / most]
+    return table(["measurement", "steps", "steps/s", "raw batch steps/s", "ratio"], [row])

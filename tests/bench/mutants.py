@@ -1,11 +1,11 @@
 """Mutants: small changes of the planner and the controllers, and whether the nearest tests detect them.
 
-    python -m tests.bench.mutants [--count 60] [--seed 1] [--slow] [--timeout 600]
+    python -m tests.bench.mutants [--count 60] [--seed 1] [--kind all|inline|other] [--slow] [--timeout 600]
 
-Each mutant changes one constant, sign, comparison or bound in a copy of the tree. The nearest tests are the file of the same
-name, the files that import the changed one, and the folder of the same name. They run until the first failure, which counts
-if that test passes without the change. The script prints every mutant with "detected", "timed out" or "SURVIVED", and the
-share that did not survive.
+Each mutant changes one named or inline number, sign, comparison or bound in a copy of the tree. The nearest tests are the
+file of the same name, the files that import the changed one, and the folder of the same name. They run until the first
+failure, which counts if that test passes without the change. The script prints every mutant with "detected", "timed out" or
+"SURVIVED", and the share that did not survive.
 """
 
 import argparse
@@ -21,6 +21,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.support.sources import inline_numbers
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("planner", "controllers")
 COPIED = ("linkplan", "models", "planner", "controllers", "studies", "tests", "pyproject.toml", "docs", "README.md")
@@ -28,7 +30,7 @@ COPIED = ("linkplan", "models", "planner", "controllers", "studies", "tests", "p
 COMPARISONS = {ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<"}
 OPERATORS = {ast.Add: "-", ast.Sub: "+"}
 BOUNDS = {"maximum": "minimum", "minimum": "maximum", "max": "min", "min": "max", "fmax": "fmin", "fmin": "fmax"}
-CONSTANT_FACTOR = 10.0
+NUMBER_FACTOR = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +42,7 @@ class Mutant:
     begin: int
     end: int
     text: str
+    inline: bool = False
 
     def applied_to(self, source: str) -> str:
         """Return the source with the change."""
@@ -55,18 +58,24 @@ class Mutant:
         return f"{self.path}:{self.line}\n    - {before}\n    + {after}"
 
 
+def number_mutant(path: Path, number: ast.Constant, *, inline: bool = False) -> Mutant:
+    """Return the mutant that multiplies a number by ten."""
+    text = repr(type(number.value)(number.value * NUMBER_FACTOR))
+    begin, end = number.col_offset, number.end_col_offset or 0
+    return Mutant(path=path, line=number.lineno, begin=begin, end=end, text=text, inline=inline)
+
+
 def mutants_of(path: Path) -> Iterator[Mutant]:
     """Yield the mutants of a file."""
     source = (ROOT / path).read_text(encoding="utf-8")
     lines = [line.encode() for line in source.splitlines()]
+    for number in inline_numbers(ROOT / path):
+        yield number_mutant(path, number, inline=True)
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Assign) and node.col_offset == 0:
-            for value in node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]:
-                if isinstance(value, ast.Constant) and type(value.value) in (int, float) and value.value:
-                    text = repr(type(value.value)(value.value * CONSTANT_FACTOR))
-                    yield Mutant(
-                        path=path, line=value.lineno, begin=value.col_offset, end=value.end_col_offset or 0, text=text
-                    )
+            values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+            numbers = [value for value in values if isinstance(value, ast.Constant) and type(value.value) in (int, float)]
+            yield from (number_mutant(path, number) for number in numbers if number.value)
         elif isinstance(node, ast.Compare | ast.BinOp):
             left, right = (node.left, node.comparators[0]) if isinstance(node, ast.Compare) else (node.left, node.right)
             table = COMPARISONS if isinstance(node, ast.Compare) else OPERATORS
@@ -129,11 +138,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Changes of the code, and whether the nearest tests see them.")
     parser.add_argument("--count", type=int, default=60, help="number of mutants")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--kind", choices=("all", "inline", "other"), default="all", help="inline numbers alone, or all else"
+    )
     parser.add_argument("--slow", action="store_true", help="run the slow tests, too")
     parser.add_argument("--timeout", type=float, default=600.0, help="longest run of the tests of one mutant [s]")
     arguments = parser.parse_args()
     files = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     every = [mutant for path in files for mutant in mutants_of(path)]
+    if arguments.kind != "all":
+        every = [mutant for mutant in every if mutant.inline == (arguments.kind == "inline")]
     drawn = random.Random(arguments.seed).sample(every, arguments.count)
     detected = 0
     with tempfile.TemporaryDirectory() as folder:

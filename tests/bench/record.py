@@ -164,9 +164,9 @@ def numbers_in(value: object, place: str = "") -> Iterator[tuple[str, float]]:
 
 
 TABLES = (
-    "bode knee-reach --at-deg O=3.6 --at-deg O=-40 --measure sinestream",
+    "bode knee-reach --at-deg O=3.6 --at-deg O=-40",
     "bode knee-sprint --along --tracker lqr",
-    "bode five-bar-reach --tracker lqr --measure none",
+    "bode five-bar-reach --tracker lqr --no-measure",
     "tune knee-reach --bandwidth-hz 5",
     "compare knee-reach",
     "compare five-bar-reach",

@@ -15,8 +15,8 @@ import linkplan
 ROOT = Path(__file__).resolve().parents[2]
 PUBLIC = ROOT / "studies" / "package"
 HEAVY = {"casadi", "mujoco", "numpy", "scipy", "matplotlib", "control"}
-# Strings of the library that hold a dash and are no message: what is handed to a compiler.
-NO_MESSAGES = {"functions.py"}
+# Strings of the library that hold a dash and are no message: what is handed to a compiler, and commands to type.
+NO_MESSAGES = {"functions.py", "typed_commands.py"}
 
 
 def loaded_by(code: str) -> set[str]:

@@ -18,7 +18,7 @@ def plan():
 
 @pytest.fixture(scope="module")
 def loop():
-    return linkplan.bode("knee-reach", measure=None, at_deg=[{"O": 0.0}, {"O": 20.0}])
+    return linkplan.bode("knee-reach", measure=False, at_deg=[{"O": 0.0}, {"O": 20.0}])
 
 
 def test_every_result_has_a_report(plan, loop, tmp_path):
@@ -40,7 +40,7 @@ def test_a_picture_is_rendered(plan, tmp_path):
 
 
 def test_a_plan_is_exported(plan, tmp_path):
-    place = linkplan.export(plan, tmp_path / "reach.csv", "csv", every_s=0.01)
+    place = linkplan.export(plan, tmp_path / "reach.csv", "csv", every_s=0.01).path
     assert len(place.read_text(encoding="utf-8").splitlines()) == 1 + 17
     with pytest.raises(linkplan.LinkplanError, match="unknown format 'cvs'"):
         linkplan.export(plan, tmp_path / "reach.cvs", "cvs")

@@ -251,11 +251,3 @@ def test_what_is_no_problem_is_refused(problem):
 def test_progress_that_cannot_be_called_is_refused_before_any_work(plan):
     with pytest.raises(ProblemError, match=r"progress is a function of one line of text, got 'loud'"):
         linkplan.plan(plan.problem, "loud")
-
-
-def test_old_names_of_positions_still_answer_and_say_the_new_one(plan):
-    table = plan.sample(0.08)
-    with pytest.deprecated_call(match="MotionTable.position is called position_deg"):
-        assert table.position == table.position_deg
-    with pytest.raises(AttributeError, match="'MotionTable' has no attribute 'place'"):
-        table.place  # noqa: B018

@@ -17,5 +17,13 @@ def test_a_plan_is_proved_when_asked_and_keeps_its_proof(tmp_path):
     assert again.prove().complete
 
 
-def test_a_plan_is_not_proved_unless_asked():
-    assert linkplan.plan("cart-pole-swing-up").proof is None
+def test_a_plan_comes_with_a_proof_if_there_is_time_for_one(monkeypatch):
+    monkeypatch.setattr("linkplan.plans._PROOF_SECONDS", 60.0)
+    proof = linkplan.plan("cart-pole-swing-up").proof
+    assert proof is not None
+    assert proof.passed
+    monkeypatch.setattr("linkplan.plans._PROOF_SECONDS", 0.0)
+    monkeypatch.setattr("linkplan.plans._PROOF_SHARE", 0.0)
+    said: list[str] = []
+    assert linkplan.plan("cart-pole-swing-up", said.append).proof is None
+    assert any(line.startswith("not proved") for line in said)

@@ -1,7 +1,6 @@
 """What mechanisms and differential equations share: bends, held durations, de Casteljau, integration, ends, words."""
 
 import typing
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -19,10 +18,8 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import Case
 from linkplan.planner.refinement.perturbation import perturbation
-from linkplan.planner.refinement.switch_search import LONGER, SHORTER, bounded_by_guess
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
 from linkplan.planner.transcription.bernstein import bernstein_matrix, bernstein_value
-from linkplan.planner.transcription.mesh import Mesh, uniform
 from tests.support.tolerances_planner import UNIT
 
 TAU = np.linspace(0.0, 1.0, 41)
@@ -90,43 +87,6 @@ def test_mechanisms_and_differential_equations_are_bent_alike():
 
 
 # Free durations.
-
-
-def solution(durations, mesh: Mesh | None = None, fixed: bool = False):
-    """Return as much of a solution as is looked at: free durations were sought from a fiftieth to a hundred times 1 s."""
-    at = np.array(durations, dtype=float)
-    layout = SimpleNamespace(durations=lambda: np.arange(len(at)))
-    transcribed = SimpleNamespace(
-        program=SimpleNamespace(layout=layout, mesh=mesh or uniform(4)),
-        lower=at if fixed else np.full(len(at), 0.02),
-        upper=at if fixed else np.full(len(at), 100.0),
-        units=SimpleNamespace(time_s=1.0),
-    )
-    return SimpleNamespace(x=at, transcribed=transcribed)
-
-
-@pytest.mark.parametrize(
-    ("duration", "bounds", "said"),
-    [
-        (99.9, (0.0, np.inf), LONGER),
-        (99.9, (0.0, 100.0), None),  # the user's own bound
-        (99.9, (0.0, 200.0), LONGER),
-        (50.0, (0.0, np.inf), None),
-        (0.0201, (0.0, np.inf), SHORTER),
-        (0.0201, (0.02, np.inf), None),
-        (99.9, (99.9, 99.9), None),  # fixed
-    ],
-)
-def test_a_duration_that_its_guess_held_is_told_from_one_that_the_user_did(duration, bounds, said):
-    assert bounded_by_guess(solution([duration]), *bounds) == said
-
-
-def test_legs_to_given_instants_and_switch_times_hold_no_duration():
-    assert bounded_by_guess(solution([2.0], fixed=True), 0.0, np.inf) is None
-    cut = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), phase=np.array([0, 0]))
-    legs = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), phase=np.array([0, 1]))
-    assert bounded_by_guess(solution([99.9, 1.0], cut), 0.0, np.inf) is None
-    assert bounded_by_guess(solution([99.9, 1.0], legs), 0.0, np.inf) == LONGER
 
 
 def test_a_waypoint_at_a_given_instant_does_not_make_a_free_duration_one_without_end():

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan import Plan, motion_table, tracking_errors
-from linkplan.planner.replan import _is_blocked_by_bounds
+from linkplan.planner.plan import motion_table, tracking_errors
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE
 
@@ -59,30 +58,3 @@ def test_the_distance_from_a_reference_is_its_mean_square_and_its_largest():
     share = np.concatenate([np.linspace(0.0, 0.5, 17), np.linspace(0.5, 2.0, 17)])
     assert largest == pytest.approx(0.5)
     assert rms == pytest.approx(np.sqrt(np.mean((0.5 - 0.25 * share) ** 2)))
-
-
-@pytest.mark.parametrize(("trajectory", "intervals"), [(turning(), 2), (None, 7)])
-def test_a_plan_has_the_intervals_of_its_motion(trajectory, intervals):
-    plan = SimpleNamespace(trajectory=trajectory, problem=SimpleNamespace(mesh=SimpleNamespace(intervals=7)))
-    assert Plan.intervals.fget(plan) == intervals
-
-
-@pytest.mark.parametrize(
-    ("at", "blocked"),
-    [
-        ([0.3, 0.7], False),
-        ([0.1 + 1e-9, 0.7], True),
-        ([0.3, 2.0 - 1e-8], True),
-        ([0.1 + 1e-6, 0.7], False),
-        ([0.3, 2.0 - 1e-5], False),
-    ],
-)
-def test_a_new_motion_is_blocked_where_the_duration_of_a_segment_is_at_a_bound(at, blocked):
-    """The third segment's is given."""
-    layout = SimpleNamespace(durations=lambda: np.arange(3))
-    transcribed = SimpleNamespace(
-        program=SimpleNamespace(layout=layout), lower=np.array([0.1, 0.1, 0.5]), upper=np.array([2.0, 2.0, 0.5])
-    )
-    motion = SimpleNamespace(duration_s=1.0, min_duration_s=None, max_duration_s=None)
-    solution = SimpleNamespace(transcribed=transcribed, x=np.array([*at, 0.5]))
-    assert _is_blocked_by_bounds(SimpleNamespace(motion=motion), solution) == blocked

@@ -62,23 +62,6 @@ def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless
         assert f"collide at t = {found.since:.5g} s" in refused.failures[0]
 
 
-@pytest.mark.parametrize(("n", "poses"), [(20, 12), (416, 12), (1000, 5), (9000, 1)])
-def test_twelve_poses_of_each_interval_are_looked_at_fewer_on_fine_meshes(swing, monkeypatch, n, poses):
-    plan, asked = swing[0.05], []
-
-    def times(per_interval: int) -> np.ndarray:
-        asked.append(per_interval)
-        return np.zeros(1)
-
-    trajectory = SimpleNamespace(
-        breaks_s=np.arange(n + 1.0), dense_times=times, position_at=plan.trajectory.position_at, start_pose=np.zeros(1)
-    )
-    monkeypatch.setattr(further_checks, "follow", lambda *_: None)
-    monkeypatch.setattr(further_checks, "meetings", lambda *_: ())
-    with_contacts(plan.problem, trajectory, plan.certificate)
-    assert asked == [poses]
-
-
 @pytest.mark.parametrize(("share", "sure"), [(1.01, True), (0.99, False), (np.nan, False)])
 @pytest.mark.parametrize("others", [(), (1e-9,)])
 def test_a_collision_is_sure_where_it_is_ten_times_deeper_than_the_motion_is_exact(swing, monkeypatch, share, sure, others):

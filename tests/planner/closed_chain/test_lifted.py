@@ -59,11 +59,12 @@ def test_a_lifted_program_has_the_reduced_ones_answer(fastest, monkeypatch):
     assert same.objective == pytest.approx(reduced.objective, rel=SAME_FIGURE)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_platform_on_six_rods_is_raised_and_turned():
     goal = {f"s{k}": 0.03 + 0.02 * (-1) ** k for k in range(6)}
     motion = {"kind": "reach", "start_m": {f"s{k}": 0.0 for k in range(6)}, "goal_m": goal, "duration_s": 0.5}
     tables = {"mechanism": {"model": hexapod()}, "motion": motion, "objective": {"minimize": "effort"}}
+    tables["mesh"] = {"intervals": 10}
     plan = plan_motion(Problem.from_tables("platform", tables))
     assert plan.status == "optimal", plan.message
 

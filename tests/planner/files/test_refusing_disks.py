@@ -11,7 +11,7 @@ from linkplan.planner.files import folders, work_folders
 from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.single_file import write_over
 from linkplan.planner.plan_folder import read_plan
-from linkplan.studies.report.render import refuse_other_files
+from linkplan.studies.output.report_file import refuse_other_files
 
 
 def result(text: str):

@@ -1,12 +1,10 @@
 """The margin of a quantity along a motion to the nearer end of its limit, against parabolas."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.limits.limit import Measured, margin_of
 from linkplan.planner.limits.samples import sample_points
 
@@ -45,11 +43,3 @@ def test_an_interval_with_a_kink_has_the_least_of_its_samples():
 def test_an_overrun_is_a_share_of_the_size_that_is_given():
     margin = margin_of(None, Measured("q", np.tile(POINTS, 2), (-np.inf, 0.5), "N", size=0.25), SAMPLES)
     assert margin.overrun == pytest.approx((2.0, 2.0), rel=1e-9)
-
-
-@pytest.mark.parametrize("limit", [0.01, 100.0, -100.0])
-def test_a_limit_is_kept_to_the_rounding_of_its_size_or_of_one(limit):
-    allowed = ROUNDING_SHARE * max(1.0, abs(limit))
-    for share, kept in ((0.9, True), (1.1, False)):
-        margin = margin_of(None, Measured("q", np.full(2 * len(POINTS), limit), (-np.inf, limit), "N"), SAMPLES)
-        assert replace(margin, left=-share * allowed).kept is kept

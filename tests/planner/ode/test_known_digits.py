@@ -94,7 +94,7 @@ def robbins_below(touches: np.ndarray, at_rest: float) -> float:
     return cost
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_robbins_optimum_is_as_near_as_the_plan_says():
     optimum = robbins_below(ROBBINS_TOUCHES, ROBBINS_AT_REST)
     plan = plan_ode(robbins(1e-6))
@@ -177,7 +177,7 @@ def shuttle() -> OdeProblem:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_shuttle_needs_no_guess_to_come_down():
     plan = solved(shuttle())
     assert plan.objective == pytest.approx(-34.1412, abs=5e-5)

@@ -320,7 +320,7 @@ def test_a_chemist_s_reactor_is_cooled_as_luus_has_it():
     assert plan.objective == pytest.approx(0.133095, abs=COPS_GLIDER)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_thrusters_are_fired_as_sparingly_as_is_known():
     """The free-flying robot of Sakawa: int of four thrusts, pairs of which never fire together; Betts has 7.9101546."""
 

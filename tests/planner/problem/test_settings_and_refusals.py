@@ -9,8 +9,7 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import _path_rows
-from linkplan.planner.problem import consistency
-from linkplan.planner.problem.consistency import _check_efforts, _way_through, check_robust
+from linkplan.planner.problem.consistency import _check_efforts, _way_through
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.instant import Corner, Instant, Robust, corner_efforts_along
 from linkplan.planner.problem.objective import TERMS
@@ -168,20 +167,6 @@ def test_a_spring_that_winds_up_with_every_turn_is_named():
 
 
 @pytest.mark.parametrize(
-    ("load", "more", "refused"), [(0.0, 0.9e-9, False), (0.0, 1.1e-9, True), (7.0, 6e-9, False), (7.0, 8e-9, True)]
-)
-def test_a_spring_winds_up_by_more_than_the_rounding_of_its_effort_or_of_one(monkeypatch, load, more, refused):
-    monkeypatch.setattr(consistency, "needed_controls", lambda *_: np.zeros((1, 0)))
-    mechanism = winding(passive=lambda q, _: np.array([load, more * q[1]]))
-    turn = np.zeros(2), np.array([0.0, 1.0])
-    if not refused:
-        _check_efforts(mechanism, "O", *turn)
-        return
-    with pytest.raises(ProblemError, match="a spring on joint wound winds up with every turn"):
-        _check_efforts(mechanism, "O", *turn)
-
-
-@pytest.mark.parametrize(
     ("asked", "single", "branching", "words"),
     [
         (-3.0, [-2.0], {}, "no other coordinate passes it"),
@@ -212,56 +197,6 @@ def test_a_place_is_off_a_point_by_its_prescribed_coordinates():
     point = SitePoint(site="foot", index=0, point=np.array([1.0, np.nan, -2.0]))
     assert point.off_m(np.array([4.0, 100.0, 2.0])) == pytest.approx(5.0)
     assert shown(point.point) == "{ x = 1, z = -2 }"
-
-
-def servo(name: str, *, limited: bool = True) -> SimpleNamespace:
-    return SimpleNamespace(name=name, limits_control=limited, control_lower=-3.0, control_upper=3.0)
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "limited", "refused"),
-    [
-        (1.0, 5.0, True, "goes on by 4 "),
-        (-2.0, 2.0, True, "goes on by 4 "),
-        (1.5, 1.5, True, ""),
-        (1.0, 5.0, False, ""),
-        (0.0, 0.9e-9, True, ""),  # rounding of a length of one
-        (0.0, 1.1e-9, True, "goes on by 1.1e-09"),
-        (-7.0, -7.0 + 6e-9, True, ""),  # and of seven
-        (-7.0, -7.0 + 8e-9, True, "goes on by 8e-09"),
-    ],
-)
-def test_a_servo_whose_ctrl_goes_on_with_every_turn_and_has_a_range_is_refused(monkeypatch, before, after, limited, refused):
-    mechanism = winding(passive=lambda *_: np.array([-7.0, 2.0]))
-    mechanism.n_u, mechanism.actuators = 1, [servo("m", limited=limited)]
-    ctrl = iter([before, after])
-    monkeypatch.setattr(consistency, "needed_controls", lambda *_: np.array([[next(ctrl)]]))
-    turn = np.zeros(2), np.array([0.0, 2 * np.pi])
-    if not refused:
-        _check_efforts(mechanism, "O", *turn)
-        return
-    with pytest.raises(ProblemError, match=refused):
-        _check_efforts(mechanism, "O", *turn)
-
-
-@pytest.mark.parametrize(
-    ("effort_map", "asks", "refused"),
-    [([[1.0], [0.0]], True, False), ([[1.0, 0.0], [0.3, 2.0]], False, False), ([[1.0, 2.0], [0.0, 0.0]], False, True)],
-)
-def test_ranges_take_actuators_that_move_everything_or_each_its_own(monkeypatch, effort_map, asks, refused):
-    asked = []
-    monkeypatch.setattr(consistency, "corner_out_of_reach", lambda *_: asked.append(True))
-    of = np.array(effort_map)
-    mechanism = SimpleNamespace(
-        dof=2, n_u=of.shape[1], home=np.zeros(2), payload=None, name="it", dynamics=SimpleNamespace(effort_map=lambda _: of)
-    )
-    robust = SimpleNamespace(corners=(1,), payload_factor=(1.0, 1.0))
-    if refused:
-        with pytest.raises(ProblemError, match="move every degree of freedom, or each its own"):
-            check_robust(robust, mechanism)
-    else:
-        check_robust(robust, mechanism)
-    assert bool(asked) == asks
 
 
 # Terms, names and times.

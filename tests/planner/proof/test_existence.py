@@ -10,9 +10,8 @@ from flint import arb, ctx
 from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.planner.proof import existence
 from linkplan.planner.proof.contraction import LinearBox, contracted
-from linkplan.planner.proof.existence import Neighbourhood, NoMotionError, Tube, _sizes, _slopes_at, first_tube
+from linkplan.planner.proof.existence import Neighbourhood, Tube, _sizes, _slopes_at, first_tube
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import prove, states_of
@@ -160,37 +159,6 @@ def near() -> Neighbourhood:
 
 def form(*coefficients: float, remainder: float) -> TaylorForm:
     return TaylorForm(coefficients=[arb(c) for c in coefficients], remainder=arb(remainder), whole=arb(0))
-
-
-@pytest.mark.parametrize(
-    ("contraction", "share", "words", "again"),
-    [
-        (0.49, 0.99, None, True),
-        (0.51, 0.4, "the contraction is 0.51, which is above 0.5", True),
-        (0.2, 1.01, "the bound on its distance is", True),
-        (0.9, 1.5, "the contraction is 0.9", False),  # 3 of the tube, times 0.9: the next contraction is above one
-        (0.9, 0.55, "the contraction is 0.9", True),  # 1.1 of it
-    ],
-)
-def test_one_motion_is_in_a_tube_that_is_wider_than_its_bound_and_contracts_by_half(
-    monkeypatch, contraction, share, words, again
-):
-    """The bound is W / (1 - Z), here a share of the tube, or, where Z is above a half, W alone; the next tube is 2 W."""
-    tube = np.array([3e-3, 5e-3])
-    box = SimpleNamespace(end_s=DURATION_S, tube=tube)
-    bounds = (share * tube * ((1 - contraction) if contraction <= 0.5 else 1.0))[None]
-    monkeypatch.setattr(existence, "contracted", lambda *_: (bounds, contraction))
-    found = near()
-    found._boxes.append(box)
-    found._tube = Tube(until_s=np.array([np.inf]), radii=tube[None])
-    if words is None:
-        np.testing.assert_allclose(found.radii(), share * tube)
-    else:
-        with pytest.raises(NoMotionError, match=words):
-            found.radii()
-    assert (found.next_tube is not None) is again
-    if again:
-        np.testing.assert_allclose(found.next_tube.radii, 2 * bounds)
 
 
 @pytest.mark.parametrize(("share", "answer"), [(0.99, "proved"), (1.01, "sampled")])

@@ -15,7 +15,6 @@ from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.claim import Record
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
-from linkplan.planner.proof.taylor import NotSeparatedError
 from linkplan.planner.proof.walk import Blocks, blocks_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -116,52 +115,6 @@ def test_the_next_box_s_branch_is_guessed_along_its_slope(monkeypatch):
     way = np.abs(found - anchor.z).max()
     assert way > 1e-4
     assert np.abs(guess - found).max() < 0.2 * way
-
-
-@pytest.mark.parametrize("converges", [True, False])
-def test_where_the_branch_was_lost_it_goes_on_from_a_guess_along_its_slope(monkeypatch, converges):
-    """From 1 at a quarter of the interval by a slope of 2 to the box's end at three quarters."""
-    guesses = []
-
-    def noting(_blocks: Blocks, s: np.ndarray, guess: np.ndarray) -> np.ndarray:
-        guesses.append((float(s[0]), guess.tolist()))
-        if not converges:
-            raise NotSeparatedError("lost")
-        return guess + 0.1
-
-    monkeypatch.setattr(prove, "newton", noting)
-    sweep = _Sweep(problem=None, trajectory=None, blocks=None, claims=[], until=NO_DEADLINE, order=6)
-    anchor = _Anchor(region=None, end=[], z=np.ones(1), slope=np.array([2.0]), tau=0.25)
-    piece = SimpleNamespace(position=[lambda tau: 4 * tau])
-    found = sweep._lost(piece, _Box(centre=0.625, radius=0.125, halvings=2, claims=[]), anchor)
-    assert guesses == [(3.0, [2.0])]
-    assert found.z.tolist() == ([2.1] if converges else [1.0])
-    assert (found.region, found.slope.tolist(), found.tau) == (None, [0.0], 0.75)
-
-
-def test_the_next_interval_begins_with_the_largest_boxes_that_were_decided_and_every_fourth_with_larger_ones(monkeypatch):
-    """Boxes in the first half of an interval are halved three times until they are decided, the others twice."""
-
-    def decided(_sweep: _Sweep, _claim: int, _states: object, _piece: object, box: _Box) -> bool:
-        return box.halvings >= (3 if box.centre < 0.5 else 2)
-
-    def states(_sweep: _Sweep, _piece: object, box: _Box, anchor: _Anchor) -> tuple[None, _Anchor]:
-        return None, replace(anchor, tau=box.centre + box.radius)
-
-    monkeypatch.setattr(_Sweep, "_decided", decided)
-    monkeypatch.setattr(_Sweep, "_states", states)
-    motion = SimpleNamespace(breaks_s=np.arange(6.0))
-    sweep = _Sweep(problem=None, trajectory=motion, blocks=None, claims=[None], until=NO_DEADLINE, order=6)
-    sweep.records = [Record()]
-    anchor = _Anchor(region=[arb(0, 1)], end=[], z=np.zeros(1), slope=np.zeros(1), tau=0.0)
-    depths, boxes = [], []
-    for _ in range(5):
-        before = sweep.boxes
-        sweep._interval(None, anchor)
-        depths.append(sweep.depth)
-        boxes.append(sweep.boxes - before)
-    assert depths == [2, 2, 2, 1, 2]
-    assert boxes == [1 + 2 + 4 + 4, 4 + 4, 4 + 4, 4 + 4, 2 + 4 + 4]
 
 
 @pytest.fixture

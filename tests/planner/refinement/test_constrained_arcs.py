@@ -75,21 +75,6 @@ def test_a_path_equation_is_no_arc():
     assert path_arcs(transcribed, np.zeros(0)).tolist() == [[0]]
 
 
-@pytest.mark.parametrize(("share", "is_off"), [(5e-7, True), (3e-8, False)])
-def test_a_curve_is_kept_away_by_more_than_a_ten_millionth_of_its_limit(share, is_off):
-    """Between coefficients c, HIGH, c a parabola comes as near to HIGH as half of HIGH - c."""
-    below = HIGH * (1 - 2 * share)
-    assert standing_off(program_of([[below, HIGH, below]]), None).tolist() == [is_off]
-
-
-@pytest.mark.parametrize(("value", "arc"), [(-0.005, 1), (-0.02, 0), (-1.9985, -1), (-1.995, 0)])
-def test_a_limit_of_zero_is_met_within_a_thousandth_of_the_largest_value_and_another_of_itself(value, arc):
-    """Limits of -2 and 0 on a quantity that is up to 10 somewhere."""
-    rows = np.array([[value, value], [-10.0, -10.0], [-0.5, -0.5]])
-    found = path_arcs(program_of(rows, limit=(-2.0, 0.0), kind="power", n_path=1, n_nodes=2), None)
-    assert found[0, 0] == arc
-
-
 @pytest.mark.parametrize(
     ("switch", "boundary", "ends"),
     [

@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement import state as refinement_state
 from linkplan.planner.refinement.state import RefinementState, observed
-from tests.support.refinement_states import AIMS, iterate, state
+from tests.support.refinement_states import iterate, state
 
 
 def moved(best: float | None, loose: float | None, change: float = np.inf) -> float:
@@ -53,11 +52,3 @@ def test_of_motions_within_the_limits_as_asked_the_best_is_kept(objective, bette
     after = observed(before, at)
     assert (after.best is at) == better
     assert after.idle == (0 if better else 1)
-
-
-@pytest.mark.parametrize(("change", "kept_off", "finished"), [(3e-8, True, True), (3e-7, True, False), (3e-7, False, True)])
-def test_a_motion_that_coefficients_keep_off_its_limit_is_finished_once_its_objective_keeps_still(
-    monkeypatch, change, kept_off, finished
-):
-    monkeypatch.setattr(refinement_state, "standing_off", lambda *_: np.full(10, kept_off))
-    assert state(iterate(), target=replace(AIMS, bang_bang=True), change=change).finished == finished

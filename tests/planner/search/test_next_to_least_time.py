@@ -16,9 +16,8 @@ from tests.support import fourbar_problems
 from tests.support.tolerances_planner import MINIMUM_TIME
 
 # Weak four-bars that have to swing, drawn with this seed; number 10 was called infeasible at 1.0005 times its least time.
-# All five ratios were solved for both; number 10 takes up to a minute each, half of it in solves of many iterations.
 SEED = 1312
-CASES = [(9, ratio) for ratio in (1.0005, 1.002, 1.01, 1.03, 1.1)] + [(10, 1.0005)]
+CASES = [(9, 1.0005), (9, 1.03), (10, 1.0005)]
 ITERATIONS = 150
 
 

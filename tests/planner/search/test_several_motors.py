@@ -13,12 +13,13 @@ import linkplan
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search import finer_meshes, several_motors
+from linkplan.planner.search import several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, jumps_of, of_several
 from linkplan.planner.search.ladder import PATIENT, Search
-from linkplan.planner.search.several_motors import FIRST_ITERATIONS, _first_solutions, _margin_kept, from_several_starts
+from linkplan.planner.search.several_motors import _margin_kept, from_several_starts
 from tests.support.data import DATA
 
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
@@ -81,22 +82,6 @@ def test_a_margin_that_is_asked_for_is_kept():
     assert not _margin_kept(problem, met)
 
 
-def test_starts_end_once_the_best_objective_was_found_twice(in_least_time, monkeypatch):
-    values, most = iter([3.0, 2.0, 5.0, 2.001, 1.0]), []
-
-    def attempt(case, *_, **__):
-        most.append(case.problem.solver.max_iterations)
-        return SimpleNamespace(solution=SimpleNamespace(objective=next(values), iterations=20))
-
-    monkeypatch.setattr(several_motors, "attempt", attempt)
-    monkeypatch.setattr(several_motors, "objective_of", lambda found: found.solution.objective)
-    search = search_of(in_least_time)
-    found = _first_solutions(search, search.problem)
-    assert [first.objective for first in found] == [2.0, 3.0, 5.0]  # 2.001 is the same motion
-    assert next(values) == 1.0
-    assert most == [FIRST_ITERATIONS, 60, 60, 60]
-
-
 def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, monkeypatch):
     own = several_motors.certified
 
@@ -111,29 +96,6 @@ def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, m
     assert plan.objective == pytest.approx(1.05 * LEAST_TIME_S, rel=2e-3)
     assert "a motion with 0.1867" in plan.message  # its duration, without what breaks ties
     assert "was found that does not pass its certificate" in plan.message
-
-
-@pytest.mark.parametrize(
-    ("objectives", "best"), [((1.0,), 1.0), ((1.01, 1.0), 1.0), ((1.01, 1.02), 1.01), ((None, 1.0), 1.0)]
-)
-def test_a_finer_mesh_that_loses_the_motion_is_solved_again_with_a_falling_barrier(
-    in_least_time, monkeypatch, objectives, best
-):
-    barriers = []
-
-    def attempt(*_, adaptive, **__):
-        barriers.append(adaptive)
-        value = objectives[len(barriers) - 1]
-        return None if value is None else SimpleNamespace(solution=SimpleNamespace(objective=value))
-
-    monkeypatch.setattr(finer_meshes, "attempt", attempt)
-    monkeypatch.setattr(finer_meshes, "motion_of", lambda _: in_least_time)
-    monkeypatch.setattr(finer_meshes, "replace", lambda value, **_: value)
-    transcribed = SimpleNamespace(scheme=SimpleNamespace(name="radau-5"))
-    coarse = SimpleNamespace(motion=None, solution=SimpleNamespace(objective=1.0, transcribed=transcribed))
-    way = SimpleNamespace(case=case_of(in_least_time), mesh=None, durations=None, what="finer mesh")
-    assert finer_meshes._solved(way, coarse, False).solution.objective == best
-    assert barriers == [True, False][: len(objectives)]
 
 
 def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_least_time):
@@ -156,6 +118,7 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
 def test_one_motor_constant_efforts_and_given_breaks_have_another_search(in_least_time):
     assert of_several(in_least_time)
     assert not of_several(load_problem("knee-reach"))
+    assert not of_several(replace(in_least_time, robust=Robust(torque_factor=(0.9, 1.1))))
     for mesh in ({"effort": "constant"}, {"breaks": np.linspace(0.0, 1.0, 21)}):
         assert not of_several(replace(in_least_time, mesh=replace(in_least_time.mesh, **mesh)))
     assert not of_several(leg(duration_s=0.3, minimize="work"))

@@ -1,14 +1,11 @@
 """First meshes of guesses: how many intervals, and where they lie."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search import solving
-from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh, longest
+from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 
@@ -75,52 +72,3 @@ def test_switches_lie_in_the_phases_in_which_they_are():
     mesh, durations = graded_mesh(even(boundaries_s=np.array([0.0, 1.5, 4.0])), np.array([3.0, 0.5]), 40)
     assert durations == pytest.approx([0.5, 1.0, 1.5, 1.0])
     assert mesh.phase.tolist() == [0, 0, 1, 1]
-
-
-@pytest.mark.parametrize(("duration", "most", "expected"), [(2.0, None, 2.0), (None, 3.0, 3.0), (None, None, np.inf)])
-def test_the_longest_that_a_motion_may_take_is_its_duration_or_its_largest(duration, most, expected):
-    assert longest(SimpleNamespace(motion=SimpleNamespace(duration_s=duration, max_duration_s=most))) == expected
-
-
-@pytest.mark.parametrize(
-    ("most", "objective", "unbounded", "duration"),
-    [
-        (None, 0.9e-3, True, 30.0),  # it falls for ever
-        (None, 1.1e-3, False, 30.0),
-        (20.0, 0.9e-3, False, 20.0),  # up to what is allowed
-    ],
-)
-def test_a_duration_that_its_guess_holds_back_is_lengthened_and_told_if_the_objective_falls_for_ever(
-    monkeypatch, most, objective, unbounded, duration
-):
-    """From a second and an objective of one."""
-    lengths = []
-
-    def solution(objective: float):
-        layout = SimpleNamespace(durations=lambda: np.array([0, 1]))
-        transcribed = SimpleNamespace(program=SimpleNamespace(layout=layout))
-        return SimpleNamespace(objective=objective, transcribed=transcribed, x=np.array([1.0, 3.0]))
-
-    def longer(_problem, _guess, _mesh, durations, _what):
-        lengths.append(durations.tolist())
-        return SimpleNamespace(
-            solution=solution(objective ** len(lengths)), motion=SimpleNamespace(duration_s=duration), mesh=None
-        )
-
-    monkeypatch.setattr(solving, "unbounded_duration", lambda _, found: "unbounded" if found.objective == 1.0 else None)
-    monkeypatch.setattr(solving, "stretched", lambda *_: None)
-    monkeypatch.setattr(solving, "motion_of", lambda *_: None)
-    monkeypatch.setattr(solving, "solve_from", longer)
-    first = SimpleNamespace(solution=solution(1.0), motion=SimpleNamespace(duration_s=1.0), mesh=None)
-    asked = SimpleNamespace(motion=SimpleNamespace(max_duration_s=most))
-    found, said = solving.with_longer_durations(asked, first)
-    assert found.solution.objective == objective ** len(lengths)
-    assert len(lengths) == (2 if unbounded else 1)
-    assert (said == "unbounded") is unbounded
-    assert lengths[0] == pytest.approx([duration / 4, 3 * duration / 4])
-
-
-@pytest.mark.parametrize(("dof", "most", "swings"), [(2, None, True), (1, None, False), (2, 3.0, False)])
-def test_swings_are_tried_of_several_freedoms_in_any_time(dof, most, swings):
-    motion = SimpleNamespace(duration_s=None, max_duration_s=most)
-    assert solving.may_swing(SimpleNamespace(mechanism=SimpleNamespace(dof=dof), motion=motion)) is swings

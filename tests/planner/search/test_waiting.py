@@ -1,7 +1,6 @@
 """The rung of waiting: a rest, and beside it a motion that passes by itself, where no start leads to one long enough."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -176,19 +175,3 @@ def test_a_pose_in_which_an_undriven_rod_would_fall_is_not_held(angle, held):
         f'kind = "reach"\nstart_deg = {{ J = 0.0, K = {angle} }}\ngoal_deg = {{ J = 60.0, K = 10.0 }}\nduration_s = 4.0\n'
     )
     assert (resting.held(body_problem(both, motion), "start") is not None) is held
-
-
-@pytest.mark.parametrize(("longer_s", "whole"), [(1.0, True), (1 - 0.9e-9, True), (1 - 1.1e-9, False), (0.9, False)])
-def test_a_longer_motion_that_takes_the_time_asked_for_needs_no_rest(monkeypatch, longer_s, whole):
-    """Asked for is one second. To a billionth a motion is that long; others are known as motions beside a rest."""
-    asked = cart("effort", 1.0)
-    search = Search(problem=asked, start_pose=asked.start_pose())
-    search.known.add(SimpleNamespace(duration_s=0.8))
-    lasting = SimpleNamespace(duration_s=longer_s)
-    longer = SimpleNamespace(trajectory=lasting, require_motion=lambda _: lasting)
-    quick = SimpleNamespace(trajectory=search.known.motions[0], solved=True)
-    monkeypatch.setattr(waiting, "shortest_motion", lambda _: quick)
-    monkeypatch.setattr(waiting, "_a_little_longer", lambda *_: longer)
-    monkeypatch.setattr(waiting, "held", lambda *_: None)
-    assert waiting.from_waiting(search, PATIENT) is (longer if whole else None)
-    assert (lasting in search.known.motions) is not whole

@@ -20,7 +20,7 @@ def drawn(what: str, *options: str) -> dict[str, Figure]:
     """Return the figures of `bode` without measurements by name."""
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as place:
         figures = saved_figures(patch)
-        assert main(["bode", what, "--measure", "none", "-o", str(Path(place) / "drawn"), *options]) in (0, 1)
+        assert main(["bode", what, "--no-measure", "-o", str(Path(place) / "drawn"), *options]) in (0, 1)
     return figures
 
 

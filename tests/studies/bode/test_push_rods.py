@@ -14,7 +14,7 @@ def test_an_ankle_on_ball_joints_has_the_loops_of_one_on_universal_joints():
     with_spins = ankle(balls=True)
     assert (with_spins.dof, with_spins.n_u) == (4, 2)
     spun = linkplan.bode(with_spins, tracking=SETTINGS, frequency_hz=[40.0, 120.0])
-    plain = linkplan.bode(ankle(balls=False), tracking=SETTINGS, measure=None)
+    plain = linkplan.bode(ankle(balls=False), tracking=SETTINGS, measure=False)
     assert spun.stable
     assert spun.poses == plain.poses == ("motor_left = 0 deg, motor_right = 0 deg",)
     assert spun.lti().nstates == plain.lti().nstates == 4
@@ -28,7 +28,7 @@ def test_an_ankle_on_ball_joints_has_the_loops_of_one_on_universal_joints():
 
 @pytest.mark.slow
 def test_a_spatial_four_bar_on_balls_has_a_single_loop(tmp_path):
-    loop = linkplan.bode(linkplan.load_mechanism(RSSR), tracker="lqr", measure=None)
+    loop = linkplan.bode(linkplan.load_mechanism(RSSR), tracker="lqr", measure=False)
     assert loop.stable
     assert loop.poses == ("crank = 0 deg",)
     loop.plot(tmp_path / "bode.png")

@@ -7,13 +7,13 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
+from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.drives import _krylov_space
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import most_poses, path_record, reach_paths, reach_sweeps, thinned
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.document import Animation
 from linkplan.studies.output.text import text_of
-from linkplan.studies.report.check_sections import check_sections
 
 
 def chain(n):

@@ -131,7 +131,7 @@ def test_plan_gives_the_promised_keys_and_saves_a_whole_folder(ask_json, tmp_pat
 @pytest.mark.slow
 def test_a_feasible_motion_is_saved_and_tracked_under_its_own_word(ask_json, tmp_path, monkeypatch):
     feasible = replace(planned("knee-reach"), status="feasible", message="a rest and a motion")
-    monkeypatch.setattr("linkplan.studies.cli.plan_commands.plan_motion", lambda *_: feasible)
+    monkeypatch.setattr("linkplan.plans.plan_motion", lambda *_: feasible)
     code, said = ask_json("plan", "knee-reach", "-o", str(tmp_path / "reach"))
     assert (code, said["status"]) == (0, "feasible")
     again = read_plan(tmp_path / "reach")
@@ -209,7 +209,7 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_j
 )
 def test_bode_says_which_loop_is_stable_and_mujoco_agrees(ask_json, kd, period, stable):
     code, said = ask_json(
-        *("bode", "optimus-knee", "--kp", "200", "--kd", kd, "--period-s", period, "--measure", "none"),
+        *("bode", "optimus-knee", "--kp", "200", "--kd", kd, "--period-s", period, "--no-measure"),
         *("--at-deg", "O=0", "--at-deg", "O=56.27"),
     )
     assert code == (0 if stable else 1)

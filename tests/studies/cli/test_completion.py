@@ -24,7 +24,7 @@ TYPED = [
     ("linkplan plan knee-reach --set robust.payload", "robust.payload_factor="),
     ("linkplan experiment knee-reach --set imperfections.coul", "imperfections.coulomb_friction="),
     ("linkplan track --tracker pd+", "pd+ff"),
-    ("linkplan bode optimus-knee --measure ch", "chirp"),
+    ("linkplan bode optimus-knee --no-m", "--no-measure"),
     ("linkplan export knee-reach --to key", "keyframes"),
     ("linkplan completion f", "fish"),
     ("linkplan experiment knee-reach --design la", "latin-hypercube"),

@@ -13,7 +13,7 @@ from linkplan.models.deadline import ended_by
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli import plan_commands
+from linkplan.studies.cli import commands
 from tests.support.plans import optimal
 
 pytestmark = [
@@ -29,7 +29,7 @@ def test_a_signal_while_planning_ends_the_command_and_writes_nothing(number, ask
         os.kill(os.getpid(), number)
         return optimal(problem.name)
 
-    monkeypatch.setattr(plan_commands, "plan_motion", ended)
+    monkeypatch.setattr("linkplan.plans.plan_motion", ended)
     code, out, err = ask("plan", "knee-reach", "-o", str(tmp_path / "P"))
     assert (code, out) == (CODES[number], "")
     assert err == "linkplan plan: interrupted; nothing was written\n"
@@ -38,8 +38,8 @@ def test_a_signal_while_planning_ends_the_command_and_writes_nothing(number, ask
 
 @pytest.mark.parametrize("number", CODES)
 def test_a_signal_after_the_result_was_written_says_where_it_is(number, ask, tmp_path, monkeypatch):
-    monkeypatch.setattr(plan_commands, "plan_motion", lambda problem, _: optimal(problem.name))
-    monkeypatch.setattr(plan_commands, "show", lambda *_: os.kill(os.getpid(), number))
+    monkeypatch.setattr("linkplan.plans.plan_motion", lambda problem, _: optimal(problem.name))
+    monkeypatch.setattr(commands, "show", lambda *_: os.kill(os.getpid(), number))
     place = tmp_path / "P"
     code, _, err = ask("plan", "knee-reach", "-o", str(place))
     assert code == CODES[number]
@@ -55,7 +55,7 @@ def test_what_a_library_makes_of_an_interrupt_is_an_interrupt(ask, monkeypatch):
             raise ImportError("initialization failed") from error
         return 0
 
-    monkeypatch.setattr(plan_commands, "run_plan", loads)
+    monkeypatch.setattr(commands, "run_plan", loads)
     code, _, err = ask("plan", "knee-reach")
     assert code == 130
     assert err == "linkplan plan: interrupted; nothing was written\n"

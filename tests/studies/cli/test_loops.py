@@ -32,7 +32,7 @@ LABELS = {
 def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     folder = tmp_path / "loop"
-    command = ["bode", "optimus-knee", "--at-deg", "O=0", "--from-hz", "100", "--to-hz", "2000", "--frequencies", "4"]
+    command = ["bode", "optimus-knee", "--at-deg", "O=0", "--frequency-hz", "100:2000:4"]
     code, out, err = ask(*command, "-o", str(folder))
     assert code == 0
     assert "differ from the prediction by at most" in out
@@ -71,7 +71,7 @@ def test_bode_of_an_unstable_loop_says_so_and_measures_nothing(ask):
 @pytest.mark.slow
 def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
     folder = tmp_path / "whole"
-    command = ["bode", "knee-sine", "--tracker", "pd+ff", "--measure", "none", "--map", "--large", "--along", "--json"]
+    command = ["bode", "knee-sine", "--tracker", "pd+ff", "--no-measure", "--map", "--large", "--along", "--json"]
     code, out, _ = ask(*command, "-o", str(folder))
     assert code == 0
     said = json.loads(out)
@@ -91,7 +91,7 @@ def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
 def test_bode_looks_at_a_pure_damping_gain_too(ask, tmp_path):
     path = tmp_path / "mass.xml"
     path.write_text(mass_on_a_spring().mjcf)
-    command = ["bode", str(path), "--kp", "0", "--kd", "5", "--period-s", "2e-3", "--at-deg", "0.1", "--measure", "none"]
+    command = ["bode", str(path), "--kp", "0", "--kd", "5", "--period-s", "2e-3", "--at-m", "0.1", "--no-measure"]
     code, out, _ = ask(*command, "--map", "--json", "-o", str(tmp_path / "mass"))
     assert code == 0
     said = json.loads(out)
@@ -129,7 +129,7 @@ def test_tune_writes_gains_that_a_problem_file_takes_and_a_figure(tracker, ask, 
     table = tomllib.loads((folder / "tracking.toml").read_text())["tracking"]
     settings = [f"tracking.{key}={value!r}" for key, value in table.items()]
     again = [word for setting in settings for word in ("--set", setting)]
-    code, out, _ = ask("bode", "optimus-knee", "--tracker", tracker, *where[:4], *again, "--measure", "none", "--json")
+    code, out, _ = ask("bode", "optimus-knee", "--tracker", tracker, *where[:4], *again, "--no-measure", "--json")
     assert code == 0  # stable with these gains, and as fast as was asked
     assert min(pose["bandwidth_hz"] for pose in _margins(json.loads(out))) >= 60
 

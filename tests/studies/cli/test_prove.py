@@ -134,7 +134,7 @@ def test_a_plan_command_whose_proof_refutes_ends_with_1_and_writes_nothing(monke
     position = np.array(plan.trajectory.position)
     position[2, 0, 0] += 2e-9
     spoilt_plan = replace(plan, trajectory=replace(plan.trajectory, position=position))
-    monkeypatch.setattr("linkplan.studies.cli.plan_commands.plan_motion", lambda *_: spoilt_plan)
+    monkeypatch.setattr("linkplan.plans.plan_motion", lambda *_: spoilt_plan)
     for words in (["plan", "knee-reach"], ["plan", "knee-reach", "--prove"]):
         assert main([*words, "-o", str(tmp_path / "out")]) == 1
         said = capsys.readouterr()

@@ -13,12 +13,12 @@ from linkplan.studies.render import render as render_module
 from linkplan.studies.render.live import run_maker, with_gains
 from tests.support.plans import optimal, saved_plan
 
-SMALL = ("--size", "160x120", "--fps", "10", "--slow", "5")
+SMALL = ("--size-px", "160x120", "--fps", "10", "--slow", "5")
 REFUSED = [
-    (["-o", "film.avi"], [".mp4, .gif or .png", ".avi"]),
+    (["-o", "film.avi"], [".mp4, .gif, .png", ".avi"]),
     (["-o", "film.mp4", "--fps", "-3"], ["fps", "-3"]),
     (["-o", "film.mp4", "--slow", "0"], ["slow", "0"]),
-    (["-o", "film.mp4", "--size", "200"], ["WIDTHxHEIGHT", "200"]),
+    (["-o", "film.mp4", "--size-px", "200"], ["WIDTHxHEIGHT", "200"]),
     (["-o", "film.mp4", "--at-s", "0.1"], [".png"]),
     (["-o", "film.mp4", "--tracker", "pid"], ["pid", "pd+ff"]),
     (["-o", "nowhere/film.mp4"], ["nowhere", "no folder"]),
@@ -77,7 +77,7 @@ def test_a_film_is_written_again_over_itself_and_there_and_back_is_longer(flat, 
 
 def test_pictures_of_one_instant_and_of_several_differ(flat, ask):
     for name, more in (("one.png", ("--at-s", "0.08")), ("several.png", ("--instants", "4"))):
-        code, out, _ = ask("render", flat, "-o", name, "--size", "160x120", *more)
+        code, out, _ = ask("render", flat, "-o", name, "--size-px", "160x120", *more)
         assert code == 0
         assert "160x120" in out
     with Image.open("one.png") as one, Image.open("several.png") as several:

@@ -14,14 +14,14 @@ ARM = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1" 
     [
         (["check", "{}", "--lock", "b=3", "--lock", "b=4"], "--lock"),
         (["check", "{}", "--lock", "b=3", "--lock", " b =3"], "--lock"),
-        (["transfer", "{}", "--joints", "a", "--range", "a=0:5", "--range", "a=0:10"], "--range"),
+        (["transfer", "{}", "--joints", "a", "--range-deg", "a=0:5", "--range-deg", "a=0:10"], "--range-deg"),
     ],
 )
 def test_a_joint_that_is_named_twice_is_refused(argv, option, tmp_path, capsys):
     (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
     assert main([part.format(tmp_path / "arm.xml") for part in argv]) == 2
     said = capsys.readouterr().err
-    assert f"{option} names joint {argv[-1][:2].strip().partition('=')[0]} twice" in said
+    assert f"{option}: names joint {argv[-1][:2].strip().partition('=')[0]} twice" in said
     assert len(said.splitlines()) == 1
 
 

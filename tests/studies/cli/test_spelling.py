@@ -43,7 +43,7 @@ def test_a_folder_in_common_makes_no_name_close(tmp_path, ask):
 
 
 def test_beginnings_of_options_and_negative_values_are_taken_as_before(ask):
-    code, out, _ = ask("check", "optimus-knee", "--at", "-3")
+    code, out, _ = ask("check", "optimus-knee", "--at-d", "-3")
     assert code == 0
     assert "-3" in out
     assert "'o' is not in mechanism" in ask("check", "optimus-knee", "--at-deg", "o=3")[2]  # a value, and not -o

@@ -114,4 +114,4 @@ def test_new_takes_keys_of_the_mechanism(ask):
     assert "closure_tolerance_m = 2e-06" in out
     code, _, err = ask("new", "five-bar", "--set", "motion.duration_s=2")
     assert code == 2
-    assert "new takes --set mechanism.KEY=VALUE and writes the other sections, got motion" in err
+    assert "new takes settings of mechanism and writes the other sections, got motion" in err

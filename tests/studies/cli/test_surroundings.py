@@ -60,7 +60,7 @@ def test_what_cannot_be_read_is_not_said_to_be_unwritable(monkeypatch, capsys):
     def fails(_: object) -> int:
         raise PermissionError(13, "Permission denied", "planned/plan.json")
 
-    monkeypatch.setattr("linkplan.studies.cli.list_command.run_list", fails)
+    monkeypatch.setattr("linkplan.studies.cli.commands.run_list", fails)
     assert program.main(["list"]) == 2
     assert capsys.readouterr().err == "linkplan list: 'planned/plan.json' cannot be read or written: Permission denied\n"
 

@@ -3,6 +3,7 @@
 import itertools
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,14 +15,14 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, default_mismatch, track, tracking_reference
-from linkplan.studies.decompose.decompose import decompose, decomposition_record
-from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_figure
+from linkplan.studies.decompose.decompose import decompose
+from linkplan.studies.decompose.decomposition import Decomposition
+from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_figure, decomposition_report
 from linkplan.studies.decompose.ladder import RUNGS
 from linkplan.studies.experiment.block import run_block
 from linkplan.studies.experiment.experiment import Settings, experiment_of
 from linkplan.studies.output.document import Table
 from linkplan.studies.output.text import text_of
-from linkplan.studies.report.reports import decomposition_report
 from tests.support.plans import optimal, problem_of
 from tests.support.tolerances_planner import SAME_FIGURE
 
@@ -43,7 +44,9 @@ def reach(*overrides: str, name: str = "knee-reach") -> Plan:
 
 def parts_of(plan: Plan, tracker: str) -> dict:
     """Return the record of one tracker's error."""
-    record = decomposition_record(decompose(plan, [tracker]))["trackers"][tracker]
+    found = decompose(plan, [tracker])
+    assert msgspec.json.decode(msgspec.json.encode(found), type=Decomposition) == found
+    record = msgspec.to_builtins(found)["trackers"][tracker]
     return record | record["deg"]
 
 
@@ -135,14 +138,14 @@ def test_random_imperfections_are_drawn_as_an_experiment_draws_them():
     found = decompose(plan, ["lqr"], samples=5, seed=3)
     each = np.array(run_block(experiment_of(plan, Settings(trackers=("lqr",), samples=5, seed=3)), 0)["rms_error_deg"])
     assert np.ptp(each) > 0
-    assert found.trackers[0].shares["deg"].rms == pytest.approx(np.sqrt(np.mean(each**2)), rel=SAME_RUN)
+    assert found.trackers["lqr"].deg.rms_error == pytest.approx(np.sqrt(np.mean(each**2)), rel=SAME_RUN)
     assert "5 machines" in text_of(decomposition_blocks(found))
 
 
 def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
     found = decompose(reach("tracking.duration_s=0.05", "tracking.kd=1e5", AS_MODELLED), ["pd+ff", "lqr"])
     assert not found.found
-    lost = found.trackers[0]
+    lost = found.trackers["pd+ff"]
     assert lost.machines == 0
     assert "lost after discretisation of the plan was switched on" in next(iter(lost.failures))
     text = text_of(decomposition_blocks(found))
@@ -165,16 +168,16 @@ def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path)
     found = decompose(reach(SHORT, AS_MODELLED), ["pd", "lqr"])
     figure = decomposition_figure(found, tmp_path / "parts.png")
     assert (tmp_path / "parts.png").is_file()
-    for axis, one in zip(figure.axes, found.trackers, strict=False):
+    for axis, one in zip(figure.axes, found.trackers.values(), strict=False):
         bars = axis.patches
         assert len(bars) == len(RUNGS) + 1
         last = bars[len(RUNGS) - 1]
-        assert last.get_x() + last.get_width() == pytest.approx(one.shares["deg"].rms)
-        assert bars[-1].get_width() == pytest.approx(one.shares["deg"].rms)
+        assert last.get_x() + last.get_width() == pytest.approx(one.deg.rms_error)
+        assert bars[-1].get_width() == pytest.approx(one.deg.rms_error)
 
 
 def test_a_report_has_the_parts_and_the_plan():
-    report = decomposition_report(decompose(reach(SHORT, AS_MODELLED), ["pd+ff"]))
+    report = decomposition_report(decompose(reach(SHORT, AS_MODELLED), ["pd+ff"]), reach(SHORT, AS_MODELLED))
     table = next(block for section in report.sections for block in section.blocks if isinstance(block, Table))
     assert [row[0] for row in table.rows][:-1] == list(RUNGS.values())
     assert sum(float(row[1]) for row in table.rows[:-1]) == pytest.approx(float(table.rows[-1][1]), rel=1e-3)
@@ -206,7 +209,7 @@ def test_a_law_of_one_reference_is_refused_and_a_function_is_not():
         def effort(self, k, position, velocity):  # noqa: ARG002
             return self.reference.effort[k]
 
-    assert decompose(plan, [Feedforward]).trackers[0].name == "mine"
+    assert list(decompose(plan, [Feedforward]).trackers) == ["mine"]
     with pytest.raises(ProblemError, match="runs at a shorter control period"):
         decompose(plan, [Feedforward(tracking_reference(plan))])
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from linkplan.studies.decompose.decompose import Shares, shares_of
+from linkplan.studies.decompose.decompose import ErrorParts, error_parts
 from tests.support.tolerances_planner import ROUNDING
 
 SIZES = st.tuples(st.integers(1, 7), st.integers(1, 9), st.integers(1, 4), st.integers(1, 3))
@@ -24,9 +24,9 @@ def test_the_parts_of_any_errors_add_up_to_their_rms(errors):
     np.testing.assert_allclose(found.of_joints.sum(axis=1), found.parts, atol=ROUNDING * size)
 
 
-def in_order(errors: np.ndarray) -> Shares:
+def in_order(errors: np.ndarray) -> ErrorParts:
     """Return the parts of errors whose causes are switched on in one order."""
-    return shares_of(errors, np.diff(errors, axis=0, prepend=0.0))
+    return error_parts(errors, np.diff(errors, axis=0, prepend=0.0))
 
 
 def test_increments_that_are_at_right_angles_share_a_square_as_pythagoras_has_it():

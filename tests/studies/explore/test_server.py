@@ -13,9 +13,9 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.studies.cli.explore_command import SavedProblem
 from linkplan.studies.explore.server import Server
 from linkplan.studies.explore.session import Session
+from linkplan.viewing import SavedProblem
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.studies.new.first_motion import first_motion
-from linkplan.studies.new.loop_gap import SOFT_IN_MOTION, held_gap, planned_gap, travel
+from linkplan.studies.new.loop_gap import SOFT_IN_MOTION, home_gap, planned_gap, travel
 
 # A light driven joint turns a heavy one by a coupling with constant impedance; no weight acts about vertical axes.
 LIGHT, HEAVY, IMPEDANCE, TIME_CONSTANT_S = 0.01, 1.0, 0.9, 0.02
@@ -38,7 +38,7 @@ def test_the_gap_along_a_plan_is_that_of_the_coupling_s_effort():
     assert found.plan is not None
     model, trajectory = found.plan.problem.mechanism.model, found.plan.trajectory
     model.eq_solref[:], model.eq_solimp[:, :3] = (TIME_CONSTANT_S, 1.0), (IMPEDANCE, IMPEDANCE, 0.001)
-    assert held_gap(found.plan.problem.mechanism) == 0.0
+    assert home_gap(found.plan.problem.mechanism) == 0.0
     times = 0.5 * (trajectory.breaks_s[1:] + trajectory.breaks_s[:-1])
     a = float(np.abs(trajectory.acceleration_at(times)).max())
     R = (1 / LIGHT + 1 / HEAVY) * (1 - IMPEDANCE) / IMPEDANCE

@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.studies.render.motion import frame_times, own_slowness
 from linkplan.studies.render.render import picture
-from linkplan.studies.render.settings import RenderSettings, size_from
+from linkplan.studies.render.settings import RenderSettings
 from tests.support.pictures import PERIOD_S, waved
 
 
@@ -71,10 +71,3 @@ def test_a_picture_of_an_instant_after_the_run_is_refused_with_its_end():
 def test_settings_that_make_no_sense_are_refused(asked, words):
     with pytest.raises(ProblemError, match=words):
         RenderSettings(**({"suffix": ".mp4"} | asked))
-
-
-def test_a_size_is_width_times_height():
-    assert size_from("640x480") == (640, 480)
-    for text in ("640", "640x", "a x b", "6.5x4"):
-        with pytest.raises(ProblemError, match="WIDTHxHEIGHT"):
-            size_from(text)

@@ -6,8 +6,8 @@ import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.studies.output.animation import animation
 from linkplan.studies.output.document import Animation
-from linkplan.studies.report.animation import animation
 from tests.support.linkages import loaded
 
 # Rounding of a page's numbers, of a mechanism of about a metre [m].

@@ -1,22 +1,36 @@
 """Bar charts of what errors are made of and owe to what: every bar is the record's figure."""
 
+import msgspec
 import pytest
 
+from linkplan.studies.decompose.decomposition import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_charts
 from linkplan.studies.experiment.sensitivity_blocks import sensitivity_charts
 from linkplan.studies.output.document import Bars
 
 PARTS = {"plan": "discretisation of the plan", "sampling": "sampling and delay", "model": "model error: masses, lengths"}
-DECOMPOSED = {
-    "parts": PARTS,
-    "trackers": {
-        "lqr": {
-            "machines": 4,
-            "failures": {},
-            "deg": {"rms_error": 0.5, "parts": {"plan": 0.1, "sampling": -0.05, "model": 0.45}},
-        }
+SHARES = {"rms_error": 0.5, "parts": {"plan": 0.1, "sampling": -0.05, "model": 0.45}}
+DECOMPOSED = msgspec.convert(
+    {
+        "decomposition": "reach",
+        "machines": 4,
+        "seed": 0,
+        "imperfections": {},
+        "control_period_s": 1e-3,
+        "delay_periods": 0.0,
+        "timestep_s": 1e-3,
+        "duration_s": 0.2,
+        "parts": PARTS,
+        "trackers": {
+            "lqr": {
+                "machines": 4,
+                "failures": {},
+                "deg": {**SHARES, "parts_of_joints": {}, "rms_of_increment": {}, "rms_error_on_rung": {}},
+            }
+        },
     },
-}
+    Decomposition,
+)
 
 
 def record(design: str, effects: dict, middle: float = 0.3) -> dict:

@@ -9,11 +9,13 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
+from linkplan.studies.check.check_sections import check_report
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
+from linkplan.studies.compare.tracking_sections import comparison_report
 from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table, Text
-from linkplan.studies.report.render import document_json, report_html
-from linkplan.studies.report.reports import check_report, comparison_report, plan_report
+from linkplan.studies.output.plan_sections import plan_report
+from linkplan.studies.output.report_file import document_json, report_html
 from tests.support.linkages import RSSR
 from tests.support.plans import LIMIT, optimal
 from tests.support.reports import blocks, texts

@@ -6,7 +6,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.output.document import Drive
-from linkplan.studies.report.drives import drives_of
+from linkplan.studies.output.drives import drives_of
 from tests.support.linkages import GRIPPER
 from tests.support.mechanisms import replaced
 

@@ -9,10 +9,10 @@ from linkplan.planner.planning import silent
 from linkplan.studies.cli.main import main
 from linkplan.studies.experiment.experiment import Settings
 from linkplan.studies.experiment.experiment_blocks import estimated
+from linkplan.studies.experiment.experiment_sections import experiment_report
 from linkplan.studies.experiment.study import RESULTS, run_experiment
 from linkplan.studies.output.document import Code, Plot, Table
 from linkplan.studies.report.reading import folder_report
-from linkplan.studies.report.reports import experiment_report
 from tests.support.plans import optimal
 from tests.support.reports import blocks
 

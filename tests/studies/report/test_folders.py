@@ -8,9 +8,9 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Checklist, Report, Table, Text
+from linkplan.studies.output.plan_sections import plan_report
+from linkplan.studies.output.report_file import DOCUMENT, document_json, save_report, write_report
 from linkplan.studies.report.reading import folder_report
-from linkplan.studies.report.render import DOCUMENT, document_json, save_report, write_report
-from linkplan.studies.report.reports import plan_report
 from tests.support.plans import optimal, saved_plan
 from tests.support.reports import blocks
 

@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from linkplan.studies.output.document import Report
-from linkplan.studies.report.render import report_html
+from linkplan.studies.output.report_file import report_html
 
 # Runs a page's script about plots in a window that has only a navigator, and prints its language and what it defines.
 _WINDOW = """

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from linkplan.planner.planning import Price, with_price
-from linkplan.studies.compare import comparison_blocks
+from linkplan.studies.compare import comparison_blocks, tracking_sections
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.output.document import Plot, Table, Text
 from linkplan.studies.output.lines import TIME, Line, plots
-from linkplan.studies.report import tracking_sections
-from linkplan.studies.report.plan_sections import plan_sections
+from linkplan.studies.output.plan_sections import plan_sections
 from tests.support.arms import arm
 from tests.support.bodies import body_plan
 from tests.support.plans import planned

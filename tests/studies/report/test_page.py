@@ -3,10 +3,11 @@
 import pytest
 
 from linkplan.studies.compare.compare import compare
+from linkplan.studies.compare.tracking_sections import comparison_report
 from linkplan.studies.output.document import Axis, Bar, Bars, Checklist, Plot, Section, Series, Span
 from linkplan.studies.output.lines import TIME
-from linkplan.studies.report.render import write_report
-from linkplan.studies.report.reports import comparison_report, plan_report, report_of
+from linkplan.studies.output.plan_sections import plan_report
+from linkplan.studies.output.report_file import report_of, write_report
 from tests.support.bodies import QUARTER_TURN, body_plan
 from tests.support.browser import Opened, chromium, violations
 from tests.support.mechanisms import replaced

@@ -125,11 +125,11 @@ def test_a_table_that_misses_its_tolerance_says_so_and_ends_with_1(capsys):
         (["--joints", "O,C"], ["2 joints", "1 degrees of freedom"]),
         (["--joints", "C,C"], ["different joints"]),
         (["--joints", "C", "--tolerance", "0"], ["tolerance", "positive"]),
-        (["--joints", "C", "--joint-kp", "1,2"], ["joint_kp has one value for all or 1, got 2"]),
+        (["--joints", "C", "--joint-kp", "1,2"], ["--joint-kp has one value for all or 1, got 2"]),
         (["--joints", "C", "--joint-kp", "soft"], ["--joint-kp", "'soft'"]),
-        (["--joints", "C", "--range", "C=1"], ["JOINT=LOW:HIGH", "'C=1'"]),
-        (["--joints", "C", "--range", "O=1:2"], ["'O'", "output joints are C"]),
-        (["--joints", "C", "--range", "C=-300:2"], ["range of C is inside", "singular pose"]),
+        (["--joints", "C", "--range-deg", "C=1"], ["JOINT=LOW:HIGH", "'C=1'"]),
+        (["--joints", "C", "--range-deg", "O=1:2"], ["'O'", "output joints are C"]),
+        (["--joints", "C", "--range-deg", "C=-300:2"], ["range of C is inside", "singular pose"]),
     ],
 )
 def test_bad_input_is_refused_in_one_line(words, said, capsys):

@@ -1,0 +1,1 @@
+../studies/package/typed_commands.py

@@ -1,0 +1,178 @@
+"""The commands: each calls the public function of its name with its options, and shows or writes the result."""
+
+import argparse
+import inspect
+import json
+
+import linkplan
+from linkplan import names
+from linkplan.studies.cli.common import deliver, file_asked, folder_asked, naming, new_file, output_folder, source_asked
+from linkplan.studies.cli.exit_codes import DONE, NO, saved_fault_report
+from linkplan.studies.cli.printing import Progress, flush_streams, progress, refuse, show
+
+
+def called(arguments: argparse.Namespace, say: Progress | None, **further: object):
+    """Return what the public function of a command's name returns for its options."""
+    function = getattr(linkplan, arguments.command)
+    parameters = inspect.signature(function).parameters
+    given = {name: getattr(arguments, name) for name in parameters if hasattr(arguments, name)} | further
+    if "progress" in parameters:
+        given["progress"] = say
+    first = next(iter(parameters))
+    name = given.get(first)
+    if hasattr(arguments, "set") and isinstance(name, str):
+        given[first] = source_asked(arguments, name, parameters)
+    return function(**given)
+
+
+def run_study(arguments: argparse.Namespace) -> int:
+    """Run a study whose result is saved, drawn and shown as every other; 1 if its answer is no."""
+    target, say = output_folder(arguments), progress(arguments)
+    result = called(arguments, say)
+    deliver(arguments, target, result)
+    return DONE if result.passed else NO
+
+
+run_track = run_compare = run_decompose = run_bode = run_tune = run_transfer = run_study
+
+
+def run_plan(arguments: argparse.Namespace) -> int:
+    """Plan a motion; 1 if there is none."""
+    target, say = output_folder(arguments), progress(arguments)
+    plan = called(arguments, say)
+    if plan.passed and target is not None:
+        plan.save(target, jumps=arguments.jumps, parquet=arguments.parquet, report=arguments.report)
+        say.keep(f"saved in {target}")
+    elif target is not None:
+        say.keep(f"nothing written: {plan.status}")
+    show(arguments, plan.to_dict, plan.blocks)
+    return DONE if plan.passed else NO
+
+
+def run_prove(arguments: argparse.Namespace) -> int:
+    """Prove a plan's limits at every instant; 1 if one of them is refuted."""
+    result = called(arguments, progress(arguments))
+    show(arguments, result.to_dict, result.blocks)
+    return DONE if result.passed else NO
+
+
+def run_batch(arguments: argparse.Namespace) -> int:
+    """Plan the cases of a batch file, or continue to; 1 if one of them has no plan."""
+    target, say = output_folder(arguments), progress(arguments)
+    result = called(arguments, say, folder=target)
+    if target is not None:
+        say.keep(f"saved in {target}")
+    show(arguments, result.to_dict, result.blocks)
+    return DONE if result.passed else NO
+
+
+def run_experiment(arguments: argparse.Namespace) -> int:
+    """Run or continue an experiment; 1 if the plan has no motion."""
+    target = output_folder(arguments)
+    result = called(arguments, progress(arguments), folder=target)
+    if arguments.report and target is not None:
+        result.report(target / "report.html")
+    show(arguments, result.to_dict, result.blocks)
+    return DONE if result.passed else NO
+
+
+def run_view(arguments: argparse.Namespace) -> int:
+    """Play a tracked plan in the viewer; 1 if the plan does not pass."""
+    said = called(arguments, progress(arguments))
+    if arguments.json:
+        show(arguments, said, "")
+    return DONE if said["passed"] else NO
+
+
+def run_render(arguments: argparse.Namespace) -> int:
+    """Draw a tracked plan as a film or a picture; 1 if the plan does not pass."""
+    say = progress(arguments)
+    done = called(arguments, say, path=file_asked(arguments))
+    show(arguments, done.to_dict, done.sentence)
+    return DONE if done.passed else NO
+
+
+def run_demo(arguments: argparse.Namespace) -> int:
+    """Run all studies of the knee."""
+    said, blocks = called(arguments, progress(arguments), folder=folder_asked(arguments))
+    show(arguments, said, blocks)
+    return DONE
+
+
+def run_report(arguments: argparse.Namespace) -> int:
+    """Write the report of a saved folder as one HTML file."""
+    say = progress(arguments)
+    path = called(arguments, say, path=file_asked(arguments))
+    size = path.stat().st_size
+    show(arguments, {"report": str(path), "bytes": size}, f"{path}: {size / 1e6:.2g} MB, opens in any browser, offline too")
+    return DONE
+
+
+def run_explore(arguments: argparse.Namespace) -> int:
+    """Serve the page of a problem's sliders until Ctrl-C."""
+
+    def tell(error: BaseException) -> None:
+        refuse("explore", saved_fault_report(error))
+
+    page = called(arguments, progress(arguments), path=new_file(arguments), tell=tell)
+    said = {"problem": page.name, "address": page.address}
+    show(arguments, said, f"open {page.address} in a browser; Ctrl-C ends")
+    flush_streams()  # the address is read while the command runs
+    page.serve()
+    return DONE
+
+
+def run_new(arguments: argparse.Namespace) -> int:
+    """Write a problem file for a mechanism; 1 if no motion was found for it."""
+    say = progress(arguments)
+    target = new_file(arguments)
+    found = called(arguments, say, path=target)
+    verdict = "planned" if found.planned else f"NOT planned: {found.why}"
+    notes = [f"note: {note}" for note in found.notes]
+    if target is None:
+        for line in (f"{found.description}: {verdict}", *notes):
+            say.keep(line)
+        show(arguments, found.to_dict, found.text.rstrip("\n"))
+    else:
+        lines = [f"{target}: {found.description}", f"{verdict[0].upper()}{verdict[1:]}", *notes]
+        show(arguments, found.to_dict, "\n".join(lines))
+    return DONE if found.planned else NO
+
+
+def run_export(arguments: argparse.Namespace) -> int:
+    """Write a plan or a model for another program; 1 if the plan does not pass."""
+    say = progress(arguments)
+    with naming("-o"):
+        path = folder_asked(arguments) if arguments.to in names.FOLDER_FORMATS else new_file(arguments)
+    done = called(arguments, say, path=path)
+    show(arguments, done.to_dict, done.blocks)
+    return DONE if done.passed else NO
+
+
+def run_list(arguments: argparse.Namespace) -> int:
+    """Print the built-in names."""
+    from linkplan.studies.output.document import Facts, table_of
+
+    problems = names.problem_descriptions()
+    words = {"payloads": names.PAYLOADS, "schemes": names.SCHEMES, "trackers": names.TRACKERS}
+    said = {"models": dict(names.MODELS), "problems": problems} | {what: list(some) for what, some in words.items()}
+    tables = [
+        table_of("", [what, "description"], list(rows.items()))
+        for what, rows in (("model", names.MODELS), ("problem", problems))
+    ]
+    show(arguments, said, [*tables, Facts(rows=[(what, ", ".join(some)) for what, some in words.items()])])
+    return DONE
+
+
+def run_schema(arguments: argparse.Namespace) -> int:
+    """Print the JSON Schema of problem files or of batch files, or write it into a file."""
+    from linkplan.paths import write_schema
+
+    said = called(arguments, None)
+    text = json.dumps(said, indent=2)
+    if arguments.output is not None:
+        with naming("-o"):
+            write_schema(arguments.output, text)
+    if arguments.output is None or arguments.json:
+        show(arguments, said, text)
+    return DONE

@@ -1,0 +1,123 @@
+"""Values of options: text becomes the value of the public function's parameter. This file has no heavy imports."""
+
+import argparse
+import math
+from typing import Any
+
+from linkplan.names import TRACKERS
+
+
+class Appended(argparse.Action):
+    """An option that may be given again: a tuple of its values."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        """Append a value."""
+        del parser, option_string
+        setattr(namespace, self.dest, (*getattr(namespace, self.dest), values))
+
+
+class Tabled(argparse.Action):
+    """An option NAME=VALUE that may be given again: a table of its values, one for each name; None without it."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        """Add a value under its name."""
+        del parser, option_string
+        name, value = values
+        table = getattr(namespace, self.dest) or {}
+        if name in table:
+            raise argparse.ArgumentError(self, f"names joint {name} twice; it takes one value for a joint")
+        setattr(namespace, self.dest, {**table, name: value})
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Return names with commas between them."""
+    found = tuple(name.strip() for name in text.split(","))
+    if not all(found):
+        raise argparse.ArgumentTypeError(f"takes names with commas between them, got '{text}'")
+    return found
+
+
+def trackers(text: str) -> tuple[str, ...]:
+    """Return trackers' names; "all" are all built-in ones."""
+    if text.strip() == "all":
+        return TRACKERS
+    found = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not found:
+        raise argparse.ArgumentTypeError(f"trackers are names separated by commas, or all; got '{text}'")
+    return found
+
+
+def numbers(text: str) -> list[float]:
+    """Return numbers with commas between them."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"takes numbers with commas between them, got '{text}'") from None
+
+
+def frequencies(text: str) -> list[float]:
+    """Return frequencies [Hz]: numbers with commas between them, or LOW:HIGH:N, N of them in equal ratios."""
+    if ":" not in text:
+        return numbers(text)
+    try:
+        ends, count = [float(part) for part in text.split(":")[:2]], int(text.split(":", 2)[2])
+        low, high = ends
+    except (ValueError, IndexError):
+        raise argparse.ArgumentTypeError(f"takes F,F,... or LOW:HIGH:N, got '{text}'") from None
+    if not (0 < low < high < math.inf and 2 <= count <= 1000):
+        raise argparse.ArgumentTypeError(f"LOW:HIGH:N has 0 < LOW < HIGH and N from 2 to 1000, got '{text}'")
+    return [low * (high / low) ** (k / (count - 1)) for k in range(count)]
+
+
+def pose(text: str) -> dict[str, float] | float:
+    """Return a pose, JOINT=VALUE with commas between them; or a number, of the only joint."""
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, value = part.rpartition("=")
+        number = _number(value)
+        if not equals and "," not in text and math.isfinite(number):
+            return number
+        if not name.strip() or not math.isfinite(number):  # 'O=1,5': a comma separates joints and is no decimal point
+            raise argparse.ArgumentTypeError(f"takes JOINT=VALUE, with commas between joints, got '{text}'")
+        if name.strip() in found:
+            raise argparse.ArgumentTypeError(f"names joint {name.strip()} twice in '{text}'; decimals have a point")
+        found[name.strip()] = number
+    return found
+
+
+def joint_value(text: str) -> tuple[str, float]:
+    """Return a joint and its position, JOINT=VALUE."""
+    name, _, value = text.rpartition("=")
+    number = _number(value)
+    if not name.strip() or not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"takes JOINT=VALUE, in degrees or metres, got '{text}'")
+    return name.strip(), number
+
+
+def joint_range(text: str) -> tuple[str, list[float]]:
+    """Return a joint and its range, JOINT=LOW:HIGH."""
+    name, _, both = text.partition("=")
+    ends = [_number(end) for end in both.split(":")]
+    if not name.strip() or len(ends) != 2 or not all(map(math.isfinite, ends)):
+        raise argparse.ArgumentTypeError(f"takes JOINT=LOW:HIGH, got '{text}'")
+    return name.strip(), ends
+
+
+def size(text: str) -> tuple[int, int]:
+    """Return width and height of WxH."""
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"is WIDTHxHEIGHT in pixels, as 800x600, got '{text}'") from None
+    return width, height
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

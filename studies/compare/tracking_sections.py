@@ -1,0 +1,104 @@
+"""The sections of a comparison: animation of the tracked motions, table of trackers, errors and efforts over time."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.models.mechanism import Mechanism
+from linkplan.studies.compare.compare import Comparison, tracking_reference
+from linkplan.studies.compare.comparison_blocks import (
+    comparison_blocks,
+    effort_plots,
+    gap_plots,
+    joint_plots,
+    largest,
+    site_plots,
+)
+from linkplan.studies.output.animation import Run, animation, frames_of
+from linkplan.studies.output.document import Block, Report, Section, Text
+from linkplan.studies.output.plan_sections import group_of, plan_sections
+from linkplan.studies.output.report_file import report_of
+
+# With more joints or actuators, those with the largest errors and efforts are shown and the others are folded.
+_MAX_JOINTS_SHOWN = 6
+
+
+def comparison_sections(comparison: Comparison) -> list[Section]:
+    """Return the sections of trackers' runs on a plan, without those of the plan."""
+    blocks = [_animation(comparison), *comparison_blocks(comparison)]
+    first = Section(title=f"Tracking: {comparison.plan.problem.name}", blocks=blocks)
+    return [first, *(section for case in comparison.cases for section in _over_time(comparison, *case))]
+
+
+def whole_comparison(comparison: Comparison) -> list[Section]:
+    """Return the sections of a comparison and those of its plan."""
+    return [*comparison_sections(comparison), *plan_sections(comparison.plan, animated=False)]
+
+
+def _animation(comparison: Comparison) -> Block:
+    """Return the animation of the planned motion over the tracked time, with every run as a ghost."""
+    plan = comparison.plan
+    mechanism, reference = plan.problem.mechanism, tracking_reference(plan)
+    cases = comparison.cases
+    n_runs = sum(len(runs) for _, runs in cases)
+    frames = np.unique(np.linspace(0, reference.n - 1, frames_of(mechanism, 1 + n_runs)).astype(int))
+    ghosts = {}
+    for k, (_, runs) in enumerate(cases):
+        for name, run in runs.items():
+            ghosts[name if k == 0 else f"{name}, with the mismatch"] = _run(run, frames)
+    return animation(
+        mechanism,
+        f"{mechanism.name} along {plan.problem.name}, planned and as tracked",
+        group_of(plan),
+        reference.time_s[frames],
+        reference.pose_rad[frames],
+        effort=reference.effort[frames],
+        effort_limit=np.array(plan.problem.limits.effort),
+        ghosts=ghosts,
+        sites=plan.problem.sites,
+    )
+
+
+def _run(run: Rollout, frames: np.ndarray) -> Run:
+    """Return a run at control instants; a diverged run keeps its last finite pose, with zero effort."""
+    seen = np.flatnonzero(np.isfinite(run.pose_rad).all(axis=1))
+    last = int(seen[-1]) if len(seen) else 0
+    at = np.minimum(frames, last)
+    return Run(poses=np.nan_to_num(run.pose_rad[at]), effort=np.where((frames <= last)[:, None], run.applied[at], 0.0))
+
+
+def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Section]:
+    """Return the plots over time: joints and actuators with the largest figures, and the others in a folded section."""
+    mechanism = comparison.plan.problem.mechanism
+    chosen = largest(np.max([np.abs(run.error_rad).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
+    pushed = largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
+    others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
+    blocks = [*joint_plots(comparison, runs, chosen), *site_plots(comparison, runs)]
+    blocks += [*effort_plots(comparison, runs, pushed), *gap_plots(comparison, runs)]
+    found = [Section(title=f"Over time: {title}", blocks=[*_left_out(mechanism, *others), *blocks], depth=2)]
+    if any(others):
+        blocks = [*joint_plots(comparison, runs, others[0]), *effort_plots(comparison, runs, others[1])]
+        found.append(Section(title=f"Other joints: {title}", blocks=blocks, depth=2, folded=True))
+    return found
+
+
+def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> list[Text]:
+    if not joints and not actuators:
+        return []
+    said = (
+        f"Drawn are the {mechanism.dof - len(joints)} of {mechanism.dof} joints with the largest errors and the"
+        f" {mechanism.n_u - len(actuators)} of {mechanism.n_u} actuators with the largest efforts; the others are in the"
+        " folded section below."
+    )
+    return [Text(text=said, tone="note")]
+
+
+def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
+    """Return the report of trackers' runs on a plan; `document` is the section of the source document's experiment."""
+    stable = [name for name, run in comparison.nominal.items() if run.stable]
+    lost = [name for name in comparison.nominal if name not in stable]
+    verdict = f"{comparison.title}: {', '.join(stable) or 'no tracker'} stable"
+    verdict += f", {', '.join(lost)} NOT" if lost else ""
+    sections = [*whole_comparison(comparison), *([] if document is None else [document])]
+    return report_of(f"Trackers on {comparison.plan.problem.name}", verdict, bool(stable), sections)

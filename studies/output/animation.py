@@ -1,0 +1,102 @@
+"""The animation of a mechanism: its bodies with their shapes, drawn in a plane if all of them move parallel to it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.kinematics import fields_at
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.poses.skeleton import view
+from linkplan.models.tree.coordinates import joint_label
+from linkplan.studies.output.bodies import Drawing, bodies_of, cut_pin_labels, drawing_of, floors_of
+from linkplan.studies.output.document import Animation, Ghost
+from linkplan.studies.output.drives import drives_of
+from linkplan.studies.output.numbers import direction_name, rounded, times
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Run:
+    """A tracked motion: poses (n, n_q) and the applied efforts (n, n_u) [N.m or N]."""
+
+    poses: np.ndarray
+    effort: np.ndarray
+
+
+def frames_of(mechanism: Mechanism, runs: int = 1) -> int:
+    """Return the number of frames of an animation that draws a mechanism `runs` times.
+
+    The page interpolates linearly between frames. An animation has at most about 120,000 numbers, to keep the page small.
+    """
+    numbers_per_frame = 13 * mechanism.model.nbody * runs
+    return int(np.clip(120_000 // numbers_per_frame, 41, 201))
+
+
+def animation(
+    mechanism: Mechanism,
+    title: str,
+    group: str,
+    time_s: np.ndarray,
+    poses: np.ndarray,
+    *,
+    effort: np.ndarray | None = None,
+    effort_limit: np.ndarray | None = None,
+    ghosts: Mapping[str, Run] | None = None,
+    sites: Mapping[str, int] | None = None,
+    period: float | None = None,
+    unit: str = "s",
+) -> Animation:
+    """Return the animation of a mechanism.
+
+    Args:
+        mechanism: to draw.
+        title: of the block.
+        group: of the cursor that sets the animation's instant.
+        time_s: (n,) [s].
+        poses: (n, n_q), closed.
+        effort: (n, n_u) [N.m or N] of the actuators.
+        effort_limit: (n_u, 2), the actuators' limits.
+        ghosts: other runs at the same instants, by name.
+        sites: indices of the MuJoCo sites whose paths are drawn, by name.
+        period: of a periodic motion [s].
+        unit: of `time_s`, if it is another quantity than time.
+    """
+    right, up = view(mechanism.model)
+    drawing = drawing_of(mechanism, poses, (right, up))
+    frame, flat = drawing.frame, drawing.flat
+    places = {name: places_of(mechanism, index, poses) @ frame.T for name, index in (sites or {}).items()}
+    drives = [] if effort is None else drives_of(mechanism, poses, effort, effort_limit, frame)
+    return Animation(
+        title=title,
+        group=group,
+        dimension=2 if flat else 3,
+        axes=(direction_name(right), direction_name(up)),
+        times=times(time_s),
+        bodies=bodies_of(drawing, poses),
+        ghosts=[
+            Ghost(
+                name=name,
+                bodies=bodies_of(drawing, run.poses, shaped=False),
+                drives=drives_of(mechanism, run.poses, run.effort, effort_limit, frame),
+            )
+            for name, run in (ghosts or {}).items()
+        ],
+        drives=drives,
+        labels=_labels(drawing, poses, places),
+        paths=[(name, rounded(place)) for name, place in places.items()],
+        period=period,
+        unit=unit,
+        floors=floors_of(mechanism) if not flat or abs(up[2] - 1) < 1e-9 else [],
+    )
+
+
+def _labels(drawing: Drawing, poses: np.ndarray, places: Mapping[str, np.ndarray]) -> list[tuple[str, list]]:
+    """Return the names of joints, cut pins and named sites with their positions; one name at one place appears once."""
+    mechanism = drawing.mechanism
+    anchors = fields_at(mechanism.model, mechanism.qpos_of(poses), "xanchor")[0] @ drawing.frame.T
+    named = [(joint_label(mechanism.model, k), anchors[:, k]) for k in range(mechanism.model.njnt)]
+    found: dict[tuple, tuple[str, list]] = {}
+    for name, at in (*named, *cut_pin_labels(drawing, poses), *places.items()):
+        found.setdefault((name, *np.round(at[0] / mechanism.extent_m, 4)), (name, rounded(at)))
+    return list(found.values())

@@ -1,0 +1,160 @@
+"""The sections of a plan: verdict, motion, limits, certificate, the solves before it, its problem."""
+
+from typing import Any
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.problem.build import file_text
+from linkplan.studies.output.animation import animation, frames_of
+from linkplan.studies.output.certificate_list import certificate_list
+from linkplan.studies.output.document import Block, Code, Facts, Plot, Report, Section, Text
+from linkplan.studies.output.draw_plan import force_plots, motion_of, time_plots
+from linkplan.studies.output.lead import lead_facts, verdict_sentence
+from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.phase import phase_plane
+from linkplan.studies.output.plan_blocks import facts, names_in, proof_blocks, solves
+from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.robust_sections import robust_section
+from linkplan.studies.output.text import in_brief, notes_of
+
+
+def group_of(plan: Plan) -> str:
+    """Return the name of the cursor of a plan's time axis."""
+    return f"time:{plan.problem.name}"
+
+
+def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) -> list[Section]:
+    """Return a plan's sections.
+
+    Args:
+        plan: to show, with or without a motion.
+        animated: whether the motion is animated; False if a comparison animates it.
+        verdict: whether the first section has the plan's name and verdict; False if the page's header shows them.
+    """
+    title, first, about = f"Plan: {plan.problem.name}" if verdict else "Overview", _verdict(plan, said=verdict), _about(plan)
+    if plan.trajectory is None or plan.certificate is None:
+        return [Section(title=title, blocks=[*first, about, *_notes(plan), _solves(plan), *_problem(plan)])]
+    try:
+        motion = motion_of(plan)
+    except AssemblyError as error:
+        lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
+        return [Section(title=title, blocks=[*first, about, *_notes(plan), lost, *_problem(plan)])]
+    group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
+    over_time = [plot for of in time_plots(plan, motion, group, period).values() for plot in of]
+    over_time += force_plots(plan, motion, group, period)
+    seen: list[Block] = [_animation(plan, group, period)] if animated else []
+    phase = phase_plane(plan, motion, group, period)
+    robust = robust_section(plan, motion, group, period)
+    notes = _notes(plan)
+    few = in_brief(notes)
+    return [
+        Section(title=title, blocks=[*first, *seen, lead_facts(plan, motion), *few]),
+        Section(title="Motion and effort", blocks=over_time, depth=2),
+        *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=2)]),
+        *([] if robust is None else [robust]),
+        Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=2),
+        *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=2)]),
+        Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=2),
+        Section(title="Problem", blocks=[about, *(notes if len(few) < len(notes) else []), *_problem(plan)], depth=2),
+    ]
+
+
+def _verdict(plan: Plan, *, said: bool) -> list[Block]:
+    message = verdict_sentence(plan)
+    return [Text(text=message[:1].upper() + message[1:], tone="good" if plan.passed else "bad")] if said else []
+
+
+def _notes(plan: Plan) -> list[Text]:
+    return notes_of([*plan.problem.notes, *not_honoured(plan)], names_in(plan))
+
+
+def _about(plan: Plan) -> Facts:
+    """Return the facts of a plan's problem, and of its motion if it has one."""
+    problem = plan.problem
+    rows = [("mechanism", _mechanism_said(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
+    known = facts(plan) if plan.trajectory is not None and plan.certificate is not None else []
+    return Facts(rows=[*rows, *known])
+
+
+def _mechanism_said(plan: Plan) -> str:
+    mechanism = plan.problem.mechanism
+    freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
+    payload = "" if mechanism.payload is None else ", with a payload"
+    return f"{mechanism.name}, {freedoms}, {mechanism.n_q} joints{payload}"
+
+
+def _animation(plan: Plan, group: str, period: float | None) -> Block:
+    problem, trajectory = plan.problem, plan.trajectory
+    mechanism = problem.mechanism
+    dense = trajectory.dense_times(10)
+    shown = np.linspace(trajectory.breaks_s[0], trajectory.breaks_s[-1], frames_of(mechanism))
+    shown[-1] = dense[-1]  # the end of a periodic motion, which would else be mapped to its start
+    every, back = np.unique(np.concatenate([dense, shown]), return_inverse=True)
+    poses = follow(mechanism, trajectory.position_at(every), trajectory.start_pose)[back[len(dense) :]]
+    return animation(
+        mechanism,
+        mechanism.name if mechanism.name == problem.name else f"{mechanism.name} along {problem.name}",
+        group,
+        shown,
+        poses,
+        effort=trajectory.effort_at(shown),
+        effort_limit=problem.limits.effort,
+        sites=problem.sites,
+        period=period,
+    )
+
+
+def _passed(plan: Plan) -> Block:
+    certificate = plan.certificate
+    if certificate.passed:
+        return Text(text="The certificate passes.", tone="good")
+    return Text(text=f"The certificate does NOT pass: {'; '.join(certificate.failures)}.", tone="bad")
+
+
+def _solves(plan: Plan) -> Block:
+    if not plan.history:
+        return Text(text="There is no history of solves: the motion needed none, or was saved without it.", tone="note")
+    return solves(plan)
+
+
+def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
+    """Return the final mesh as the widths of its intervals over time."""
+    breaks = plan.trajectory.breaks_s
+    width = np.diff(breaks)
+    offset = 1e-6 * width  # the plot needs increasing instants on both sides of a break
+    x = np.column_stack([breaks[:-1] + offset, breaks[1:] - offset]).ravel()
+    (found,) = plots(
+        f"Final mesh: {plan.scheme}, {plan.intervals} intervals",
+        "width of the interval",
+        TIME,
+        x,
+        [Line(name="width", values=np.repeat(width, 2), unit="s")],
+        group=group,
+        period=period,
+    )
+    return found
+
+
+def _problem(plan: Plan) -> list[Block]:
+    try:
+        text = file_text(_without_none(plain_record(plan.problem.source)), plan.problem.extras)
+    except ProblemError as error:
+        return [Text(text=f"The problem has no form as a file: {error}", tone="note")]
+    return [Code(title="The problem as a file", text=text)]
+
+
+def _without_none(value: Any) -> Any:
+    """Return tables without empty tables and the keys whose value is None, such as infinite limits."""
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None and item != {}}
+    return value
+
+
+def plan_report(plan: Plan) -> Report:
+    """Return the report of a plan."""
+    title, verdict = f"Plan {plan.problem.name}", verdict_sentence(plan)
+    return report_of(title, verdict, plan.passed, plan_sections(plan, verdict=False))

@@ -1,0 +1,116 @@
+"""The HTML file of a report: template, style and program of `page/`, uPlot and the document, all in one file.
+
+The page fetches nothing: its content security policy allows its own scripts by their hashes, and no address.
+"""
+
+import base64
+import hashlib
+import html
+import os
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+
+import msgspec
+
+from linkplan.models.errors import PlanFileError
+from linkplan.models.reading import MAX_FILE_BYTES, read_head
+from linkplan.planner.files.manifest import read_record
+from linkplan.planner.files.single_file import write_over
+from linkplan.planner.plan_folder import versions
+from linkplan.studies.output.document import Report, Section
+
+# Each script uses only those before it.
+_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "shapes", "animation", "player", "blocks", "main")
+# A file with these words in its first 1,000 bytes is a report, which a new one may replace.
+_OURS = b'<meta name="generator" content="linkplan">'
+
+
+def document_json(report: Report) -> bytes:
+    """Return a document as JSON."""
+    return msgspec.json.encode(report, enc_hook=lambda value: value.item())  # numpy's numbers
+
+
+def report_html(report: Report, served: str = "") -> str:
+    """Return the HTML of a report; `served` is a further program for a page that its own server answers.
+
+    The page contains the document as JSON with "<" escaped, so that no name can end a script. The page shows it as text.
+    """
+    said = document_json(report).decode()
+    program = '"use strict";\n' + "\n".join(_resource(f"{name}.js") for name in _PROGRAM) + served
+    uplot = _resource("locale.js") + _resource("uplot.min.js")
+    scripts = {"uplot": uplot, "program": program}
+    allowed = " ".join(f"'sha256-{_hash(f'{chr(10)}{text}{chr(10)}')}'" for text in scripts.values())
+    allowed += "; connect-src 'self'" if served else ""
+    parts = {
+        "allowed": allowed,
+        "title": html.escape(report.title),
+        "style": f"{_resource('uplot.min.css')}\n{_resource('style.css')}",
+        "document": said.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"),
+        **scripts,
+    }
+    page = _resource("template.html")
+    pieces = page.split("{{")
+    return pieces[0] + "".join(parts[name] + rest for name, rest in (piece.split("}}", 1) for piece in pieces[1:]))
+
+
+def _resource(name: str) -> str:
+    return resources.files("linkplan.studies.output").joinpath("page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Write a report's HTML file. An earlier report at this path is replaced, any other file is refused.
+
+    Raises:
+        PlanFileError: if another file exists at this path, or the file cannot be written.
+    """
+    refuse_other_files(path)
+    write_over(path, report_html(report).encode("utf-8", "replace"))
+
+
+def refuse_other_files(path: Path) -> None:
+    """Refuse a path at which a file exists that is not a report.
+
+    Raises:
+        PlanFileError: with the path.
+    """
+    if os.path.isdir(path):
+        raise PlanFileError(f"a report is one HTML file, and '{path}' is a folder; name a file in it")
+    if not os.path.exists(path):
+        return
+    try:
+        begin = read_head(path, f"'{path}'", 1000, PlanFileError)
+    except PlanFileError:
+        begin = b""
+    if _OURS not in begin:
+        raise PlanFileError(f"'{path}' is no report of linkplan's, and is not replaced; name another file")
+
+
+DOCUMENT, PAGE = "report.json", "report.html"
+
+
+def save_report(report: Report, place: Path, *, page: bool) -> None:
+    """Write a report's document into a folder and read it back; write its page if `page`."""
+    (place / DOCUMENT).write_bytes(document_json(report) + b"\n")
+    read_document(place / DOCUMENT)
+    if page:
+        write_report(report, place / PAGE)
+
+
+def read_document(path: Path) -> Report:
+    """Return a saved document.
+
+    Raises:
+        PlanFileError: if the file is not a document, or a block lacks a value or has a value of another type.
+    """
+    return read_record(path, Report, MAX_FILE_BYTES)  # a robot with forty joints has ten megabytes
+
+
+def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[Section]) -> Report:
+    """Return a report with the versions of this installation."""
+    verdict = verdict[:1].upper() + verdict[1:]
+    return Report(title=title, verdict=verdict, passed=passed, versions=versions(), sections=list(sections))

@@ -1,0 +1,62 @@
+"""The legal names of arguments, in modules that load quickly, and the schema of problem files."""
+
+from linkplan.controllers.controls import keys_said
+from linkplan.controllers.trackers.names import LINEAR, TRACKERS
+from linkplan.models.catalogue import MODELS, PAYLOADS
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.transcription.scheme_names import NAMES as SCHEMES
+from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
+
+__all__ = [
+    "C_TRACKERS",
+    "DESIGNS",
+    "FILE_KINDS",
+    "FOLDER_FORMATS",
+    "FORMATS",
+    "LINEAR",
+    "MODELS",
+    "PAYLOADS",
+    "PROBLEMS",
+    "SCHEMES",
+    "TRACKERS",
+    "keys_said",
+    "problem_descriptions",
+    "problem_keys",
+    "schema",
+]
+
+DESIGNS = ("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol")
+FILE_KINDS = ("problem", "batch")
+
+
+def problem_descriptions() -> dict[str, str]:
+    """Return the description of each built-in problem."""
+    from linkplan.planner.files.tables import read_tables
+
+    return {name: str(read_tables(name)[1].get("description", "")) for name in PROBLEMS}
+
+
+def problem_keys() -> tuple[str, ...]:
+    """Return the keys of problem files, as section.key."""
+    from linkplan.planner.keys.reading import KEYS
+
+    return tuple(f"{section}.{key}" for section, keys in KEYS.items() for key in keys)
+
+
+def schema(file: str = "problem") -> dict:
+    """Return the JSON Schema of problem files or of batch files, for completion in editors.
+
+    Args:
+        file: "problem" or "batch".
+
+    Raises:
+        LinkplanError: for another kind of file.
+
+    Example::
+
+        print(linkplan.schema()["title"])
+    """
+    from linkplan.models.errors import ProblemError, choose
+    from linkplan.planner.keys.key_table import FILES, json_schema
+
+    return json_schema(choose("kind of file", file, FILES, ProblemError))

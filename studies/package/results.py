@@ -1,0 +1,96 @@
+"""What all results share: `str(result)` is the text, `to_dict()` the JSON, `save` the folder and `report` the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from linkplan.models.errors import LinkplanError
+from linkplan.paths import path_of
+
+if TYPE_CHECKING:
+    from linkplan.studies.output.document import Block, Report
+
+
+class Result:
+    """The result of a study. Each kind has `passed`, `to_dict`, `blocks`, `document` and `draw`; the rest follows.
+
+    A base class in place of a function for each member, so that every result is saved, drawn and shown in the same way.
+    """
+
+    __slots__ = ()
+    record_name = ""
+    """The name of the record in a saved folder, without ".json"; empty for a result that its function writes."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the answer is yes: a command then ends with exit code 0."""
+        return True
+
+    def to_dict(self) -> dict:
+        """Return all values by name, in JSON types."""
+        raise NotImplementedError
+
+    def blocks(self) -> list[Block]:
+        """Return the result as a document's blocks."""
+        raise NotImplementedError
+
+    def document(self) -> Report:
+        """Return the result's report."""
+        raise NotImplementedError
+
+    def draw(self, place: Path) -> None:
+        """Write figures and tables into an existing folder."""
+
+    def save(self, folder: str | Path, *, report: bool = False) -> Path:
+        """Write the record, the figures and the document into a folder, whole or not at all, and return its path.
+
+        Args:
+            folder: an older result of the same kind in it is replaced.
+            report: whether report.html, an animated page, is written too.
+
+        Raises:
+            LinkplanError: if the folder has other files, or cannot be written.
+        """
+        if not self.record_name:
+            raise LinkplanError("this result is written while it is made: give its function a folder")
+        return saved(self, folder, self.draw, report=report)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report, one HTML file that opens offline, and return its path.
+
+        Raises:
+            LinkplanError: if another file exists at the path.
+        """
+        from linkplan.studies.output.report_file import write_report
+
+        place = path_of(path, "path")
+        write_report(self.document(), place)
+        return place
+
+    def _repr_html_(self) -> str:
+        from linkplan.studies.output.text import html_of, in_brief
+
+        return html_of(in_brief(self.blocks()))
+
+    def __str__(self) -> str:
+        from linkplan.studies.output.text import in_brief, text_of
+
+        return text_of(in_brief(self.blocks()))
+
+
+def saved(result: Result, folder: str | Path, draw: Callable[[Path], object], *, report: bool) -> Path:
+    """Write a result into a folder with the files that `draw` makes, as `Result.save` does."""
+    from linkplan.planner.files.folders import write_json, write_whole
+    from linkplan.studies.output.report_file import save_report
+
+    target, record = path_of(folder, "folder"), f"{result.record_name}.json"
+
+    def write(place: Path) -> None:
+        write_json(place / record, result.to_dict())
+        draw(place)
+        save_report(result.document(), place, page=report)
+
+    write_whole(target, write, record)
+    return target
