@@ -49,44 +49,7 @@ def bioreactor() -> OdeProblem:
     )
 
 
-<<<<<<< HEAD
 @pytest.mark.slow
-=======
-def test_where_the_end_is_free_constant_efforts_lead_to_motions_to_begin_from():
-    """x' = u over 2 s with u within -1 and 3 ends at twice what the effort is."""
-    problem = OdeProblem(
-        name="free end",
-        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
-        start=[5],
-        goal=[NAN],
-        effort_limit=[[-1, 3]],
-        duration_s=2.0,
-        running_cost=squared_effort,
-    )
-    guesses = list(integrated(problem))
-    assert len(guesses) > 1
-    for guess in guesses:
-        effort = guess.effort[0, 0]
-        assert -1 < effort < 3
-        np.testing.assert_allclose(guess.state[:, 0], np.linspace(5, 5 + 2 * effort, len(guess.state)), rtol=1e-10)
-
-
-@pytest.mark.parametrize("goal", [[0.0], [[-1.0, 1.0]]])
-def test_where_an_end_is_asked_no_motion_of_constant_efforts_is_begun_from(goal):
-    problem = OdeProblem(
-        name="asked end",
-        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
-        start=[[5.0, 5.0]] if np.ndim(goal) == 2 else [5.0],
-        goal=goal,
-        effort_limit=FREE_EFFORT,
-        duration_s=2.0,
-        running_cost=squared_effort,
-    )
-    assert not list(integrated(problem))
-
-
-@pytest.mark.long
->>>>>>> main
 def test_a_bioreactor_is_fed_along_singular_arcs_and_limits_as_an_independent_program_has_it():
     problem = bioreactor()
     plan = solved(problem)
