@@ -135,4 +135,3 @@ class OdeCase:
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
-

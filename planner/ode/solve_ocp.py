@@ -35,6 +35,8 @@ __all__ = ["OdePlan", "plan_ode"]
 _GUESS_ROWS, _PERTURBED_ROWS = 101, 41
 # A free duration that ends at the bound of its guess is solved for again at most so often.
 _MOST_RESTARTS = 3
+# An objective below this share of what it was at the bound of the last guess has no end.
+_VANISHING_SHARE = 0.01
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -105,7 +107,7 @@ def _first_solutions(problem: OdeProblem) -> list[_First]:
 
 
 def _of_any_duration(problem: OdeProblem, guess: CompletedGuess, word: str) -> _First | None:
-    """Return the solution from a guess whose duration is not bounded by its guess, or the words on one that has no best."""
+    """Return the solution from a guess, solved again while its duration is bounded by its guess."""
     first = _solved(problem, guess, word)
     for restart in range(_MOST_RESTARTS):
         unbounded = None if first is None else unbounded_duration(problem, first.found)
@@ -113,10 +115,10 @@ def _of_any_duration(problem: OdeProblem, guess: CompletedGuess, word: str) -> _
             break
         # Guessed too short or too long by far: from what was found, with time in its own units.
         before, first = first, _solved(problem, sampled_guess(first.found.motion), f"{word}, from the bound on its duration")
-        # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
+        # Next to nothing of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
         if first is not None and restart:
-            falls = first.found.solution.objective < 0.5 * before.found.solution.objective
-            first = replace(first, unbounded=unbounded if falls else None)
+            vanishes = first.found.solution.objective < _VANISHING_SHARE * before.found.solution.objective
+            first = replace(first, unbounded=unbounded if vanishes else None)
     return first
 
 

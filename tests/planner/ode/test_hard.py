@@ -6,55 +6,11 @@ import pytest
 
 from linkplan.planner.ode.certificate import LIMIT_SLACK
 from linkplan.planner.ode.problem import OdeProblem
-from tests.support.ode import FREE_EFFORT, INF, NAN, solved
-from tests.support.tolerances_planner import ALP_RIDER_PRINTED, BIOREACTOR_OBJECTIVE
+from tests.support.ode import FREE_EFFORT, INF, solved
+from tests.support.tolerances_planner import ALP_RIDER_PRINTED
 
-# The bioreactor with rates constant over 100 and over 400 equal cells, by Runge and Kutta's rule in steps of 1/40, multiple
-# shooting: 6.1515914 and 6.1516030, and what these tend to with the square of the cells' width.
-LEE_RAMIREZ = 6.1516037
 # The Alp rider by the book's and PROPT's programs.
 ALP_RIDER = 2030.85609
-
-
-def bioreactor() -> OdeProblem:
-    """Return Lee and Ramirez's fed-batch reactor with rates of nutrient and inducer within 0 and 1, inducer for nothing.
-
-    Volume, cells, nutrient, protein, inducer, shock and recovery; the parameters are Tholudur and Ramirez's (1997).
-    """
-
-    def rate(x, u, p, t):  # noqa: ARG001
-        volume, cells, nutrient, protein, inducer, shock, recovery = (x[i] for i in range(7))
-        dilution, uptake = (u[0] + u[1]) / volume, nutrient / (14.35 + nutrient + nutrient**2 / 111.5)
-        growth = uptake * (shock + recovery * 0.22 / (0.22 + inducer))
-        production = 0.233 * uptake * (0.0005 + inducer) / (0.022 + inducer)
-        response = 0.09 * inducer / (0.034 + inducer)
-        return [
-            u[0] + u[1],
-            growth * cells - dilution * cells,
-            100 * u[0] / volume - dilution * nutrient - growth * cells / 0.51,
-            production * cells - dilution * protein,
-            4 * u[1] / volume - dilution * inducer,
-            -response * shock,
-            response * (1 - recovery),
-        ]
-
-    return OdeProblem(
-        name="Lee-Ramirez",
-        rate=rate,
-        start=[1, 0.1, 40, 0, 0, 1, 0],
-        goal=[NAN] * 7,
-        effort_limit=[[0, 1], [0, 1]],
-        duration_s=10.0,
-        final_cost=lambda x0, xT, T, p: -xT[0] * xT[3],  # noqa: ARG005
-    )
-
-
-@pytest.mark.slow
-def test_a_bioreactor_is_fed_along_singular_arcs_and_limits_as_an_independent_program_has_it():
-    problem = bioreactor()
-    plan = solved(problem)
-    assert -plan.objective == pytest.approx(LEE_RAMIREZ, rel=BIOREACTOR_OBJECTIVE)
-    assert plan.certificate.integrated_objective == pytest.approx(plan.objective, rel=10 * problem.tolerance)
 
 
 def terrain(t, exp=np.exp):

@@ -19,43 +19,11 @@ from tests.support.tolerances_planner import (
     ODE_KINKED,
     ODE_LIMIT,
     ODE_PUBLISHED,
-    ODE_STATE,
     ODE_STATE_ARCS,
     SIX_DIGITS,
 )
 
 # Angles: what acts through sine and cosine alone may leap by whole turns from node to node.
-
-
-@pytest.mark.slow
-def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
-    """Current -y along x, speed 1, from (3.66, -1.86) to the origin; theta' = cos^2 theta (Bryson & Ho, 2.7)."""
-
-    def missed(unknowns: np.ndarray) -> np.ndarray:
-        heading, T = unknowns
-
-        def rate(t: float, y: np.ndarray) -> list[float]:
-            del t
-            return [np.cos(y[2]) - y[1], np.sin(y[2]), np.cos(y[2]) ** 2]
-
-        return solve_ivp(rate, (0, T), [3.66, -1.86, heading], method="DOP853", rtol=1e-12, atol=1e-13).y[:2, -1]
-
-    T = fsolve(missed, [np.radians(105), 5.46], xtol=1e-13)[1]
-    plan = solved(
-        OdeProblem(
-            name="Zermelo",
-            rate=lambda x, u, p, t: [ca.cos(u[0]) - x[1], ca.sin(u[0])],  # noqa: ARG005
-            start=[3.66, -1.86],
-            goal=[0, 0],
-            effort_limit=FREE_EFFORT,
-            duration_s=(0.1, 100),
-            final_cost=duration,
-        )
-    )
-    assert plan.objective == pytest.approx(T, rel=ODE_CLOSED_FORM)
-    # Between the nodes the heading is no wild polynomial: within an interval it turns by what it may turn in that time.
-    turn = np.ptp(plan.trajectory.effort, axis=0)[:, 0]
-    assert np.all(turn <= np.diff(plan.trajectory.breaks_s) + ODE_STATE)
 
 
 @pytest.mark.slow
