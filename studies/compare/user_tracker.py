@@ -6,7 +6,7 @@ import importlib
 import pickle
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
@@ -146,14 +146,13 @@ def refuse_unpicklable(given: Mapping[str, TrackerLike]) -> None:
             ) from error
 
 
-def trackers_named(text: str) -> list[TrackerLike]:
-    """Return the trackers of a list such as "pd+ff, mpc, laws:Mine"; "all" means all built-in trackers."""
-    if text.strip() == "all":
-        return list(TRACKERS)
-    names = [name for name in text.split(",") if name.strip()]
-    if not names:
-        raise ProblemError(f"trackers are names separated by commas, or all; got '{text}'")
-    return [tracker_named(name) for name in names]
+def trackers_loaded(asked: Sequence[TrackerLike]) -> list[TrackerLike]:
+    """Return trackers with those that text names loaded.
+
+    Raises:
+        ProblemError: for an unknown tracker.
+    """
+    return [tracker_named(one) if isinstance(one, str) else one for one in asked]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
-from linkplan.studies.compare.user_tracker import TrackerLike, tracker_named
+from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.decompose import decompose as study
 from linkplan.studies.decompose.decomposition import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
@@ -58,8 +58,7 @@ def decompose(
         print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], samples=4))
     """
     say = listener(progress)
-    names = listed(trackers, "names or functions")
-    asked = [tracker_named(one) if isinstance(one, str) else one for one in names]
+    asked = trackers_loaded(listed(trackers, "names or functions"))
     whole(seed, "seed", 0, 2**63 - 1)
     answer = plan_of(plan, say, "track")
     given = replace(answer, problem=with_imperfections(answer.problem, imperfections))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.errors import ProblemError
@@ -21,9 +21,9 @@ from linkplan.studies.compare.comparison_blocks import comparison_blocks, compar
 from linkplan.studies.compare.comparison_notes import comparison_record
 from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
 from linkplan.studies.compare.time_series import save_time_series
-from linkplan.studies.compare.user_tracker import TrackerLike, tracker_named
+from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report, Section, Text
-from linkplan.subjects import PlanLike, listed, plan_of, source_of, tracking_table
+from linkplan.subjects import PlanLike, Source, listed, plan_of, source_of, tracking_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +64,9 @@ def track(
     """
     say = listener(progress)
     if sample is not None:
-        source = source_of(cast(Path, plan))
+        if not isinstance(plan, Source | str | Path):
+            raise ProblemError(f"with sample, plan is the folder of an experiment, got {plan!r}")
+        source = source_of(plan)
         given = {
             "set": source.settings,
             "anyway": source.anyway,
@@ -76,7 +78,7 @@ def track(
             raise ProblemError(f"{', '.join(named)}: not with sample, which runs a machine of an experiment again as it was")
         return _replayed(source.name, tracker, sample)
     factor, delay = _checked(mass_factor, delay_periods)
-    asked = _loaded([tracker])[0]
+    asked = trackers_loaded([tracker])[0]
     answer = _to_track(plan, tracking, say)
     mismatch = study.mismatch_of(answer, factor, delay)
     say(f"{answer.problem.name}: one tracker")
@@ -127,7 +129,7 @@ def compare(
         print(linkplan.compare(linkplan.plan("knee-reach"), ["pd", "lqr"]))
     """
     say = listener(progress)
-    asked = _loaded(listed(trackers, "names, objects or functions"))
+    asked = trackers_loaded(listed(trackers, "names, objects or functions"))
     factor, delay = _checked(mass_factor, delay_periods)
     answer = _to_track(plan, tracking, say)
     comparison = study.compare(answer, study.mismatch_of(answer, factor, delay), say, asked)
@@ -138,11 +140,6 @@ def compare(
 def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
     """Return the numbers of a mismatch, checked before a plan is made."""
     return number(mass_factor, "mass_factor", positive=True), study.delay_of(delay_periods, "delay_periods")
-
-
-def _loaded(trackers: Sequence[TrackerLike]) -> list[TrackerLike]:
-    """Return trackers with those that text names as "module:object" or by an installed package loaded."""
-    return [tracker_named(one) if isinstance(one, str) else one for one in trackers]
 
 
 def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:

@@ -42,6 +42,10 @@ def view(
 
     Raises:
         LinkplanError: if no window can be opened, the plan has no motion, or an argument is invalid.
+
+    Example::
+
+        linkplan.view("knee-reach", slow=10.0)
     """
     from linkplan.controllers.controls import Controls, keys_said
     from linkplan.controllers.playback import has_screen, play
@@ -90,6 +94,11 @@ def explore(
 
     Raises:
         LinkplanError: if there is no problem to explore, a file exists at the path, or the port is in use.
+
+    Example::
+
+        page = linkplan.explore("knee-reach")
+        print(page.address)  # page.serve() answers a browser
     """
     from linkplan.studies.explore.server import Server
     from linkplan.studies.explore.session import Session
@@ -182,6 +191,10 @@ def demo(folder: str | Path = "linkplan-demo", *, progress: Progress | None = No
 
     Raises:
         LinkplanError: if the folder cannot be written.
+
+    Example::
+
+        said, blocks = linkplan.demo("linkplan-demo")
     """
     from linkplan.studies.demo.demo import demo as made
 

@@ -46,8 +46,8 @@ COMMANDS = ("check", "track", "bode", "tune", "list", "plan", "compare", "view",
             "report", "schema", "batch", "completion", "chek", "")  # fmt: skip
 # What runs machines in MuJoCo or draws them, few of them and small.
 SMALL = {
-    "experiment": ["--samples", "2", "--threads", "1"], "render": ["--size", "64x64", "--instants", "1", "-o", "out.png"],
-    "export": ["--to", "csv", "-o", "out.x"], "bode": ["--measure", "none"],
+    "experiment": ["--samples", "2", "--threads", "1"], "render": ["--size-px", "64x64", "--instants", "1", "-o", "out.png"],
+    "export": ["--to", "csv", "-o", "out.x"], "bode": ["--no-measure"],
     "plan": ["--set", "mesh.intervals=10", "--set", "solver.max_time_s=5"],
 }  # fmt: skip
 
@@ -139,8 +139,8 @@ def command_line(rng: random.Random, plan: Path) -> list[str]:
     of = [str(plan), str(plan / "plan.json"), "/", "/dev/zero", "", "\udce9", "x" * 5000, *MODELS, *PROBLEMS]
     line = [command, rng.choice([str(plan), rng.choice(of)])]
     for _ in range(rng.randint(0, 3)):
-        option = rng.choice(["--at-deg", "--set", "--kp", "--period-s", "--from-hz", "--tracker", "--trackers", "--json",
-                             "--anyway", "--slow", "--fps", "--size", "--seed", "--samples", "--every-s", "-o"])  # fmt: skip
+        option = rng.choice(["--at-deg", "--set", "--kp", "--period-s", "--frequency-hz", "--trackers", "--json",
+                             "--anyway", "--fps", "--size-px", "--seed", "--samples", "--every-s", "-o"])  # fmt: skip
         line += [option] if option in ("--json", "--anyway") else [option, rng.choice([*NUMBERS, *SETTINGS])]
     return line + SMALL.get(command, [])
 

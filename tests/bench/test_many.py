@@ -100,17 +100,14 @@ def test_the_time_of_a_process_has_that_of_what_it_leaves_running():
 
 @pytest.mark.slow
 def test_the_bench_tells_certified_plans_from_a_file_that_is_refused(folder, tmp_path, capsys):
-    names = ("five-bar-reach-effort15", "knee-leg-effort15")
-    for name in names:
-        text = (folder / f"{name}.toml").read_text(encoding="utf-8")
-        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
-        model = name.removesuffix("-effort15") + ".xml"
-        (tmp_path / model).write_text((folder / model).read_text(encoding="utf-8"), encoding="utf-8")
+    for name in ("five-bar-reach.xml", "five-bar-reach-effort15.toml"):
+        (tmp_path / name).write_text((folder / name).read_text(encoding="utf-8"), encoding="utf-8")
     assert many.main([str(tmp_path), "-o", str(tmp_path / "found.json")]) == 0
-    found = [many.Compared(**row) for row in json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))]
-    assert [row.problem for row in found] == list(names)
-    assert all(row.over_best is not None and abs(row.over_best) < 1e-3 for row in found)
-    assert all(row.processor_s > 0.1 and (row.peer_processor_s or 0.0) > 0.1 for row in found)
-    (tmp_path / "knee-leg.xml").unlink()
-    assert many.main([str(tmp_path), "--only", "knee", "--no-peer"]) == 1
+    (row,) = (many.Compared(**row) for row in json.loads((tmp_path / "found.json").read_text(encoding="utf-8")))
+    assert row.problem == "five-bar-reach-effort15"
+    assert row.over_best is not None
+    assert abs(row.over_best) < 1e-3
+    assert min(row.processor_s, row.peer_processor_s or 0.0) > 0.1
+    (tmp_path / "five-bar-reach.xml").unlink()
+    assert many.main([str(tmp_path), "--no-peer"]) == 1
     assert "refused" in capsys.readouterr().out

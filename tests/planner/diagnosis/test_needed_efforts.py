@@ -1,7 +1,6 @@
 """What a motion needs of its actuators, in closed form: of a trajectory's efforts, and of a path's inverse dynamics."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,9 @@ from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.diagnosis.reasons import effort_sentence, far_too_short, path_effort, share_sentence
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.least_limit import LeastLimit
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_problem
 
 # The quarter turn in a second along t^2 (3 - 2 t): 6 I b (1 - 2 t) N.m.
@@ -20,6 +21,11 @@ PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
 def problem(limit: str = "[-4, 4]", mjcf: str = HINGE) -> Problem:
     name = "m" if 'name="m"' in mjcf else "motor"
     return body_problem(mjcf, QUARTER_TURN + "duration_s = 1.0\n", f"limits.effort.{name}={limit}")
+
+
+def least(trajectory: Trajectory) -> LeastLimit:
+    """Return a motion as that of 1.25 times the limits."""
+    return LeastLimit(factor=1.25, trajectory=trajectory, mesh=uniform(1), durations=np.ones(1), first=1.25)
 
 
 def two_hinges(actuators: str) -> Problem:
@@ -51,8 +57,7 @@ def with_efforts(first: float, last: float) -> Trajectory:
     ],
 )
 def test_the_largest_excess_of_an_effort_is_named_with_its_limit(limit, first, last, words):
-    least = SimpleNamespace(trajectory=with_efforts(first, last), factor=1.25)
-    said, numbers = effort_sentence(problem(limit), least)
+    said, numbers = effort_sentence(problem(limit), least(with_efforts(first, last)))
     assert said == f"motor on joint J {words}"
     assert numbers == {"needed_effort": pytest.approx(5.0), "needed_limit_factor": 1.25}
 
@@ -63,7 +68,7 @@ def test_of_two_actuators_the_one_with_the_larger_excess_is_named():
     arrays = {name: np.repeat(getattr(one, name), 2, axis=2) for name in ("position", "velocity", "effort")}
     arrays["effort"][:, :, 1] = 3.9
     both = replace(one, **arrays, start_pose=np.repeat(one.start_pose, 2))
-    assert effort_sentence(asked, SimpleNamespace(trajectory=both, factor=1.25))[0].startswith("motor on joint J")
+    assert effort_sentence(asked, least(both))[0].startswith("motor on joint J")
 
 
 def test_what_no_actuator_gives_is_named_with_its_joint():
@@ -106,7 +111,7 @@ def test_of_an_excess_that_lasts_its_first_instant_is_named():
         start_pose=trajectory.start_pose,
         periodic=False,
     )
-    said, _ = effort_sentence(problem(), SimpleNamespace(trajectory=still, factor=1.25))
+    said, _ = effort_sentence(problem(), least(still))
     assert "5 N.m at t = 0.25 s" in said
 
 

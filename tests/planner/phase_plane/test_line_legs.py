@@ -79,7 +79,7 @@ def test_the_least_time_of_a_motor_is_that_of_its_exact_motion(no_load_deg_s):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("no_load_deg_s", [300.0, 100.0, 60.0, 20.0, 12.0, 10.0, 5.0, 1.0, 0.3, 0.02, 0.004])
+@pytest.mark.parametrize("no_load_deg_s", [300.0, 20.0, 12.0, 5.0, 1.0, 0.02])
 def test_the_least_times_of_slow_and_quick_motors_are_those_of_their_exact_motions(no_load_deg_s):
     plan = tilted(no_load_deg_s)
     assert plan.status == "optimal", plan.message

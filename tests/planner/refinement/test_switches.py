@@ -1,21 +1,21 @@
 """Switch times and bang arcs, read from coefficients of efforts between limits of -5 and 5, from 10 s on."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from linkplan.planner.refinement.switches import _pulse_in, _spread, find_bang_efforts, find_switch_times
-from linkplan.planner.transcription.bernstein import PiecewisePolynomial
+from linkplan.planner.trajectory import Trajectory
 
 LIMIT = np.array([[-5.0, 5.0]])
 
 
-def motion(*coefficients: list[float], breaks: np.ndarray | None = None) -> SimpleNamespace:
-    """Return a motion with the effort's coefficients (degree + 1, n) on intervals of a second."""
+def motion(*coefficients: list[float], breaks: np.ndarray | None = None) -> Trajectory:
+    """Return a motion at rest with the effort's coefficients (degree + 1, n) on intervals of a second."""
     effort = np.array(coefficients, dtype=float)[:, :, None]
-    breaks = 10.0 + np.arange(effort.shape[1] + 1.0) if breaks is None else breaks
-    return SimpleNamespace(breaks_s=breaks, effort=effort, effort_at=PiecewisePolynomial(effort, breaks))
+    n = effort.shape[1]
+    breaks = 10.0 + np.arange(n + 1.0) if breaks is None else breaks
+    still = {"position": np.zeros((2, n, 1)), "velocity": np.zeros((1, n, 1)), "start_pose": np.zeros(1)}
+    return Trajectory(breaks_s=breaks, effort=effort, periodic=False, **still)
 
 
 @pytest.mark.parametrize(("smeared", "switches"), [(1, [11.5]), (3, [12.5]), (4, [11.0, 15.0])])

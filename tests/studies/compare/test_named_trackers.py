@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import GainError, ProblemError
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import compare, track
 from linkplan.studies.compare.comparison_notes import comparison_notes
-from linkplan.studies.compare.user_tracker import tracker_named, trackers_named, users_tracker
+from linkplan.studies.compare.user_tracker import tracker_named, trackers_loaded, users_tracker
 from tests.support.bodies import body_plan
 from tests.support.plans import optimal
 
@@ -36,12 +35,8 @@ def laws(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("laws")
 def test_a_module_s_own_tracker_runs_beside_the_built_in_ones():
-    found = compare(optimal("knee-reach"), None, asked=trackers_named("pd, laws_of_mine:Still"))
+    found = compare(optimal("knee-reach"), None, asked=trackers_loaded(["pd", "laws_of_mine:Still"]))
     assert list(found.nominal) == ["pd", "still"]
-
-
-def test_all_are_the_built_in_ones():
-    assert trackers_named("all") == list(TRACKERS)
 
 
 @pytest.mark.usefixtures("laws")
@@ -52,12 +47,11 @@ def test_all_are_the_built_in_ones():
         ("no_module_of_this_name:Law", "No module named"),
         ("laws_of_mine:Sill", "has no attribute 'Sill'"),
         ("broken_laws:Law", "ZeroDivisionError"),
-        (",", "names separated by commas"),
     ],
 )
 def test_a_tracker_that_cannot_be_had_is_refused_in_one_line(text, said):
     with pytest.raises(ProblemError, match=said) as refused:
-        trackers_named(text)
+        trackers_loaded([text])
     assert "\n" not in str(refused.value)
 
 
