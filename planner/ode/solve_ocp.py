@@ -27,12 +27,16 @@ from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, why_stopped
+from linkplan.planner.transcription.formulation import Start
 from linkplan.planner.transcription.mesh import broken, uniform
 
 __all__ = ["OdePlan", "plan_ode"]
 
 # Rows of a solution that serves as a guess, and the fewest of a guess that is perturbed.
 _GUESS_ROWS, _PERTURBED_ROWS = 101, 41
+# Efforts are wild between the nodes if the integrated state ends this share of its size away. They are read then at this
+# share of an interval: the first node of radau-3.
+_WILD_SHARE, _FIRST_NODE = 1e-3, 0.155
 # A free duration that ends at the bound of its guess is solved for again at most so often.
 _MOST_RESTARTS = 3
 # An objective below this share of what it was at the bound of the last guess has no end.
@@ -168,6 +172,7 @@ def _best_plan(problem: OdeProblem, found: list[_First]) -> OdePlan | None:
 
 def _refined(problem: OdeProblem, first: _First) -> Refined[OdeTrajectory, OdeCertificate]:
     """Return the motion that a first solution is refined to."""
+    first = _without_wild_efforts(first)
     case, motion = first.case, first.found.motion
     unstable = case.certify(motion).integration_restarts > 0
     if unstable:
@@ -176,6 +181,28 @@ def _refined(problem: OdeProblem, first: _First) -> Refined[OdeTrajectory, OdeCe
     refined = refine(case, first.found, warm=unstable)
     assert refined is not None  # a user's solution always has a certificate
     return refined
+
+
+def _without_wild_efforts(first: _First) -> _First:
+    """Return a first solution whose efforts are no wild polynomials between its nodes.
+
+    An effort that acts through its sine and cosine alone may leap by whole turns from node to node: the rows are kept there,
+    and between them the polynomial is wild. Held over an interval, and the states as they are, it is next to a motion.
+    """
+    case, motion = first.case, first.found.motion
+    before = case.certify(motion).integration_error
+    if before <= _WILD_SHARE:
+        return first
+    start, breaks = case.start_from(motion), motion.breaks_s
+
+    def nodes(at: np.ndarray):
+        acceleration, rate, algebraic, _ = start.nodes(at)
+        k = np.clip(np.searchsorted(breaks, at, side="right") - 1, 0, len(breaks) - 2)
+        return acceleration, rate, algebraic, motion.effort_at(breaks[k] + _FIRST_NODE * np.diff(breaks)[k])
+
+    held, durations = Start(states=start.states, nodes=nodes), np.diff(breaks[[0, -1]])
+    again = attempt(case, held, first.found.mesh, durations, "efforts piecewise constant at first", warm=True)
+    return first if again is None or case.certify(again.motion).integration_error >= before else replace(first, found=again)
 
 
 def _contradiction(problem: OdeProblem) -> str | None:
